@@ -1,0 +1,47 @@
+"""Structure awareness (SA): self-attention between the channels of the deepest feature map, paper Fig. 3.
+
+The module is the "structure perception module" of CADepth (the paper's [34]), itself DANet's channel attention:
+E = X X^T over the N = H*W positions, A = softmax(max(E) - E), output = A X + X. The softmax of max - E gives the
+*least* similar channel the greatest weight, which is what both released codes do; the paper's text reads the other
+way round, hence the `sign` option.
+"""
+
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+
+class StructureAwareness(nn.Module):
+    """Channel self-attention (B,C,H,W) -> (B,C,H,W).
+
+    similarity: "sum" is the paper's plain X X^T, nearly one-hot after the softmax; "mean" divides by N, so that
+        the attention does not depend on the image size.
+    learned_gain: False adds A X with weight one (paper); True with a learnt weight that starts at zero (DANet).
+    sign: "distinct" = softmax(max - E) as in the released codes; "similar" = softmax(E).
+    """
+
+    def __init__(
+        self,
+        similarity: Literal["sum", "mean"] = "sum",
+        learned_gain: bool = False,
+        sign: Literal["distinct", "similar"] = "distinct",
+    ) -> None:
+        super().__init__()
+        self.similarity = similarity
+        self.sign = sign
+        self.gain = nn.Parameter(torch.zeros(())) if learned_gain else None
+
+    def forward(self, features: Tensor) -> Tensor:
+        # float32 whatever the autocast: sums over hundreds of positions go through an exponential.
+        with torch.autocast(features.device.type, enabled=False):
+            x = features.float().flatten(2)
+            energy = x @ x.transpose(1, 2)
+            if self.similarity == "mean":
+                energy = energy / x.shape[2]
+            if self.sign == "distinct":
+                energy = energy.amax(dim=2, keepdim=True) - energy
+            gathered = (energy.softmax(dim=2) @ x).view_as(features)
+        if self.gain is not None:
+            gathered = self.gain * gathered
+        return features + gathered.to(features.dtype)

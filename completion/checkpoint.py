@@ -1,0 +1,85 @@
+"""Weights and training states as safetensors; nothing here unpickles.
+
+A weight file carries its network's name and configuration in the header, so that loading needs no other file and a
+wrong one is refused by name instead of half loaded.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from completion.errors import CompletionError
+from completion.network import MSCSAConfig, MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
+    """Write atomically: a run that is killed while saving keeps its last whole checkpoint."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    contiguous = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
+    save_file(contiguous, partial, metadata={"haustra": json.dumps(metadata)})
+    os.replace(partial, path)
+
+
+def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and metadata of a file that `save_tensors` wrote."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise CompletionError(f"{path} is not a readable safetensors file: {error}") from error
+    if "haustra" not in header:
+        raise CompletionError(f"{path} holds tensors, but no haustra network: its header lacks a configuration")
+    return tensors, json.loads(header["haustra"])
+
+
+def save_network(path: Path, network: nn.Module, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
+    """Weights in half precision with the network's name and configuration."""
+    halved = {n: t.half() if t.is_floating_point() else t for n, t in weights.items()}
+    save_tensors(path, halved, {"network": type(network).__name__, "config": network.config.to_dict(), **about})
+
+
+def load_network(path: Path) -> MSCSANet | ScaleFreeMSCSANet:
+    """The network of a weight file, strictly loaded, in evaluation mode."""
+    tensors, metadata = load_tensors(path)
+    network = _build(metadata, path)
+    try:
+        network.load_state_dict({n: t.float() if t.is_floating_point() else t for n, t in tensors.items()})
+    except RuntimeError as error:
+        first = str(error).splitlines()[0]
+        raise CompletionError(f"the weights in {path} do not fit {metadata['network']}: {first}") from error
+    return network.eval()
+
+
+def _build(metadata: dict[str, Any], path: Path) -> MSCSANet | ScaleFreeMSCSANet:
+    try:
+        if metadata["network"] == "ScaleFreeMSCSANet":
+            return ScaleFreeMSCSANet(ScaleFreeConfig(**metadata["config"]))
+        if metadata["network"] == "MSCSANet":
+            return MSCSANet(MSCSAConfig(**metadata["config"]))
+    except (KeyError, TypeError) as error:
+        raise CompletionError(f"{path} describes no network that this version knows: {error}") from error
+    raise CompletionError(f"{path} holds a {metadata['network']}, which this version does not know")
+
+
+def flatten_optimizer(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """AdamW's moments as named tensors."""
+    state = optimizer.state_dict()["state"]
+    return {f"optimizer.{i}.{key}": value for i, slots in state.items() for key, value in slots.items()}
+
+
+def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
+    """The inverse of `flatten_optimizer`, for an optimizer over the same parameters."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith("optimizer."):
+            _, index, key = name.split(".")
+            state.setdefault(int(index), {})[key] = value
+    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})

@@ -1,0 +1,98 @@
+"""Multi-scale confidence (MSC): normalised convolution of sparse depth, paper section II-B.
+
+Normalised convolution (Eqs. 1 and 2; Eldesokey et al., TPAMI 2020, the paper's [25]) averages the *known*
+neighbours of a pixel with a non-negative learnt kernel and tells how much of that kernel fell on known pixels.
+The pyramid repeats it at halved resolutions, so that a hundred points reach every pixel.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+# Division guard. 1e-20 rather than 1e-6: the confidence far from any point is 1e-6 and less, and a larger guard
+# would pull the depth there towards zero. `clamp_min` instead of "+ eps" survives the ONNX exporter.
+DIVISION_GUARD = 1e-20
+
+
+class NormalizedConv2d(nn.Module):
+    """One normalised convolution layer (paper Eqs. 1-3).
+
+    The kernel is stored unconstrained and mapped by Gamma(w) = softplus(w) at each call, so that autograd itself
+    supplies the chain rule of Eq. 3. The numerator's epsilon of Eq. 2 is left out: it would give a pixel without
+    any known neighbour a positive confidence.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, kernel_size: int, beta: float = 10.0) -> None:
+        super().__init__()
+        self.beta = beta
+        self.padding = kernel_size // 2
+        self.weight = nn.Parameter(_poisson_kernels(in_channels, out_channels, kernel_size, beta))
+        self.bias = nn.Parameter(torch.zeros(out_channels))
+
+    def applicability(self) -> Tensor:
+        """Gamma(W) of shape (out, in, k, k), strictly positive."""
+        return F.softplus(self.weight, beta=self.beta)
+
+    def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+        """(B,in,H,W) depth and confidence -> (B,out,H,W) of each; depth is the bias where nothing is known."""
+        kernel = self.applicability()
+        weight_sum = F.conv2d(confidence, kernel, padding=self.padding)
+        weighted = F.conv2d(depth * confidence, kernel, padding=self.padding)
+        mean = weighted / weight_sum.clamp_min(DIVISION_GUARD)
+        total = kernel.sum(dim=(1, 2, 3)).view(1, -1, 1, 1)
+        return mean + self.bias.view(1, -1, 1, 1), weight_sum / total
+
+
+def _poisson_kernels(in_channels: int, out_channels: int, size: int, beta: float) -> Tensor:
+    """Unconstrained weights whose Gamma is a bell (outer product of Poisson pmfs) plus uniform noise."""
+    mean = size / 2
+    pmf = torch.tensor([math.exp(-mean) * mean**k / math.factorial(k) for k in range(size)])
+    bell = torch.outer(pmf, pmf).expand(out_channels, in_channels, size, size)
+    applicability = bell + 0.1 * bell.max() * torch.rand(out_channels, in_channels, size, size)
+    return torch.log(torch.expm1(beta * applicability)) / beta  # the inverse of softplus
+
+
+def confidence_pool(depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+    """Halve the resolution, keeping in each 2x2 block the depth that is trusted most.
+
+    The confidence is divided by four, the number of pixels that the survivor now stands for.
+    (B,C,H,W) -> (B,C,H//2,W//2) of each.
+    """
+    pooled, index = F.max_pool2d(confidence, 2, return_indices=True)
+    chosen = depth.flatten(2).gather(2, index.flatten(2)).view_as(pooled)
+    return chosen, pooled / 4
+
+
+class MultiScaleConfidence(nn.Module):
+    """The MSC module: an encoder-decoder of normalised convolutions, two channels wide.
+
+    Layer sharing follows the released unguided network of the paper's [25]: 5x5 `densify` and `refine` serve all
+    encoder levels, one 3x3 `merge` per decoder level. With `levels=3` it has the published 481 parameters.
+    """
+
+    def __init__(self, levels: int = 3, beta: float = 10.0) -> None:
+        super().__init__()
+        self.levels = levels
+        self.lift = NormalizedConv2d(1, 2, 5, beta)
+        self.densify = NormalizedConv2d(2, 2, 5, beta)
+        self.refine = NormalizedConv2d(2, 2, 5, beta)
+        self.merge = nn.ModuleList(NormalizedConv2d(4, 2, 3, beta) for _ in range(levels))
+        self.project = NormalizedConv2d(2, 1, 1, beta)
+
+    def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+        """Sparse depth and its confidence, both (B,1,H,W) with H and W divisible by 2**levels -> dense ones."""
+        z, c = self.refine(*self.densify(*self.lift(depth, confidence)))
+        pyramid = [(z, c)]
+        for level in range(1, self.levels + 1):
+            z, c = self.densify(*confidence_pool(z, c))
+            if level == 1:
+                z, c = self.refine(z, c)
+            pyramid.append((z, c))
+        for level in range(self.levels - 1, -1, -1):
+            fine_z, fine_c = pyramid[level]
+            z = torch.cat([fine_z, F.interpolate(z, scale_factor=2, mode="nearest")], dim=1)
+            c = torch.cat([fine_c, F.interpolate(c, scale_factor=2, mode="nearest")], dim=1)
+            z, c = self.merge[level](z, c)
+        return self.project(z, c)

@@ -1,0 +1,158 @@
+"""MSCSA-Net: multi-scale confidence, a U-Net, structure awareness (paper section II, Fig. 2).
+
+`MSCSANet` is the paper's network with two switches for its ablation. `ScaleFreeMSCSANet` is ours for structure from
+motion, whose depth has no unit: it works on log depth divided by the median of the sparse points, so that k times
+the input gives k times the output, and it predicts its own error.
+"""
+
+from dataclasses import asdict, dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from completion.attention import StructureAwareness
+from completion.nconv import MultiScaleConfidence
+
+
+class DoubleConv(nn.Sequential):
+    """Two 3x3 convolutions with batch normalisation and ReLU, (B,in,H,W) -> (B,out,H,W)."""
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__(
+            nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False),
+            nn.BatchNorm2d(out_channels),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(out_channels, out_channels, 3, padding=1, bias=False),
+            nn.BatchNorm2d(out_channels),
+            nn.ReLU(inplace=True),
+        )
+
+
+class UNet(nn.Module):
+    """U-Net with bilinear upsampling and an optional attention between encoder and decoder.
+
+    (B,in,H,W) -> (B,out,H,W); H and W divisible by 2**(len(widths)-1).
+    """
+
+    def __init__(
+        self, in_channels: int, out_channels: int, widths: tuple[int, ...], attention: nn.Module | None
+    ) -> None:
+        super().__init__()
+        self.encoder = nn.ModuleList(
+            DoubleConv(a, b) for a, b in zip((in_channels, *widths[:-1]), widths, strict=True)
+        )
+        self.attention = attention if attention is not None else nn.Identity()
+        self.decoder = nn.ModuleList(
+            DoubleConv(coarse + fine, fine)
+            for coarse, fine in zip(widths[:0:-1], widths[-2::-1], strict=True)
+        )
+        self.head = nn.Conv2d(widths[0], out_channels, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        skips = []
+        for level, block in enumerate(self.encoder):
+            x = block(F.max_pool2d(x, 2) if level else x)
+            skips.append(x)
+        x = self.attention(skips.pop())
+        for block in self.decoder:
+            skip = skips.pop()
+            x = F.interpolate(x, size=skip.shape[2:], mode="bilinear", align_corners=False)
+            x = block(torch.cat([skip, x], dim=1))
+        return self.head(x)
+
+
+def _widths(base: int) -> tuple[int, ...]:
+    return (base, 2 * base, 4 * base, 8 * base, 12 * base, 12 * base)
+
+
+# A side must halve this often for the U-Net (5) and the confidence pyramid (5); inputs are padded up to it.
+STRIDE = 32
+
+
+def _pad_to_stride(x: Tensor) -> Tensor:
+    height, width = x.shape[2:]
+    return F.pad(x, (0, -width % STRIDE, 0, -height % STRIDE))
+
+
+@dataclass(frozen=True)
+class MSCSAConfig:
+    """Size and switches of `MSCSANet`; the paper states neither width nor depth of its U-Net."""
+
+    width: int = 16  # channels of the first level; 16 gives 3 M parameters
+    use_msc: bool = True
+    use_sa: bool = True
+
+    def to_dict(self) -> dict[str, object]:
+        return asdict(self)
+
+
+class MSCSANet(nn.Module):
+    """The paper's network: metric sparse depth in, metric dense depth out.
+
+    U-Net input: MSC's depth and confidence, RGB and the raw sparse depth (six channels, Fig. 2); without MSC the
+    four of RGB-SD.
+    """
+
+    def __init__(self, config: MSCSAConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or MSCSAConfig()
+        self.msc = MultiScaleConfidence(levels=3) if self.config.use_msc else None
+        attention = StructureAwareness() if self.config.use_sa else None
+        self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention)
+
+    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> Tensor:
+        """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit."""
+        height, width = rgb.shape[2:]
+        rgb, sparse_depth = _pad_to_stride(rgb), _pad_to_stride(sparse_depth)
+        channels = [rgb, sparse_depth]
+        if self.msc is not None:
+            with torch.autocast(rgb.device.type, enabled=False):
+                channels += self.msc(sparse_depth.float(), (sparse_depth > 0).float())
+        return self.unet(torch.cat(channels, dim=1))[..., :height, :width]
+
+
+@dataclass(frozen=True)
+class ScaleFreeConfig:
+    """Size of `ScaleFreeMSCSANet`."""
+
+    width: int = 16
+    msc_levels: int = 5  # reach of +-180 px: points from SfM leave large holes
+
+    def to_dict(self) -> dict[str, object]:
+        return asdict(self)
+
+
+LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
+LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
+
+
+class ScaleFreeMSCSANet(nn.Module):
+    """MSC + U-Net + SA on median-normalised log depth, with a predicted error per pixel.
+
+    The U-Net corrects MSC's own dense estimate: log depth = MSC + residual. Its second output is log b, the scale of
+    a Laplace distribution over the log-depth error, so b reads as a relative error.
+    """
+
+    def __init__(self, config: ScaleFreeConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or ScaleFreeConfig()
+        self.msc = MultiScaleConfidence(self.config.msc_levels)
+        attention = StructureAwareness(similarity="mean", learned_gain=True)
+        self.unet = UNet(8, 2, _widths(self.config.width), attention)
+
+    def forward(self, rgb: Tensor, log_sparse: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
+        """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
+        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32."""
+        height, width = rgb.shape[2:]
+        rgb, log_sparse, trust = (_pad_to_stride(x.float()) for x in (rgb, log_sparse, trust))
+        with torch.autocast(rgb.device.type, enabled=False):
+            spread, confidence = self.msc(log_sparse, trust)
+            # MSC's confidence spans eight decades; the U-Net sees its logarithm, about [0, 1].
+            log_confidence = torch.log10(confidence.clamp_min(0) + 1e-8) / 8 + 1
+            # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
+            log_brightness = torch.log(rgb.amax(dim=1, keepdim=True) + 1 / 255)
+        channels = [rgb - 0.5, log_brightness, spread, log_confidence, log_sparse, trust]
+        out = self.unet(torch.cat(channels, dim=1)).float()[..., :height, :width]
+        log_depth = (spread[..., :height, :width] + out[:, :1]).clamp(-LOG_RANGE, LOG_RANGE)
+        return log_depth, out[:, 1:].clamp(*LOG_ERROR_RANGE)

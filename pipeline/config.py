@@ -1,0 +1,115 @@
+"""Every setting of `reconstruct`, with its unit and the reason for its default.
+
+Nothing here must be set to run. A YAML file given with `--config` overrides what it names; unknown keys are refused.
+Lengths in the image are shares of the working width, so that they hold at any resolution.
+"""
+
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pipeline.errors import HaustraError
+
+
+class Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FrameSettings(Settings):
+    """Decoding and judging frames."""
+
+    start_s: float = Field(0.0, ge=0)
+    end_s: float | None = None
+    stride: int = Field(1, ge=1, description="use every n-th frame")
+    long_side: int = Field(480, ge=96, description="px; SIFT's precision gains little beyond, its time doubles")
+    min_brightness: float = Field(8.0, description="grey levels; a darker median frame is black")
+    max_burnt: float = Field(0.6, description="share of pixels at 250 and more beyond which nothing is left to see")
+    min_texture: float = Field(1.2, description="grey levels, robust spread of the Laplacian; red-out is below it")
+    min_relative_sharpness: float = Field(0.3, description="of the running median; a third is motion blur")
+    min_change: float = Field(0.35, description="grey levels between thumbnails; compression alone gives 0.2")
+
+
+class StructureSettings(Settings):
+    """SIFT, matching and mapping by COLMAP."""
+
+    peak_threshold: float = Field(0.002, description="a third of COLMAP's: mucosa has weak contrast")
+    max_features: int = Field(2048, ge=100, description="per frame; more only lengthens matching")
+    overlap: int = Field(8, ge=1, description="frames; each is matched with as many before it")
+    loop_neighbours: int = Field(2, ge=0, description="look-alike frames beyond the overlap tried for each keyframe")
+    loop_stride: int = Field(10, ge=1, description="frames between two that look for loops")
+    threads: int = Field(2, ge=1)
+    min_registered: float = Field(0.8, description="share of frames below which a second mapper is asked")
+    max_dark_near: float = Field(0.05, description="share of frames with brightness growing with distance that is tolerated")
+
+
+class SparseSettings(Settings):
+    """From COLMAP's points to each frame's sparse depth."""
+
+    max_reprojection_px: float = Field(1.5, gt=0, description="px at working size, mean over the track")
+    min_track_length: int = Field(3, ge=2)
+    min_angle_deg: float = Field(1.0, ge=0, description="deg; below it a pixel of error is a tenth of the depth")
+    pixel_noise: float = Field(0.5, gt=0, description="px; SIFT's localisation error on mucosa")
+    neighbours: int = Field(6, ge=0, description="frames on each side whose points are projected too")
+    outlier_ratio: float = Field(0.25, gt=0, description="log-depth difference to the neighbours' median")
+
+
+class DepthSettings(Settings):
+    """Which frames are completed, and by what."""
+
+    keyframe_motion: float = Field(0.02, gt=0, description="share of the width that shared points move by")
+    min_points: int = Field(12, ge=1, description="fewer sparse points do not fix a frame's depth")
+    max_fov_deg: float = Field(120.0, description="deg; a pinhole image wider than this is mostly stretched border")
+
+
+class FusionSettings(Settings):
+    """TSDF fusion."""
+
+    voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
+    truncation_voxels: float = Field(6.0, gt=1, description="completed depth errs by some voxels")
+    min_observations: int = Field(3, ge=1, description="frames that must agree before a surface is believed")
+    min_confidence: float = Field(0.1, ge=0, le=1)
+    max_depth_ratio: float = Field(2.5, gt=0, description="times the median depth; farther is seen better later")
+    min_component: float = Field(0.02, ge=0, le=1, description="share of the area; smaller pieces float")
+
+
+class Config(Settings):
+    """The whole run. Saved, resolved, in `run.yaml`."""
+
+    camera: str = "auto"
+    front_end: Literal["auto", "sfm"] = "auto"
+    model: str = "mscsa"
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    seed: int = 0
+    lumen_mm: float | None = Field(None, gt=0, description="mm, median diameter of the lumen, sets the scale")
+    scale_file: str | None = None
+    frames: FrameSettings = FrameSettings()
+    structure: StructureSettings = StructureSettings()
+    sparse: SparseSettings = SparseSettings()
+    depth: DepthSettings = DepthSettings()
+    fusion: FusionSettings = FusionSettings()
+
+
+def load_config(path: Path | None, **overrides: object) -> Config:
+    """Defaults, then the YAML file, then the command line's overrides that are not None."""
+    values: dict[str, object] = {}
+    if path is not None:
+        try:
+            values = yaml.safe_load(path.read_text()) or {}
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise HaustraError(f"cannot read the configuration {path}: {str(error).splitlines()[0]}") from error
+        if not isinstance(values, dict):
+            raise HaustraError(f"the configuration {path} is not a mapping of settings")
+    values |= {name: value for name, value in overrides.items() if value is not None}
+    return validate_config(values)
+
+
+def validate_config(values: dict[str, object]) -> Config:
+    """A `Config`, or one sentence that names the first wrong setting."""
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise HaustraError(f"setting '{where}': {first['msg']}") from error

@@ -1,0 +1,83 @@
+"""Where a frame shows tissue: the lit disc or octagon of the endoscope, less the lamp's mirror images.
+
+The area is found once per video from the brightest value that each pixel takes over many frames, since a dark lumen
+moves and the black border does not. Text burned into the border is a separate patch and falls away.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import HaustraError
+
+BORDER_LEVEL = 24  # grey levels; video black is 16, JPEG ringing adds a few
+MIN_CONTENT = 0.05  # share of the frame; less is a lit label, not a picture
+
+
+@dataclass(frozen=True)
+class ContentArea:
+    """mask: (H,W) uint8, 255 = tissue, in source pixels; box: x0, y0, width, height around it."""
+
+    mask: NDArray[np.uint8]
+    box: tuple[int, int, int, int]
+
+    @property
+    def is_full_frame(self) -> bool:
+        return bool((self.mask > 0).all())
+
+
+def find_content(frames: Iterable[NDArray[np.uint8]]) -> ContentArea:
+    """Content area of frames (H,W,3) uint8 RGB; raises `HaustraError` when all of them are black."""
+    brightest: NDArray[np.uint8] | None = None
+    for rgb in frames:
+        value = cv2.blur(rgb.max(axis=2), (5, 5))
+        brightest = value if brightest is None else np.maximum(brightest, value)
+    if brightest is None:
+        raise HaustraError("the video holds no frames")
+    lit = (brightest > BORDER_LEVEL).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(lit)
+    if count < 2 or stats[1:, cv2.CC_STAT_AREA].max() < MIN_CONTENT * lit.size:
+        raise HaustraError("the video is black: no part of the frame is ever lit")
+    largest = (labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()).astype(np.uint8)
+    return _area_of(_tidy(largest))
+
+
+def _tidy(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Cut thin attachments, fill to the convex hull, step inside the blurred rim."""
+    height, width = lit.shape
+    size = max(3, round(0.02 * min(height, width)) | 1)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    padded = cv2.copyMakeBorder(lit, size, size, size, size, cv2.BORDER_REPLICATE)
+    opened = cv2.morphologyEx(padded, cv2.MORPH_OPEN, kernel)[size:-size, size:-size]
+    contours, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return lit * 255
+    hull = cv2.convexHull(max(contours, key=cv2.contourArea))
+    filled = cv2.fillConvexPoly(np.zeros_like(lit), hull, 255)
+    if (filled > 0).mean() > 0.98:
+        return np.full_like(lit, 255)
+    # Many endoscopes draw a bright rim, fixed to the image: its features would say that nothing moves. Eroding pads
+    # with "lit", so that an edge that is the frame's own edge stays.
+    return cv2.erode(filled, kernel, iterations=2)
+
+
+def _area_of(mask: NDArray[np.uint8]) -> ContentArea:
+    x, y, width, height = cv2.boundingRect(mask)
+    return ContentArea(mask, (int(x), int(y), int(width), int(height)))
+
+
+def highlight_mask(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """255 where the lamp is mirrored or the sensor is burnt out: features there move with the camera.
+
+    rgb: (H,W,3) uint8 -> (H,W) uint8. Burnt-out pixels, and small spots far brighter than their surroundings and
+    pale, each with a margin.
+    """
+    smallest = rgb.min(axis=2)
+    size = max(5, round(0.06 * rgb.shape[1]) | 1)
+    surroundings = cv2.medianBlur(smallest, min(size, 255))
+    spot = (smallest.astype(np.int16) - surroundings > 40) & (smallest > 140)
+    burnt = (rgb.max(axis=2) >= 252) & (smallest >= 235)
+    return cv2.dilate((spot | burnt).astype(np.uint8) * 255, np.ones((5, 5), np.uint8))

@@ -1,0 +1,63 @@
+"""Progress of the stages: a bar in the terminal, or nothing at all when used as a library."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
+
+logger = logging.getLogger(__name__)
+
+
+
+class Advance(Protocol):
+    """Told how many steps are done, and their number if it was not known before."""
+
+    def __call__(self, done: int, total: int | None = None) -> None: ...
+
+
+class Progress(Protocol):
+    """What a stage may say while it works."""
+
+    def bar(self, label: str, total: int | None) -> AbstractContextManager[Advance]: ...
+
+    def say(self, sentence: str) -> None: ...
+
+
+class SilentProgress:
+    """The null object: sentences go to the log."""
+
+    @contextmanager
+    def bar(self, label: str, total: int | None) -> Iterator[Advance]:
+        yield lambda done, total=None: None
+
+    def say(self, sentence: str) -> None:
+        logger.info(sentence)
+
+
+class TerminalProgress:
+    """Rich progress bars on standard error, one after the other."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self.console = Console(stderr=True, highlight=False)
+
+    @contextmanager
+    def bar(self, label: str, total: int | None) -> Iterator[Advance]:
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as RichProgress
+
+        columns = (
+            TextColumn("{task.description:<22}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+        )
+        with RichProgress(*columns, console=self.console) as bars:
+            task = bars.add_task(label, total=total)
+            yield lambda done, total=total: bars.update(task, completed=done, total=total)
+            reached = bars.tasks[0].completed or 1
+            bars.update(task, completed=reached, total=reached)
+
+    def say(self, sentence: str) -> None:
+        self.console.print(f"  {sentence}", soft_wrap=True)

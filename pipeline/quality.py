@@ -1,0 +1,53 @@
+"""Is a frame worth tracking? Black, burnt-out, red-out, blurred and repeated frames are named and left out."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.config import FrameSettings
+
+Verdict = Literal["used", "black", "burnt out", "no texture", "blurred", "repeated"]
+HISTORY = 15  # frames over which sharpness is compared
+
+
+@dataclass
+class FrameJudge:
+    """Judges frames in order; remembers recent sharpness and the last frame that was used."""
+
+    settings: FrameSettings
+    _sharpness: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    _last: NDArray[np.float32] | None = None
+
+    def judge(self, rgb: NDArray[np.uint8], content: NDArray[np.uint8]) -> Verdict:
+        """rgb (H,W,3) and content mask (H,W), both at working size."""
+        inside = content > 0
+        brightest = rgb.max(axis=2)[inside]
+        if np.median(brightest) < self.settings.min_brightness:
+            return "black"
+        if (brightest >= 250).mean() > self.settings.max_burnt:
+            return "burnt out"
+        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+        thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
+        if self._last is not None and np.abs(thumbnail - self._last).mean() < self.settings.min_change:
+            return "repeated"
+        sharpness = _sharpness(grey, inside)
+        if sharpness < self.settings.min_texture:
+            return "no texture"
+        # A running median that only grows from sharp frames would never accept a softer passage: all count.
+        self._sharpness.append(sharpness)
+        if sharpness < self.settings.min_relative_sharpness * float(np.median(self._sharpness)):
+            return "blurred"
+        self._last = thumbnail
+        return "used"
+
+
+def _sharpness(grey: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:
+    """Spread of the Laplacian, grey levels; the 90th percentile, since most of a wall is smooth and a few glints
+    are very sharp."""
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (3, 3), 0)
+    response = np.abs(cv2.Laplacian(smooth, cv2.CV_32F))
+    return float(np.percentile(response[inside], 90))

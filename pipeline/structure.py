@@ -1,0 +1,134 @@
+"""Stage 2, front end `sfm`: working frames to submaps of poses and points, by COLMAP.
+
+The global mapper goes first: it has no two-view start that could be false. Where its model leaves frames out or the
+endoscope's own light contradicts it, the incremental mapper gives a second opinion, and evidence decides.
+"""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.camera import Camera
+from pipeline.config import Config
+from pipeline.errors import HaustraError
+from pipeline.evidence import Evidence, judge_submap
+from pipeline.frames import Frames, read_image
+from pipeline.isolation import run_isolated
+from pipeline.progress import Progress
+from pipeline.submap import Submap, read_submap
+from pipeline.workspace import Workspace
+
+WORKER = "pipeline.colmap_worker"
+MIN_SUBMAP = 3  # frames
+Judged = tuple[Submap, Evidence, Path]
+
+
+def solve_structure(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Submap]:
+    """Submaps, the largest first, each in units of its own median depth; loads them if this stage is done."""
+    if workspace.is_done("structure"):
+        return load_structure(workspace)
+    job = _job(frames, config, workspace)
+    run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
+    mapped = {"global": _map("global", job, workspace, progress)}
+    if _is_doubtful(mapped["global"], len(frames.index), config):
+        mapped["incremental"] = _map("incremental", job, workspace, progress)
+    chosen = max(mapped, key=lambda method: _score(mapped[method], len(frames.index)))
+    models = [model for model in mapped[chosen] if len(model[0].frames) >= MIN_SUBMAP]
+    if not models:
+        raise HaustraError(
+            "no two frames could be related: too few features, or a camera that does not move "
+            f"({len(frames.index)} frames tried)"
+        )
+    _keep(models, workspace)
+    workspace.finish(
+        "structure",
+        mapper=chosen,
+        evidence={m: [e.to_dict() for _, e, _ in found] for m, found in mapped.items()},
+        units=[_unit(submap) for submap, _, _ in models],
+    )
+    progress.say(_sentence(models, chosen, len(frames.index)))
+    return load_structure(workspace)
+
+
+def load_structure(workspace: Workspace) -> list[Submap]:
+    """The submaps of a finished stage, scaled to units of median depth."""
+    units = workspace.result("structure")["units"]
+    return [read_submap(workspace.sparse / str(k)).scaled(1 / unit) for k, unit in enumerate(units)]
+
+
+def structure_camera(camera: Camera, submap: Submap) -> Camera:
+    """The camera with the parameters that were refined together with the submap."""
+    return Camera(camera.model, camera.width, camera.height, submap.camera_params, camera.trusted)
+
+
+def _job(frames: Frames, config: Config, workspace: Workspace) -> dict[str, object]:
+    settings = config.structure
+    return {
+        "database": str(workspace.features),
+        "image_folder": str(workspace.images),
+        "images": [workspace.image_path(int(index)).name for index in frames.index],
+        "masks": str(workspace.masks),
+        "scratch": str(workspace.log),
+        "camera": frames.camera.to_dict(),
+        "refine_camera": not frames.camera.trusted,
+        "seed": config.seed,
+        **settings.model_dump(exclude={"min_registered", "max_dark_near"}),
+    }
+
+
+def _map(method: str, job: dict[str, object], workspace: Workspace, progress: Progress) -> list[Judged]:
+    """All models of one mapper with their evidence, most frames first."""
+    output = workspace.log / method
+    shutil.rmtree(output, ignore_errors=True)
+    job = job | {"method": method, "output": str(output)}
+    log = workspace.log / f"{method}.log"
+    try:
+        run_isolated(WORKER, "map", job, log, f"structure ({method})", progress)
+    except HaustraError as error:
+        progress.say(str(error))  # the other mapper may still succeed
+        return []
+    folders = sorted(p.parent for p in output.glob("*/model.npz"))
+    judged = [(s := read_submap(f), judge_submap(s, _image_reader(workspace)), f) for f in folders]
+    return sorted(judged, key=lambda model: -len(model[0].frames))
+
+
+def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
+    return lambda index: read_image(workspace.image_path(index))
+
+
+def _is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
+    if not models:
+        return True
+    evidence = models[0][1]
+    settings = config.structure
+    return evidence.frames < settings.min_registered * total or evidence.contrary > settings.max_dark_near
+
+
+def _score(models: list[Judged], total: int) -> float:
+    return models[0][1].score(total) if models else -np.inf
+
+
+def _keep(models: list[Judged], workspace: Workspace) -> None:
+    shutil.rmtree(workspace.sparse, ignore_errors=True)
+    for number, (_, _, folder) in enumerate(models):
+        shutil.copytree(folder, workspace.sparse / str(number))
+
+
+def _unit(submap: Submap) -> float:
+    """Median depth of the observations: the scene unit of a reconstruction without scale."""
+    depths = submap.depths()
+    positive = depths[depths > 0]
+    return float(np.median(positive)) if len(positive) else 1.0
+
+
+def _sentence(models: list[Judged], mapper: str, total: int) -> str:
+    posed = sum(len(submap.frames) for submap, _, _ in models)
+    first = models[0][1]
+    return (
+        f"{posed} of {total} frames posed in {len(models)} submap(s) by the {mapper} mapper: {first.points} points, "
+        f"reprojection {first.reprojection_px:.2f} px, light agrees in {100 * (1 - first.contrary):.0f} % of "
+        f"{first.voters} frames"
+    )

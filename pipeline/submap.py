@@ -1,0 +1,89 @@
+"""One connected piece of structure: posed frames, points, and who saw what."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Submap:
+    """Posed frames and points in one scene frame and unit.
+
+    frames: (N,) source frame index, ascending. world_from_camera: (N,4,4). points: (P,3). error_px: (P,) mean
+    reprojection error. observations: (M,2) row in `frames` and row in `points`. pixels: (M,2), structure camera's
+    image, COLMAP's convention. camera_params: as refined with it.
+    """
+
+    frames: NDArray[np.int64]
+    world_from_camera: NDArray[np.float64]
+    points: NDArray[np.float64]
+    error_px: NDArray[np.float64]
+    observations: NDArray[np.int64]
+    pixels: NDArray[np.float64]
+    camera_params: tuple[float, ...]
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """(N,3) camera centres."""
+        return self.world_from_camera[:, :3, 3]
+
+    def points_in_camera(self, row: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """World points (K,3) in the axes of frame row `row`."""
+        rotation, centre = self.world_from_camera[row, :3, :3], self.world_from_camera[row, :3, 3]
+        return (points - centre) @ rotation
+
+    def depths(self) -> NDArray[np.float64]:
+        """(M,) z-depth of each observation in its frame."""
+        frame, point = self.observations.T
+        axis = self.world_from_camera[frame, :3, 2]
+        return np.einsum("ij,ij->i", self.points[point] - self.centres[frame], axis)
+
+    def track_lengths(self) -> NDArray[np.int64]:
+        """(P,) number of frames that saw each point."""
+        return np.bincount(self.observations[:, 1], minlength=len(self.points))
+
+    def triangulation_angles(self) -> NDArray[np.float64]:
+        """(P,) widest angle, in degrees, between two rays to each point.
+
+        By two sweeps: the ray farthest from the first one, then the ray farthest from that; at most a factor of two
+        below the true maximum, and exact for rays in a plane, which those of a moving camera nearly are.
+        """
+        order = np.argsort(self.observations[:, 1], kind="stable")
+        frame, point = self.observations[order].T
+        rays = self.points[point] - self.centres[frame]
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+        angles = np.zeros(len(self.points))
+        if len(point) == 0:
+            return angles
+        seen, starts = np.unique(point, return_index=True)
+        group = np.cumsum(np.bincount(starts, minlength=len(point))) - 1
+        pivot = rays[starts]
+        for _ in range(2):
+            cosine = np.einsum("ij,ij->i", rays, pivot[group])
+            lowest = np.minimum.reduceat(cosine, starts)
+            farthest = np.lexsort((cosine, group))[starts]
+            pivot = rays[farthest]
+        angles[seen] = np.degrees(np.arccos(np.clip(lowest, -1, 1)))
+        return angles
+
+    def scaled(self, factor: float) -> "Submap":
+        """The same submap in another unit."""
+        poses = self.world_from_camera.copy()
+        poses[:, :3, 3] *= factor
+        return replace(self, world_from_camera=poses, points=self.points * factor)
+
+
+def read_submap(folder: Path) -> Submap:
+    """A submap from the arrays that the COLMAP worker wrote."""
+    with np.load(folder / "model.npz", allow_pickle=False) as arrays:
+        return Submap(
+            np.array([int(name.split(".")[0]) for name in arrays["names"]], dtype=np.int64),
+            arrays["world_from_camera"],
+            arrays["points"],
+            arrays["error_px"],
+            arrays["observations"],
+            arrays["pixels"],
+            tuple(float(p) for p in arrays["camera_params"]),
+        )

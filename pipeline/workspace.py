@@ -1,0 +1,169 @@
+"""The run folder: the name of each artefact, and what is done already.
+
+`run.yaml` is the run's memory. A stage is recorded there after its artefacts are whole on disk, so a run that was
+stopped anywhere goes on after its last finished stage; files are replaced, never written in place.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pipeline.config import Config, validate_config
+from pipeline.errors import HaustraError
+
+STAGES = ("frames", "structure", "depth", "surface", "report")
+PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "opencv-python-headless", "av")
+
+
+class Workspace:
+    """Paths of a run folder and its record of finished stages."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.images = root / "images"
+        self.masks = root / "masks"
+        self.log = root / "log"
+        self.frames = root / "frames.json"
+        self.camera = root / "camera.json"
+        self.features = root / "features.db"
+        self.sparse = root / "sparse"
+        self.depth = root / "depth"
+        self.confidence = root / "confidence"
+        self.trajectory = root / "trajectory.tum"
+        self.keyframes = root / "keyframes.tum"
+        self.mesh = root / "mesh.ply"
+        self.mesh_glb = root / "mesh.glb"
+        self.metrics = root / "metrics.json"
+        self.report = root / "report.html"
+        self.record_path = root / "run.yaml"
+        self.record: dict[str, Any] = {"stages": {}}
+
+    def image_path(self, index: int) -> Path:
+        return self.images / f"{index:06d}.jpg"
+
+    def mask_path(self, index: int) -> Path:
+        return self.masks / f"{index:06d}.jpg.png"  # COLMAP's name for the mask of 000000.jpg
+
+    def depth_path(self, index: int) -> Path:
+        return self.depth / f"{index:06d}.png"
+
+    def confidence_path(self, index: int) -> Path:
+        return self.confidence / f"{index:06d}.png"
+
+    def is_done(self, stage: str) -> bool:
+        return stage in self.record["stages"]
+
+    def result(self, stage: str) -> dict[str, Any]:
+        """What a finished stage recorded."""
+        return self.record["stages"][stage]
+
+    def finish(self, stage: str, **result: Any) -> None:
+        """Record a stage as done, with whatever later stages must know."""
+        self.record["stages"][stage] = result
+        self.save()
+
+    def save(self) -> None:
+        write_text(self.record_path, yaml.safe_dump(self.record, sort_keys=False))
+
+    @property
+    def config(self) -> Config:
+        return validate_config(self.record["config"])
+
+
+def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:
+    """A fresh run folder; refuses one that holds a run already unless `overwrite`."""
+    if root.exists() and not root.is_dir():
+        raise HaustraError(f"the output {root} is a file; give a folder")
+    workspace = Workspace(root)
+    if workspace.record_path.exists():
+        if not overwrite:
+            raise HaustraError(f"{root} already holds a run; add --resume to go on with it or --overwrite to redo it")
+        _clear(workspace)
+    elif root.exists() and any(root.iterdir()):
+        raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        workspace.log.mkdir(exist_ok=True)
+    except OSError as error:
+        raise HaustraError(f"cannot create the output folder {root}: {error.strerror}") from error
+    workspace.record |= {
+        "source": {"path": str(source.resolve()), "sha256": digest(source)},
+        "versions": _versions(),
+        "config": config.model_dump(mode="json"),
+    }
+    workspace.save()
+    return workspace
+
+
+def open_workspace(root: Path) -> Workspace:
+    """An existing run folder."""
+    workspace = Workspace(root)
+    if not workspace.record_path.exists():
+        raise HaustraError(f"{root} is not a run folder: it has no run.yaml")
+    try:
+        workspace.record = yaml.safe_load(workspace.record_path.read_text())
+        workspace.record["stages"], workspace.record["config"]
+    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError) as error:
+        raise HaustraError(f"{workspace.record_path} is damaged; start the run anew with --overwrite") from error
+    return workspace
+
+
+def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
+    """An existing run of the same source and settings, to go on with."""
+    workspace = open_workspace(root)
+    if workspace.record["source"]["sha256"] != digest(source):
+        raise HaustraError(f"{root} is a run of another video; --resume needs the same one")
+    if workspace.config != config:
+        raise HaustraError(f"{root} was run with other settings; repeat them, or use --overwrite")
+    return workspace
+
+
+def _clear(workspace: Workspace) -> None:
+    """Remove what a run writes, and nothing else that a user may have put there."""
+    for path in vars(workspace).values():
+        if isinstance(path, Path) and path != workspace.root:
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    for path in workspace.root.glob("features.db-*"):
+        path.unlink()
+
+
+def digest(source: Path) -> str:
+    """SHA-256 of a video; of an image folder, of its file names and sizes."""
+    sha = hashlib.sha256()
+    if source.is_dir():
+        for path in sorted(source.rglob("*")):
+            if path.is_file():
+                sha.update(f"{path.relative_to(source)} {path.stat().st_size}\n".encode())
+        return sha.hexdigest()
+    with source.open("rb") as file:
+        while block := file.read(1 << 20):
+            sha.update(block)
+    return sha.hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a text file as a whole."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text)
+    os.replace(partial, path)
+
+
+def write_json(path: Path, value: Any) -> None:
+    write_text(path, json.dumps(value, indent=2) + "\n")
