@@ -1,1 +1,17 @@
+"""LEG 1 and the conductor: video to sparse depth, and the whole journey to a surface."""
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pipeline.run import reconstruct as reconstruct
+
+__all__ = ["reconstruct"]
+
+
+def __getattr__(name: str) -> Any:
+    """`reconstruct` on first use, so that `--help` does not import torch."""
+    if name == "reconstruct":
+        from pipeline.run import reconstruct
+
+        return reconstruct
+    raise AttributeError(f"module 'pipeline' has no attribute '{name}'")

@@ -28,11 +28,20 @@ def calibrate(
             return _from_file(beside, size)
         camera = guess_camera(width, height, content)
         return Calibration(camera, "guessed: 100 degrees across the content, focal length and k1 left to SfM")
-    if choice in PRESETS:
-        return _from_preset(choice, size)
-    if Path(choice).exists():
-        return _from_file(Path(choice), size)
-    raise HaustraError(f"--camera '{choice}' is neither 'auto', a file, nor a preset ({', '.join(PRESETS)})")
+    check_choice(choice, source)
+    return _from_preset(choice, size) if choice in PRESETS else _from_file(Path(choice), size)
+
+
+def check_choice(choice: str, source: Path) -> None:
+    """Refuse an impossible `--camera` before any work is done."""
+    if choice == "auto":
+        beside = source / "camera.json"
+        if source.is_dir() and beside.exists():
+            read_camera(beside)
+    elif choice not in PRESETS:
+        if not Path(choice).is_file():
+            raise HaustraError(f"--camera '{choice}' is neither 'auto', a file, nor a preset ({', '.join(PRESETS)})")
+        read_camera(Path(choice))
 
 
 def _from_file(path: Path, size: tuple[int, int]) -> Calibration:

@@ -1,4 +1,4 @@
-"""COLMAP in a process of its own: `python -m pipeline.colmap_worker match|map JOB.json`.
+"""COLMAP in a process of its own: `python -m pipeline.colmap_worker match|map|scale JOB.json`.
 
 A process of its own for three reasons: Ctrl-C stops it at once, where C++ inside our process would not listen; a crash
 in it is a sentence, not the end of the run; and importing pycolmap before OpenCV makes OpenCV's PNG writer abort
@@ -137,6 +137,16 @@ def _map_incrementally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.
     return pycolmap.incremental_mapping(job["database"], job["image_folder"], output, options)
 
 
+def scale_models(job: dict[str, Any]) -> None:
+    """Write each model in another unit: a similarity that only scales."""
+    for entry in job["models"]:
+        model = pycolmap.Reconstruction(entry["source"])
+        model.transform(pycolmap.Sim3d(entry["factor"], pycolmap.Rotation3d(), np.zeros(3)))
+        target = Path(entry["target"])
+        target.mkdir(parents=True, exist_ok=True)
+        model.write_binary(target)
+
+
 def model_arrays(model: pycolmap.Reconstruction) -> dict[str, NDArray]:
     """A reconstruction as arrays; frames in name order, pixels in COLMAP's convention.
 
@@ -180,7 +190,7 @@ def main() -> None:
     action, job_file = sys.argv[1:]
     job = json.loads(Path(job_file).read_text())
     pycolmap.logging.minloglevel = 1
-    {"match": extract_and_match, "map": map_scene}[action](job)
+    {"match": extract_and_match, "map": map_scene, "scale": scale_models}[action](job)
 
 
 if __name__ == "__main__":

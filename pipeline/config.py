@@ -51,7 +51,7 @@ class SparseSettings(Settings):
     min_track_length: int = Field(3, ge=2)
     min_angle_deg: float = Field(1.0, ge=0, description="deg; below it a pixel of error is a tenth of the depth")
     pixel_noise: float = Field(0.5, gt=0, description="px; SIFT's localisation error on mucosa")
-    neighbours: int = Field(6, ge=0, description="frames on each side whose points are projected too")
+    neighbours: int = Field(4, ge=0, description="frames on each side whose points are projected too")
     outlier_ratio: float = Field(0.25, gt=0, description="log-depth difference to the neighbours' median")
 
 
@@ -67,7 +67,7 @@ class FusionSettings(Settings):
     """TSDF fusion."""
 
     voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
-    truncation_voxels: float = Field(6.0, gt=1, description="completed depth errs by some voxels")
+    truncation_voxels: float = Field(10.0, ge=2, description="must exceed the error of completed depth")
     min_observations: int = Field(3, ge=1, description="frames that must agree before a surface is believed")
     min_confidence: float = Field(0.1, ge=0, le=1)
     max_depth_ratio: float = Field(2.5, gt=0, description="times the median depth; farther is seen better later")

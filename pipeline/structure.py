@@ -56,7 +56,7 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
 def load_structure(workspace: Workspace) -> list[Submap]:
     """The submaps of a finished stage, scaled to units of median depth."""
     units = workspace.result("structure")["units"]
-    return [read_submap(workspace.sparse / str(k)).scaled(1 / unit) for k, unit in enumerate(units)]
+    return [read_submap(workspace.models / str(k)).scaled(1 / unit) for k, unit in enumerate(units)]
 
 
 def structure_camera(camera: Camera, submap: Submap) -> Camera:
@@ -112,9 +112,9 @@ def _score(models: list[Judged], total: int) -> float:
 
 
 def _keep(models: list[Judged], workspace: Workspace) -> None:
-    shutil.rmtree(workspace.sparse, ignore_errors=True)
+    shutil.rmtree(workspace.models, ignore_errors=True)
     for number, (_, _, folder) in enumerate(models):
-        shutil.copytree(folder, workspace.sparse / str(number))
+        shutil.copytree(folder, workspace.models / str(number))
 
 
 def _unit(submap: Submap) -> float:

@@ -1,0 +1,147 @@
+"""The commands `reconstruct` and `haustra`. Heavy packages are imported inside each command, so `--help` is instant."""
+
+import errno
+import logging
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from completion.errors import CompletionError
+from pipeline.errors import HaustraError
+from reconstruction.errors import ReconstructionError
+
+KNOWN_ERRORS = (HaustraError, CompletionError, ReconstructionError)
+INTERRUPTED = 130  # the shell's code for Ctrl-C
+
+app = typer.Typer(
+    no_args_is_help=True, add_completion=False, help="Dense colon reconstruction from endoscope video, on a CPU."
+)
+
+Source = Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="run folder [default: NAME_run]")]
+
+
+@app.command()
+def reconstruct(
+    source: Source = None,
+    output: Output = None,
+    demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
+    camera: Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")] = None,
+    front_end: Annotated[str | None, typer.Option(help="auto or sfm")] = None,
+    model: Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")] = None,
+    lumen_mm: Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")] = None,
+    scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings")] = None,
+    seed: Annotated[int | None, typer.Option(help="of every random step")] = None,
+    device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")] = False,
+) -> None:
+    """Video in, coloured colon mesh, camera path, dense depth and report out."""
+    from pipeline.config import load_config
+    from pipeline.progress import SilentProgress, TerminalProgress
+
+    if (source is None) == (not demo):
+        raise HaustraError("give one video or folder, or --demo")
+    settings = load_config(
+        config,
+        camera=camera,
+        front_end=front_end,
+        model=model,
+        lumen_mm=lumen_mm,
+        scale_file=scale,
+        seed=seed,
+        device=device,
+    )
+    progress = SilentProgress() if quiet else TerminalProgress()
+    from pipeline.run import reconstruct as run
+
+    if demo:
+        from pipeline.demo import run_demo
+
+        print(run_demo(output or Path("demo_run"), settings, resume=resume, overwrite=overwrite, progress=progress))
+        return
+    assert source is not None
+    run(
+        source,
+        output or Path(f"{source.resolve().stem}_run"),
+        settings,
+        resume=resume,
+        overwrite=overwrite,
+        progress=progress,
+    )
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    target: Annotated[Path, typer.Argument(help="out.ply, .glb, .obj or .stl")],
+) -> None:
+    """Write a run's mesh in another format."""
+    from pipeline.surface import export_mesh
+
+    print(export_mesh(run, target))
+
+
+@app.command()
+def compare(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    truth: Annotated[Path, typer.Argument(help="RGB-D folder, TUM trajectory or mesh with the truth")],
+    tau_mm: Annotated[float, typer.Option(help="distance of the F-score, in the truth's unit (mm)")] = 1.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,
+) -> None:
+    """Errors of a run against truth: path (ATE, RTE, ROT) and surface (accuracy, completeness, F-score)."""
+    from pipeline.compare import compare_run
+    from pipeline.workspace import write_json
+
+    result = compare_run(run, truth, tau_mm)
+    print(result)
+    if json_file is not None:
+        write_json(json_file, result.to_dict())
+
+
+def run_cleanly(command: Callable[[], Any]) -> int:
+    """Run a command; known failures become one sentence on standard error and exit code 1."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        command()
+    except KNOWN_ERRORS as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stopped; what was finished is kept, and --resume goes on from it", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
+            raise
+        where = f" ({error.filename})" if error.filename else ""
+        print(f"error: {os.strerror(error.errno)}{where}; what was finished is kept, see --resume", file=sys.stderr)
+        return 1
+    return 0
+
+
+def main() -> None:
+    """Entry point of `haustra`."""
+    sys.exit(run_cleanly(lambda: _checked(app)))
+
+
+def reconstruct_main() -> None:
+    """Entry point of `reconstruct`, the same as `haustra reconstruct`."""
+    single = typer.Typer(add_completion=False)
+    single.command()(reconstruct)
+    sys.exit(run_cleanly(lambda: _checked(single)))
+
+
+def _checked(typer_app: typer.Typer) -> None:
+    """Typer prints usage errors and exits by itself; a Ctrl-C that it turned into an exit is one again."""
+    try:
+        typer_app(standalone_mode=True)
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            raise KeyboardInterrupt from stop
+        raise

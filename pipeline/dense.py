@@ -1,0 +1,133 @@
+"""Stage 3: dense depth and confidence of every keyframe, from its image and its sparse depth."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from completion import DepthCompleter
+from pipeline.camera import Camera
+from pipeline.config import Config
+from pipeline.depth_maps import read_confidence, read_depth, write_confidence, write_depth
+from pipeline.frames import Frames, read_image
+from pipeline.keyframes import choose_keyframes
+from pipeline.progress import Progress
+from pipeline.rectify import Rectifier, make_rectifier
+from pipeline.sparse_depth import SparseDepthMaker
+from pipeline.structure import structure_camera
+from pipeline.submap import Submap
+from pipeline.workspace import Workspace, write_json
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A completed frame as fusion takes it: pinhole image, z-depth in scene units (0 = none), confidence, pose."""
+
+    index: int
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    world_from_camera: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DenseSubmap:
+    """The keyframes of one submap, read from disk one at a time."""
+
+    submap: Submap
+    rectifier: Rectifier
+    rows: NDArray[np.int64]  # of the keyframes in the submap
+    workspace: Workspace
+
+    @property
+    def camera(self) -> Camera:
+        return self.rectifier.camera
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Keyframe]:
+        for row in self.rows:
+            yield self.keyframe(int(row))
+
+    def keyframe(self, row: int) -> Keyframe:
+        index = int(self.submap.frames[row])
+        return Keyframe(
+            index,
+            self.rectifier.image(read_image(self.workspace.image_path(index))),
+            read_depth(self.workspace.depth_path(index)),
+            read_confidence(self.workspace.confidence_path(index)),
+            self.submap.world_from_camera[row],
+        )
+
+
+def complete_depth(
+    frames: Frames, submaps: list[Submap], config: Config, workspace: Workspace, progress: Progress
+) -> list[DenseSubmap]:
+    """Complete the keyframes of every submap; those already on disk are kept."""
+    dense = [_plan(frames, submap, config, workspace) for submap in submaps]
+    if workspace.is_done("depth"):
+        return _planned(dense, workspace)
+    workspace.depth.mkdir(exist_ok=True)
+    workspace.confidence.mkdir(exist_ok=True)
+    write_json(workspace.camera, dense[0].camera.to_dict())
+    completer = DepthCompleter.load(config.model, config.device)
+    total = sum(len(part) for part in dense)
+    done, kept = 0, []
+    with progress.bar("depth completion", total) as advance:
+        for part in dense:
+            maker = SparseDepthMaker(part.submap, part.camera, config.sparse)
+            content = part.rectifier.mask(frames.content)
+            completed = []
+            for row in part.rows:
+                if _complete(part, int(row), maker, content, completer, config):
+                    completed.append(int(row))
+                done += 1
+                advance(done)
+            kept.append(completed)
+    workspace.finish("depth", keyframe_rows=kept, kept_share=[round(p.rectifier.kept_share, 4) for p in dense])
+    skipped = total - sum(len(rows) for rows in kept)
+    progress.say(f"{total - skipped} keyframes completed" + (f", {skipped} had too few points" if skipped else ""))
+    return _planned(dense, workspace)
+
+
+def _plan(frames: Frames, submap: Submap, config: Config, workspace: Workspace) -> DenseSubmap:
+    camera = structure_camera(frames.camera, submap)
+    rows = choose_keyframes(submap, camera.width, config.depth.keyframe_motion)
+    return DenseSubmap(submap, make_rectifier(camera, config.depth.max_fov_deg), rows, workspace)
+
+
+def _planned(dense: list[DenseSubmap], workspace: Workspace) -> list[DenseSubmap]:
+    """With only those keyframes that were completed."""
+    rows = workspace.result("depth")["keyframe_rows"]
+    return [
+        DenseSubmap(p.submap, p.rectifier, np.array(r, dtype=np.int64), workspace)
+        for p, r in zip(dense, rows, strict=True)
+    ]
+
+
+def _complete(
+    part: DenseSubmap,
+    row: int,
+    maker: SparseDepthMaker,
+    content: NDArray[np.uint8],
+    completer: DepthCompleter,
+    config: Config,
+) -> bool:
+    """Complete one keyframe and write it; False if it has too few points."""
+    index = int(part.submap.frames[row])
+    sparse = maker.sparse_depth(row)
+    if len(sparse.depth) < config.depth.min_points:
+        return False
+    workspace = part.workspace
+    if workspace.depth_path(index).exists() and workspace.confidence_path(index).exists():
+        return True
+    rgb = part.rectifier.image(read_image(workspace.image_path(index)))
+    depth, confidence = completer(rgb, *sparse.maps(*content.shape))
+    inside = cv2.erode(content, np.ones((3, 3), np.uint8)) > 0 if not content.all() else content > 0
+    write_confidence(workspace.confidence_path(index), np.where(inside, confidence, 0))
+    # Last, since its presence says that the keyframe is done.
+    write_depth(workspace.depth_path(index), np.where(inside, depth, 0))
+    return True

@@ -1,0 +1,133 @@
+"""Stage 5: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.dense import DenseSubmap
+from pipeline.frames import Frames
+from pipeline.isolation import run_isolated
+from pipeline.page import write_page
+from pipeline.progress import Progress
+from pipeline.surface import Surface, mesh_path
+from pipeline.workspace import Workspace, write_json
+from reconstruction.export import write_mesh
+from reconstruction.trajectory import write_tum
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a finished run hands back: its folder and its figures (`metrics.json`)."""
+
+    folder: Path
+    metrics: dict[str, Any]
+
+    @property
+    def mesh(self) -> Path:
+        return self.folder / "mesh.ply"
+
+    def __str__(self) -> str:
+        m = self.metrics
+        main = m["submaps"][0]
+        return (
+            f"{m['frames']['posed']} of {m['frames']['total']} frames posed, {main['keyframes']} keyframes, "
+            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface: {self.mesh}"
+        )
+
+
+def write_report(
+    frames: Frames,
+    dense: list[DenseSubmap],
+    surfaces: list[Surface],
+    workspace: Workspace,
+    progress: Progress,
+) -> RunResult:
+    """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
+    for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
+        _write_paths(frames, part, surface, number, workspace)
+    _scale_sparse(surfaces, dense, workspace, progress)
+    write_mesh(surfaces[0].mesh, workspace.mesh_glb)
+    main = surfaces[0].scale
+    workspace.record["unit"] = main.unit
+    workspace.record["depth_png_step"] = {"value": _depth_step(surfaces[0]), "unit": main.unit}
+    metrics = collect_metrics(frames, dense, surfaces, workspace)
+    write_json(workspace.metrics, metrics)
+    write_page(frames, dense, surfaces, metrics, workspace)
+    workspace.finish("report")
+    result = RunResult(workspace.root, metrics)
+    progress.say(str(result))
+    return result
+
+
+def _depth_step(surface: Surface) -> float:
+    from pipeline.depth_maps import DEPTH_STEP
+
+    return DEPTH_STEP * surface.scale.factor
+
+
+def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
+    """`trajectory.tum` and `keyframes.tum`; with `_1`, `_2`, ... for further submaps, which have frames of their own."""
+    submap = part.submap.scaled(surface.scale.factor)
+    seconds = np.array([frames.seconds_of(int(index)) for index in submap.frames])
+    for path, rows in ((workspace.trajectory, np.arange(len(seconds))), (workspace.keyframes, part.rows)):
+        named = path if number == 0 else path.with_name(f"{path.stem}_{number}.tum")
+        write_tum(named, seconds[rows], submap.world_from_camera[rows])
+
+
+def _scale_sparse(
+    surfaces: list[Surface], dense: list[DenseSubmap], workspace: Workspace, progress: Progress
+) -> None:
+    """Bring the COLMAP models to output units, from the untouched ones that the structure stage keeps."""
+    units = workspace.result("structure")["units"]
+    models = [
+        {"source": str(workspace.models / str(k)), "target": str(workspace.sparse / str(k)), "factor": s.scale.factor / u}
+        for k, (s, u) in enumerate(zip(surfaces, units, strict=True))
+    ]
+    run_isolated(
+        "pipeline.colmap_worker", "scale", {"models": models}, workspace.log / "scale.log", "sparse models", progress
+    )
+
+
+def collect_metrics(
+    frames: Frames, dense: list[DenseSubmap], surfaces: list[Surface], workspace: Workspace
+) -> dict[str, Any]:
+    """Every figure of the run, with unit and count."""
+    structure = workspace.result("structure")
+    evidence = structure["evidence"][structure["mapper"]]
+    submaps = []
+    for part, surface, witness in zip(dense, surfaces, evidence, strict=False):
+        mesh, submap = surface.mesh, part.submap.scaled(surface.scale.factor)
+        steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
+        submaps.append(
+            {
+                "frames": len(submap.frames),
+                "keyframes": len(part),
+                "points": len(submap.points),
+                "faces": len(mesh.faces),
+                "area": float(mesh.face_areas.sum()),
+                "path_length": float(steps.sum()),
+                "voxel_size": surface.voxel_size,
+                "dropped_area_share": surface.dropped_share,
+                "unit": surface.scale.unit,
+                "scale": surface.scale.origin,
+                "evidence": witness,
+                "camera": {"params": list(submap.camera_params), "trusted": frames.camera.trusted},
+                "rectified_share": part.rectifier.kept_share,
+            }
+        )
+    return {
+        "source": workspace.record["source"]["path"],
+        "frames": {
+            "total": sum(frames.verdicts.values()),
+            "posed": sum(len(part.submap.frames) for part in dense),
+            "verdicts": frames.verdicts,
+            "notes": workspace.result("frames")["notes"],
+        },
+        "camera": workspace.result("frames")["camera_origin"],
+        "mapper": structure["mapper"],
+        "model": workspace.record["config"]["model"],
+        "submaps": submaps,
+        "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],
+    }

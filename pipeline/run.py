@@ -1,0 +1,46 @@
+"""The whole journey: an endoscope's video to a surface, one line a stage."""
+
+from pathlib import Path
+
+from pipeline.calibration import check_choice
+from pipeline.config import Config
+from pipeline.dense import complete_depth
+from pipeline.frames import read_frames
+from pipeline.progress import Progress, SilentProgress
+from pipeline.report import RunResult, write_report
+from pipeline.scale import check_scale_file
+from pipeline.structure import solve_structure
+from pipeline.surface import fuse_depth
+from pipeline.video import Source
+from pipeline.workspace import create_workspace, resume_workspace
+
+
+def reconstruct(
+    source: Path | str,
+    output: Path | str,
+    config: Config | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RunResult:
+    """Reconstruct a video, image folder or RGB-D folder into the run folder `output`.
+
+    Finished stages stay on disk whatever happens, and `resume` goes on from them. Raises `HaustraError` (one
+    sentence) for input that cannot be reconstructed.
+    """
+    config, progress = config or Config(), progress or SilentProgress()
+    video = Source(Path(source))
+    check_choice(config.camera, video.path)
+    if config.scale_file is not None:
+        check_scale_file(Path(config.scale_file))
+    if resume:
+        workspace = resume_workspace(Path(output), video.path, config)
+    else:
+        workspace = create_workspace(Path(output), video.path, config, overwrite)
+
+    frames = read_frames(video, config, workspace, progress)
+    submaps = solve_structure(frames, config, workspace, progress)  # poses and sparse points
+    dense = complete_depth(frames, submaps, config, workspace, progress)  # sparse depth, completed
+    surfaces = fuse_depth(dense, config, workspace, progress)
+    return write_report(frames, dense, surfaces, workspace, progress)

@@ -1,0 +1,124 @@
+"""Stage 4: keyframes' dense depth to one surface per submap, in the output unit, with the camera path in it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.config import Config
+from pipeline.dense import DenseSubmap
+from pipeline.errors import HaustraError
+from pipeline.progress import Progress
+from pipeline.scale import Scale, find_scale
+from pipeline.workspace import Workspace, open_workspace
+from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
+from reconstruction.mesh import SurfaceMesh, drop_small_components
+from reconstruction.export import read_mesh, write_mesh
+
+VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A submap's mesh in output units and what became of it."""
+
+    mesh: SurfaceMesh
+    scale: Scale
+    voxel_size: float  # output units
+    dropped_share: float  # of the area, in pieces too small to keep
+
+
+def fuse_depth(
+    dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress
+) -> list[Surface]:
+    """Fuse every submap; a submap whose frames agree on no surface keeps an empty mesh."""
+    if workspace.is_done("surface"):
+        return load_surfaces(workspace)
+    records = []
+    for number, part in enumerate(dense):
+        surface = _fuse(part, config, f"fusion of submap {number}", progress)
+        if number == 0 and len(surface.mesh.faces) == 0:
+            raise HaustraError(
+                "the keyframes agree on no surface: too few of them see the same place "
+                f"({len(part)} keyframes, {config.fusion.min_observations} must agree)"
+            )
+        path = mesh_path(workspace, number)
+        write_mesh(surface.mesh, path)
+        records.append(
+            {
+                "factor": surface.scale.factor,
+                "unit": surface.scale.unit,
+                "origin": surface.scale.origin,
+                "voxel_size": surface.voxel_size,
+                "dropped_share": surface.dropped_share,
+            }
+        )
+    workspace.finish("surface", surfaces=records)
+    progress.say(_sentence(load_surfaces(workspace)[0]))
+    return load_surfaces(workspace)
+
+
+def load_surfaces(workspace: Workspace) -> list[Surface]:
+    """The surfaces of a finished stage."""
+    return [
+        Surface(
+            read_mesh(mesh_path(workspace, number)),
+            Scale(record["factor"], record["unit"], record["origin"]),
+            record["voxel_size"],
+            record["dropped_share"],
+        )
+        for number, record in enumerate(workspace.result("surface")["surfaces"])
+    ]
+
+
+def mesh_path(workspace: Workspace, number: int) -> Path:
+    """`mesh.ply` for the first submap, `mesh_1.ply` and on for those that could not be joined to it."""
+    return workspace.mesh if number == 0 else workspace.mesh.with_name(f"mesh_{number}.ply")
+
+
+def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> Surface:
+    settings = fusion_settings(part, config)
+    fusion = SurfaceFusion(settings)
+    with progress.bar(label, len(part)) as advance:
+        for done, keyframe in enumerate(part):
+            confidence = np.where(keyframe.confidence < config.fusion.min_confidence, 0, keyframe.confidence)
+            fusion.integrate(
+                keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera
+            )
+            advance(done + 1)
+    whole = fusion.extract()
+    mesh, dropped = drop_small_components(whole, config.fusion.min_component)
+    scale = find_scale(config, part.submap, mesh)
+    output_from_scene = np.diag([scale.factor] * 3 + [1.0])
+    dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
+    return Surface(mesh.transformed(output_from_scene), scale, settings.voxel_size * scale.factor, dropped_share)
+
+
+def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings:
+    """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes."""
+    step = max(1, len(part) // VOXEL_SAMPLES)
+    depths = [part.keyframe(int(row)).depth for row in part.rows[::step]]
+    median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
+    return FusionSettings(
+        voxel_size=config.fusion.voxel_size or choose_voxel_size(depths, part.camera.matrix),
+        truncation=config.fusion.truncation_voxels,
+        max_depth=config.fusion.max_depth_ratio * median,
+        min_observations=config.fusion.min_observations,
+    )
+
+
+def _sentence(surface: Surface) -> str:
+    mesh, unit = surface.mesh, surface.scale.unit
+    return (
+        f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
+        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale.origin}"
+    )
+
+
+def export_mesh(run: Path, target: Path) -> Path:
+    """Write a finished run's mesh in the format of `target`'s suffix."""
+    workspace = open_workspace(run)
+    if not workspace.is_done("surface"):
+        raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
+    write_mesh(read_mesh(workspace.mesh), target)
+    return target
