@@ -27,17 +27,23 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any
     os.replace(partial, path)
 
 
-def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and metadata of a file that `save_tensors` wrote."""
+def read_metadata(path: Path) -> dict[str, Any]:
+    """What `save_tensors` wrote into the header."""
     try:
         with safe_open(path, framework="pt") as file:
             header = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise CompletionError(f"{path} is not a readable safetensors file: {error}") from error
     if "haustra" not in header:
         raise CompletionError(f"{path} holds tensors, but no haustra network: its header lacks a configuration")
-    return tensors, json.loads(header["haustra"])
+    return json.loads(header["haustra"])
+
+
+def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and metadata of a file that `save_tensors` wrote."""
+    metadata = read_metadata(path)
+    with safe_open(path, framework="pt") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, metadata  # noqa: SIM118
 
 
 def save_network(path: Path, network: nn.Module, weights: dict[str, Tensor], about: dict[str, Any]) -> None:

@@ -1,7 +1,6 @@
 """`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
 
 import contextlib
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,7 @@ from completion.checkpoint import load_network
 from completion.errors import CompletionError
 from completion.network import DoubleConv, ScaleFreeMSCSANet
 from completion.sampling import normalise_log
-
-MODELS = {"mscsa": "mscsa.safetensors"}
+from completion.shipped import resolve_weights
 
 # Confidence is e0^2 / (e0^2 + e^2) of the predicted relative error e: one half at 3 %, the depth error at which a
 # wall 25 mm away is 0.75 mm off. Fusion weights by inverse variance, to which this is proportional for large e.
@@ -29,13 +27,13 @@ class DepthCompleter:
     >>> depth, confidence = completer(rgb, sparse_depth)      # doctest: +SKIP
     """
 
-    def __init__(self, network: ScaleFreeMSCSANet, device: str = "cpu", precision: str = "auto") -> None:
-        self.device = torch.device(device)
+    def __init__(self, network: ScaleFreeMSCSANet, device: str = "auto", precision: str = "auto") -> None:
+        self.device = _choose_device(device)
         self.network = _fold_batch_norm(network.eval()).to(self.device, memory_format=torch.channels_last)
         self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
 
     @classmethod
-    def load(cls, model: str | Path = "mscsa", device: str = "cpu", precision: str = "auto") -> "DepthCompleter":
+    def load(cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto") -> "DepthCompleter":
         """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
         network = load_network(resolve_weights(model))
         if not isinstance(network, ScaleFreeMSCSANet):
@@ -88,13 +86,12 @@ def confidence_from_error(error: NDArray[np.float32]) -> NDArray[np.float32]:
     return (HALF_CONFIDENCE_ERROR**2 / (HALF_CONFIDENCE_ERROR**2 + np.square(error))).astype(np.float32)
 
 
-def resolve_weights(model: str | Path) -> Path:
-    """Path of a shipped model's weights, or of the given file."""
-    if str(model) in MODELS:
-        return Path(str(resources.files("completion.weights") / MODELS[str(model)]))
-    if Path(model).is_file():
-        return Path(model)
-    raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(MODELS)}")
+def _choose_device(device: str) -> torch.device:
+    if device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise CompletionError("no CUDA device is available here; use --device cpu")
+    return torch.device(device)
 
 
 def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from completion.shipped import check_weights
 from pipeline.calibration import check_choice
 from pipeline.config import Config
 from pipeline.dense import complete_depth
@@ -32,6 +33,7 @@ def reconstruct(
     config, progress = config or Config(), progress or SilentProgress()
     video = Source(Path(source))
     check_choice(config.camera, video.path)
+    check_weights(config.model)
     if config.scale_file is not None:
         check_scale_file(Path(config.scale_file))
     if resume:

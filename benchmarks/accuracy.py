@@ -1,0 +1,58 @@
+"""Path and surface error of an RGB-D folder fed as `video.mp4`, one run of `reconstruct` for each seed.
+
+    python benchmarks/accuracy.py ../shared/data/ctcolon --seeds 10 --json accuracy.json
+
+ATE: RMSE of camera centres after Sim(3). Surface: F-score at 1 mm against the observed truth (every true depth map
+back-projected), moved by the same Sim(3). A run is wrong if its median rotation error exceeds 5 degrees.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from inputs import encode_video
+from record import spread, write
+
+from pipeline.compare import compare_run
+from pipeline.config import Config
+from pipeline.run import reconstruct
+
+
+def one_run(folder: Path, video: Path, output: Path, seed: int, model: str) -> dict[str, float]:
+    config = Config(camera=str(folder / "camera.json"), seed=seed, model=model)
+    reconstruct(video, output, config)
+    result = compare_run(output, folder)
+    return {
+        "posed": result.posed,
+        "total": result.total,
+        "ate_mm": result.sim3.ate_rmse,
+        "rotation_deg": result.sim3.rotation_median_deg,
+        "f_score": result.surface.f_score,
+        "accuracy_mm": result.surface.accuracy_mean,
+        "completeness_mm": result.surface.completeness_mean,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--model", default="mscsa")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    runs = []
+    with tempfile.TemporaryDirectory() as scratch:
+        video = encode_video(sorted((arguments.folder / "rgb").glob("*.png")), Path(scratch) / "video.mp4")
+        for seed in range(arguments.seeds):
+            runs.append(one_run(arguments.folder, video, Path(scratch) / f"run{seed}", seed, arguments.model))
+            print(f"seed {seed}: " + ", ".join(f"{name} {value:.4g}" for name, value in runs[-1].items()), flush=True)
+    summary = {name: spread([run[name] for run in runs]) for name in runs[0]}
+    wrong = sum(run["rotation_deg"] > 5 for run in runs)
+    print(f"wrong runs: {wrong} of {len(runs)}; worst ATE {summary['ate_mm']['max']:.4f} mm")
+    for name, values in summary.items():
+        print(f"{name:16} median {values['median']:.4g}  [{values['min']:.4g}, {values['max']:.4g}]")
+    write(arguments.json, {"folder": arguments.folder.name, "wrong": wrong, "figures": summary})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""35 in-vivo sinus frames against the poses that their authors published.
+
+    python benchmarks/real_endoscopy.py ../shared/data/sinus --json sinus.json
+
+The authors' poses are themselves SfM (`motion.yaml`, world to camera, no unit), so the figure is an agreement, not an
+error: distances of camera centres after Sim(3), as a share of the authors' path length, and angles in degrees. One
+lone fixed camera transform between the two (lens axes) would show as a constant rotation; none is fitted.
+"""
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import yaml
+from inputs import encode_video
+from record import write
+from scipy.spatial.transform import Rotation
+
+from pipeline.config import Config
+from pipeline.run import reconstruct
+from reconstruction.trajectory import read_tum, trajectory_errors
+
+FPS = 30
+
+
+def read_motion(path: Path) -> np.ndarray:
+    """(N,4,4) world_from_camera of `motion.yaml`."""
+    document = yaml.safe_load(path.read_text())["poses[]"]
+    camera_from_world = np.tile(np.eye(4), (len(document), 1, 1))
+    for number in range(len(document)):
+        pose = document[f"poses[{number}]"]
+        quaternion = [pose["orientation"][axis] for axis in "xyzw"]
+        camera_from_world[number, :3, :3] = Rotation.from_quat(quaternion).as_matrix()
+        camera_from_world[number, :3, 3] = [pose["position"][axis] for axis in "xyz"]
+    return np.linalg.inv(camera_from_world)
+
+
+def write_camera(folder: Path, target: Path) -> Path:
+    """The authors' intrinsics as a camera file; theirs count from the first pixel's centre, ours from its corner."""
+    fx, fy, cx, cy = np.loadtxt(folder / "camera_intrinsics_per_view")[:4]
+    camera = {"model": "PINHOLE", "width": 1920, "height": 1080, "params": [fx, fy, cx + 0.5, cy + 0.5]}
+    target.write_text(json.dumps(camera))
+    return target
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--output", type=Path, help="keep the run folder here")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        output = arguments.output or Path(scratch) / "run"
+        video = encode_video(sorted(arguments.folder.glob("*.jpg")), Path(scratch) / "sinus.mp4", FPS)
+        camera = write_camera(arguments.folder, Path(scratch) / "camera.json")
+        result = reconstruct(video, output, Config(camera=str(camera)), overwrite=True)
+        seconds, poses = read_tum(output / "trajectory.tum")
+    truth = read_motion(arguments.folder / "motion.yaml")
+    theirs = truth[np.round(seconds * FPS).astype(int)]
+    errors = trajectory_errors(poses, theirs, "sim3", "unit of the authors")
+    path = float(np.linalg.norm(np.diff(theirs[:, :3, 3], axis=0), axis=1).sum())
+    extent = float(np.linalg.norm(np.ptp(theirs[:, :3, 3], axis=0)))
+    figures = {
+        "posed": len(poses),
+        "total": len(truth),
+        "ate_rmse_share_of_path": errors.ate_rmse / path,
+        "ate_rmse_share_of_extent": errors.ate_rmse / extent,
+        "rotation_median_deg": errors.rotation_median_deg,
+        "rotation_max_deg": errors.rotation_max_deg,
+        "triangles": result.metrics["submaps"][0]["faces"],
+    }
+    for name, value in figures.items():
+        print(f"{name:26} {value:.4g}")
+    write(arguments.json, {"protocol": "Sim(3) on camera centres against motion.yaml", "figures": figures})
+
+
+if __name__ == "__main__":
+    main()
