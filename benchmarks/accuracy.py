@@ -45,7 +45,10 @@ def main() -> None:
         video = encode_video(sorted((arguments.folder / "rgb").glob("*.png")), Path(scratch) / "video.mp4")
         for seed in range(arguments.seeds):
             runs.append(one_run(arguments.folder, video, Path(scratch) / f"run{seed}", seed, arguments.model))
-            print(f"seed {seed}: " + ", ".join(f"{name} {value:.4g}" for name, value in runs[-1].items()), flush=True)
+            print(
+                f"seed {seed}: " + ", ".join(f"{name} {value:.4g}" for name, value in runs[-1].items()),
+                flush=True,
+            )
     summary = {name: spread([run[name] for run in runs]) for name in runs[0]}
     wrong = sum(run["rotation_deg"] > 5 for run in runs)
     print(f"wrong runs: {wrong} of {len(runs)}; worst ATE {summary['ate_mm']['max']:.4f} mm")

@@ -82,7 +82,10 @@ def main() -> None:
             row = {"folder": folder.name, "sampler": sampler, "points": points, "frames": len(frames)}
             row |= {f"{name}_abs_rel_percent": float(np.mean(values)) for name, values in errors.items()}
             rows.append(row)
-            print("  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
+            print(
+                "  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()),
+                flush=True,
+            )
     write(arguments.json, {"rows": rows})
 
 

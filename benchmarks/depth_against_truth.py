@@ -12,13 +12,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from reconstruction.export import read_mesh
 from record import write
 
 from completion.dataset import read_evaluation_frames
 from pipeline.camera import read_camera
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from reconstruction.export import read_mesh
 from reconstruction.open3d_import import import_open3d
 from reconstruction.trajectory import read_tum
 
@@ -68,7 +68,10 @@ def main() -> None:
     }
     for name, value in figures.items():
         print(f"{name:18} {value:.4g}")
-    write(arguments.json, {"protocol": "mesh cast from posed frames, one scale (median ratio)", "figures": figures})
+    write(
+        arguments.json,
+        {"protocol": "mesh cast from posed frames, one scale (median ratio)", "figures": figures},
+    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor, nn
+from torch import Tensor
 
 from completion.errors import CompletionError
 from completion.network import MSCSAConfig, MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
@@ -46,13 +46,15 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         return {name: file.get_tensor(name) for name in file.keys()}, metadata  # noqa: SIM118
 
 
-def save_network(path: Path, network: nn.Module, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
+def save_network(
+    path: Path, network: MSCSANet | ScaleFreeMSCSANet, weights: dict[str, Tensor], about: dict[str, Any]
+) -> None:
     """Weights in half precision with the network's name and configuration."""
     halved = {n: t.half() if t.is_floating_point() else t for n, t in weights.items()}
     save_tensors(path, halved, {"network": type(network).__name__, "config": network.config.to_dict(), **about})
 
 
-def load_network(path: Path) -> MSCSANet | ScaleFreeMSCSANet:
+def load_network(path: Path) -> Network:
     """The network of a weight file, strictly loaded, in evaluation mode."""
     tensors, metadata = load_tensors(path)
     network = _build(metadata, path)
@@ -64,7 +66,7 @@ def load_network(path: Path) -> MSCSANet | ScaleFreeMSCSANet:
     return network.eval()
 
 
-def _build(metadata: dict[str, Any], path: Path) -> MSCSANet | ScaleFreeMSCSANet:
+def _build(metadata: dict[str, Any], path: Path) -> Network:
     try:
         if metadata["network"] == "ScaleFreeMSCSANet":
             return ScaleFreeMSCSANet(ScaleFreeConfig(**metadata["config"]))

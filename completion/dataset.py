@@ -95,14 +95,14 @@ def _read_rgbd_folder(folder: Path) -> Iterator[EvaluationFrame]:
     unit_mm = json.loads((folder / "camera.json").read_text())["depth_unit_mm"]
     for path in sorted((folder / "rgb").glob("*.png")):
         depth = _imread(folder / "depth" / path.name, cv2.IMREAD_UNCHANGED)
-        yield EvaluationFrame(path.stem, _read_rgb(path), depth.astype(np.float32) * unit_mm, "mm")
+        yield EvaluationFrame(path.stem, _read_rgb(path), depth.astype(np.float32) * np.float32(unit_mm), "mm")
 
 
 def _read_simcol(folder: Path) -> Iterator[EvaluationFrame]:
     for path in sorted(folder.glob("FrameBuffer_*.png")):
         raw = _imread(folder / path.name.replace("FrameBuffer", "Depth"), cv2.IMREAD_UNCHANGED)
         # 256 * 255, not 65535, and a full scale of 20 cm: SimCol3D's own reader.
-        depth = raw.astype(np.float32) / (256 * 255) * 200
+        depth = raw.astype(np.float32) * np.float32(200 / (256 * 255))
         yield EvaluationFrame(path.stem.split("_")[-1], _read_rgb(path), depth, "mm")
 
 

@@ -39,13 +39,10 @@ class UNet(nn.Module):
         self, in_channels: int, out_channels: int, widths: tuple[int, ...], attention: nn.Module | None
     ) -> None:
         super().__init__()
-        self.encoder = nn.ModuleList(
-            DoubleConv(a, b) for a, b in zip((in_channels, *widths[:-1]), widths, strict=True)
-        )
+        self.encoder = nn.ModuleList(DoubleConv(a, b) for a, b in zip((in_channels, *widths[:-1]), widths, strict=True))
         self.attention = attention if attention is not None else nn.Identity()
         self.decoder = nn.ModuleList(
-            DoubleConv(coarse + fine, fine)
-            for coarse, fine in zip(widths[:0:-1], widths[-2::-1], strict=True)
+            DoubleConv(coarse + fine, fine) for coarse, fine in zip(widths[:0:-1], widths[-2::-1], strict=True)
         )
         self.head = nn.Conv2d(widths[0], out_channels, 1)
 

@@ -18,7 +18,13 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from completion.checkpoint import flatten_optimizer, load_tensors, restore_optimizer, save_network, save_tensors
+from completion.checkpoint import (
+    flatten_optimizer,
+    load_tensors,
+    restore_optimizer,
+    save_network,
+    save_tensors,
+)
 from completion.dataset import Shard, augment
 from completion.errors import CompletionError
 from completion.losses import completion_loss
@@ -161,7 +167,10 @@ def train(config: TrainConfig) -> Path:
         losses.append(loss.item())
         if run.step % 100 == 0:
             rate = (run.step - first) * config.batch / (time.monotonic() - started)
-            print(f"step {run.step}/{config.steps}  loss {np.mean(losses[-100:]):.4f}  {rate:.1f} img/s", flush=True)
+            print(
+                f"step {run.step}/{config.steps}  loss {np.mean(losses[-100:]):.4f}  {rate:.1f} img/s",
+                flush=True,
+            )
         if run.step % 1000 == 0:
             print(f"step {run.step}  held-out abs.REL {100 * validate(run, shards):.2f} %", flush=True)
         if time.monotonic() - saved > config.checkpoint_seconds:

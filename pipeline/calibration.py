@@ -17,9 +17,7 @@ class Calibration:
     origin: str
 
 
-def calibrate(
-    choice: str, source: Path, size: tuple[int, int], content: tuple[int, int, int, int]
-) -> Calibration:
+def calibrate(choice: str, source: Path, size: tuple[int, int], content: tuple[int, int, int, int]) -> Calibration:
     """Resolve the `--camera` choice for frames of size (width, height)."""
     width, height = size
     if choice == "auto":

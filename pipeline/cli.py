@@ -18,7 +18,9 @@ KNOWN_ERRORS = (HaustraError, CompletionError, ReconstructionError)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
 
 app = typer.Typer(
-    no_args_is_help=True, add_completion=False, help="Dense colon reconstruction from endoscope video, on a CPU."
+    no_args_is_help=True,
+    add_completion=False,
+    help="Dense colon reconstruction from endoscope video, on a CPU.",
 )
 
 Source = Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")]
@@ -120,7 +122,10 @@ def run_cleanly(command: Callable[[], Any]) -> int:
         if error.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
             raise
         where = f" ({error.filename})" if error.filename else ""
-        print(f"error: {os.strerror(error.errno)}{where}; what was finished is kept, see --resume", file=sys.stderr)
+        print(
+            f"error: {os.strerror(error.errno)}{where}; what was finished is kept, see --resume",
+            file=sys.stderr,
+        )
         return 1
     return 0
 

@@ -84,7 +84,11 @@ def _loops(database: Path, job: dict[str, Any]) -> list[tuple[str, str]]:
         ids = {image.name: image.image_id for image in db.read_all_images()}
         descriptors = [np.asarray(db.read_descriptors(ids[name]).data) for name in job["images"]]
     found = loop_pairs(
-        descriptors, job["loop_stride"], job["loop_neighbours"], min_gap=4 * job["overlap"] + 1, seed=job["seed"]
+        descriptors,
+        job["loop_stride"],
+        job["loop_neighbours"],
+        min_gap=4 * job["overlap"] + 1,
+        seed=job["seed"],
     )
     return [(job["images"][a], job["images"][b]) for a, b in found]
 
@@ -113,7 +117,7 @@ def map_scene(job: dict[str, Any]) -> None:
         folder = output / str(number)
         folder.mkdir(exist_ok=True)
         model.write_binary(folder)
-        np.savez(folder / "model.npz", **model_arrays(model))
+        np.savez(folder / "model.npz", allow_pickle=False, **model_arrays(model))
 
 
 def _map_globally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Reconstruction]:

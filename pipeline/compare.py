@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pipeline.errors import HaustraError
-from pipeline.workspace import open_workspace
 from reconstruction.export import read_mesh
 from reconstruction.observed_truth import observed_truth, truth_from_mesh
 from reconstruction.surface_metrics import SurfaceErrors, surface_errors
+
+from pipeline.errors import HaustraError
+from pipeline.workspace import open_workspace
 from reconstruction.trajectory import (
     SimCol3DErrors,
     TrajectoryErrors,

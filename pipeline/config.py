@@ -41,7 +41,9 @@ class StructureSettings(Settings):
     loop_stride: int = Field(10, ge=1, description="frames between two that look for loops")
     threads: int = Field(2, ge=1)
     min_registered: float = Field(0.8, description="share of frames below which a second mapper is asked")
-    max_dark_near: float = Field(0.05, description="share of frames with brightness growing with distance that is tolerated")
+    max_dark_near: float = Field(
+        0.05, description="share of frames with brightness growing with distance that is tolerated"
+    )
 
 
 class SparseSettings(Settings):

@@ -20,7 +20,7 @@ def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
 
 def read_depth(path: Path) -> NDArray[np.float32]:
     """(H,W) float32 in scene units, 0 = none."""
-    return _read(path).astype(np.float32) * DEPTH_STEP
+    return _read(path).astype(np.float32) * np.float32(DEPTH_STEP)
 
 
 def write_confidence(path: Path, confidence: NDArray[np.float32]) -> None:
@@ -30,7 +30,7 @@ def write_confidence(path: Path, confidence: NDArray[np.float32]) -> None:
 
 def read_confidence(path: Path) -> NDArray[np.float32]:
     """(H,W) float32 in [0,1]."""
-    return _read(path).astype(np.float32) / 255
+    return _read(path).astype(np.float32) / np.float32(255)
 
 
 def _write(path: Path, image: NDArray) -> None:

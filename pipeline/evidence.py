@@ -5,6 +5,7 @@ and in a true model nearer points are brighter, in every frame. Wrong models (a 
 frame with a fine reprojection error) pass on average but fail in single frames, so each frame is looked at.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import cv2
@@ -53,7 +54,7 @@ def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     return cv2.GaussianBlur(rgb.max(axis=2).astype(np.float32), (0, 0), sigma)
 
 
-def judge_submap(submap: Submap, image_of) -> Evidence:  # noqa: ANN001 - a callable frame index -> rgb
+def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> Evidence:
     """Evidence for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
     frame, point = submap.observations.T
     distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)

@@ -38,7 +38,12 @@ def path_figure(centres: NDArray[np.float64], keyframes: NDArray[np.int64], seco
         panel.plot(turned[:, 0], turned[:, axis], color="0.75", linewidth=1, zorder=1)
         dots = panel.scatter(turned[:, 0], turned[:, axis], c=seconds, s=9, cmap="viridis", zorder=3)
         panel.scatter(
-            turned[keyframes, 0], turned[keyframes, axis], s=34, facecolors="none", edgecolors="k", linewidths=0.5
+            turned[keyframes, 0],
+            turned[keyframes, axis],
+            s=34,
+            facecolors="none",
+            edgecolors="k",
+            linewidths=0.5,
         )
         panel.set_ylabel(f"{name} [{unit}]")
         panel.set_aspect("equal", adjustable="datalim")

@@ -77,13 +77,18 @@ def _find_area(source: Source) -> tuple[ContentArea, tuple[int, int]]:
 
 
 def _store_frames(
-    source: Source, config: Config, area: ContentArea, camera: Camera, workspace: Workspace, progress: Progress
+    source: Source,
+    config: Config,
+    area: ContentArea,
+    camera: Camera,
+    workspace: Workspace,
+    progress: Progress,
 ) -> list[tuple[int, float, str]]:
     """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
     settings = config.frames
     content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
     judge = FrameJudge(settings)
-    verdicts = []
+    verdicts: list[tuple[int, float, str]] = []
     with progress.bar("reading frames", source.announced or None) as advance:
         for frame in source:
             advance(frame.index + 1)
@@ -128,7 +133,8 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 def _too_few(verdicts: Counter[str]) -> str:
     counted = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
-    return f"only {verdicts['used']} of {verdicts.total()} frames can be tracked, at least {MIN_FRAMES} are needed ({counted})"
+    tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
+    return f"{tracked}, at least {MIN_FRAMES} are needed ({counted})"
 
 
 def load_frames(workspace: Workspace) -> Frames:
@@ -136,6 +142,8 @@ def load_frames(workspace: Workspace) -> Frames:
     state = json.loads(workspace.frames.read_text())
     used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
     content = cv2.imread(str(workspace.masks / "content.png"), cv2.IMREAD_GRAYSCALE)
+    if content is None:
+        raise HaustraError(f"{workspace.masks} has lost its content mask; start the run anew with --overwrite")
     return Frames(
         np.array([index for index, _ in used]),
         np.array([seconds for _, seconds in used]),

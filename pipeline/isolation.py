@@ -10,9 +10,7 @@ from pipeline.errors import HaustraError
 from pipeline.progress import Progress
 
 
-def run_isolated(
-    module: str, action: str, job: dict[str, Any], log: Path, label: str, progress: Progress
-) -> None:
+def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label: str, progress: Progress) -> None:
     """`python -m module action job.json`; raises `HaustraError` naming the log if it fails.
 
     The child writes "done total" lines to standard output. On Ctrl-C it is killed before the interrupt goes on.

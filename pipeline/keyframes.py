@@ -15,12 +15,11 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     frame, point = submap.observations[order].T
     pixels = submap.pixels[order]
     starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
-    chosen: list[int] = []
-    for row in range(len(submap.frames)):
-        mine = slice(starts[row], starts[row + 1])
-        if not chosen or _is_new(point[mine], pixels[mine], last_points, last_pixels, motion * width):
+    chosen = [0]
+    for row in range(1, len(submap.frames)):
+        mine, last = (slice(starts[r], starts[r + 1]) for r in (row, chosen[-1]))
+        if _is_new(point[mine], pixels[mine], point[last], pixels[last], motion * width):
             chosen.append(row)
-            last_points, last_pixels = point[mine], pixels[mine]
     return np.array(chosen)
 
 

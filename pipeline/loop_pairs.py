@@ -46,11 +46,11 @@ def _learn_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.floa
 
 
 def vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Signature (WORDS*128,) of unit length: signed square root, then normalised; zero for an image without features."""
+    """Signature (WORDS*128,) of unit length, by signed square root; zero for an image without features."""
     signature = np.zeros_like(words)
     if len(descriptors):
         distance = (words * words).sum(1)[None] - 2 * descriptors @ words.T
         nearest = distance.argmin(axis=1)
         np.add.at(signature, nearest, descriptors - words[nearest])
-    flat = np.sign(signature) * np.sqrt(np.abs(signature))
-    return flat.ravel() / max(float(np.linalg.norm(flat)), 1e-12)
+    flat = (np.sign(signature) * np.sqrt(np.abs(signature))).ravel()
+    return (flat / max(float(np.linalg.norm(flat)), 1e-12)).astype(np.float32)

@@ -26,14 +26,22 @@ img { max-width: 100%; height: auto } .pair { display: flex; gap: 1em; flex-wrap
 
 
 def write_page(
-    frames: Frames, dense: list[DenseSubmap], surfaces: list[Surface], metrics: dict[str, Any], workspace: Workspace
+    frames: Frames,
+    dense: list[DenseSubmap],
+    surfaces: list[Surface],
+    metrics: dict[str, Any],
+    workspace: Workspace,
 ) -> None:
     """Figures, path, mesh views and sample keyframes of a run; one section for each submap."""
     parts = [f"<h1>{html.escape(workspace.root.name)}</h1>", _summary(metrics)]
     for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
         if len(dense) > 1:
             parts.append(f"<h2>Submap {number}</h2>")
-        parts += [_mesh_views(part, surface), _path(frames, part, surface), _keyframes(frames, part, surface, workspace)]
+        parts += [
+            _mesh_views(part, surface),
+            _path(frames, part, surface),
+            _keyframes(frames, part, surface, workspace),
+        ]
     body = "\n".join(parts)
     write_text(
         workspace.report,
@@ -107,7 +115,11 @@ def _keyframes(frames: Frames, part: DenseSubmap, surface: Surface, workspace: W
     for row in chosen:
         keyframe, sparse = part.keyframe(int(row)), maker.sparse_depth(int(row))
         picture = frame_figure(
-            keyframe.rgb, sparse.scaled(factor), keyframe.depth * factor, keyframe.confidence, surface.scale.unit
+            keyframe.rgb,
+            sparse.scaled(factor),
+            keyframe.depth * factor,
+            keyframe.confidence,
+            surface.scale.unit,
         )
         seconds = frames.seconds_of(keyframe.index)
         parts.append(f"<p>frame {keyframe.index}, {seconds:.2f} s</p>{_image(picture, f'frame {keyframe.index}')}")

@@ -8,7 +8,6 @@ from typing import Protocol
 logger = logging.getLogger(__name__)
 
 
-
 class Advance(Protocol):
     """Told how many steps are done, and their number if it was not known before."""
 

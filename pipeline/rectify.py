@@ -71,8 +71,7 @@ def _within_valid_radius(camera: Camera, rays: NDArray[np.float64]) -> NDArray[n
         return np.ones(len(rays), dtype=bool)
     theta = np.linspace(0, 1.5, 3000)
     ahead = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
-    (fx, _), (cx, cy) = camera.focal, camera.centre
-    radius = (camera.project(ahead)[:, 0] - cx) / fx
+    radius = (camera.project(ahead)[:, 0] - camera.centre[0]) / camera.focal[0]
     falling = np.flatnonzero(np.diff(radius) <= 0)
     limit = theta[falling[0]] if len(falling) else theta[-1]
     return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]) < limit

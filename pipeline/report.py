@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from reconstruction.export import write_mesh
 
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
@@ -13,7 +14,6 @@ from pipeline.page import write_page
 from pipeline.progress import Progress
 from pipeline.surface import Surface, mesh_path
 from pipeline.workspace import Workspace, write_json
-from reconstruction.export import write_mesh
 from reconstruction.trajectory import write_tum
 
 
@@ -47,7 +47,7 @@ def write_report(
     """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
     for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
         _write_paths(frames, part, surface, number, workspace)
-    _scale_sparse(surfaces, dense, workspace, progress)
+    _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
     main = surfaces[0].scale
     workspace.record["unit"] = main.unit
@@ -68,7 +68,7 @@ def _depth_step(surface: Surface) -> float:
 
 
 def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
-    """`trajectory.tum` and `keyframes.tum`; with `_1`, `_2`, ... for further submaps, which have frames of their own."""
+    """`trajectory.tum` and `keyframes.tum`; with `_1`, `_2`, ... for further submaps, each in its own frame."""
     submap = part.submap.scaled(surface.scale.factor)
     seconds = np.array([frames.seconds_of(int(index)) for index in submap.frames])
     for path, rows in ((workspace.trajectory, np.arange(len(seconds))), (workspace.keyframes, part.rows)):
@@ -76,17 +76,24 @@ def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: in
         write_tum(named, seconds[rows], submap.world_from_camera[rows])
 
 
-def _scale_sparse(
-    surfaces: list[Surface], dense: list[DenseSubmap], workspace: Workspace, progress: Progress
-) -> None:
+def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progress) -> None:
     """Bring the COLMAP models to output units, from the untouched ones that the structure stage keeps."""
     units = workspace.result("structure")["units"]
     models = [
-        {"source": str(workspace.models / str(k)), "target": str(workspace.sparse / str(k)), "factor": s.scale.factor / u}
+        {
+            "source": str(workspace.models / str(k)),
+            "target": str(workspace.sparse / str(k)),
+            "factor": s.scale.factor / u,
+        }
         for k, (s, u) in enumerate(zip(surfaces, units, strict=True))
     ]
     run_isolated(
-        "pipeline.colmap_worker", "scale", {"models": models}, workspace.log / "scale.log", "sparse models", progress
+        "pipeline.colmap_worker",
+        "scale",
+        {"models": models},
+        workspace.log / "scale.log",
+        "sparse models",
+        progress,
     )
 
 

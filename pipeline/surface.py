@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from reconstruction.export import read_mesh, write_mesh
 
 from pipeline.config import Config
 from pipeline.dense import DenseSubmap
@@ -13,7 +14,6 @@ from pipeline.scale import Scale, find_scale
 from pipeline.workspace import Workspace, open_workspace
 from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.mesh import SurfaceMesh, drop_small_components
-from reconstruction.export import read_mesh, write_mesh
 
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
 
@@ -28,9 +28,7 @@ class Surface:
     dropped_share: float  # of the area, in pieces too small to keep
 
 
-def fuse_depth(
-    dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress
-) -> list[Surface]:
+def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress) -> list[Surface]:
     """Fuse every submap; a submap whose frames agree on no surface keeps an empty mesh."""
     if workspace.is_done("surface"):
         return load_surfaces(workspace)
@@ -82,9 +80,7 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     with progress.bar(label, len(part)) as advance:
         for done, keyframe in enumerate(part):
             confidence = np.where(keyframe.confidence < config.fusion.min_confidence, 0, keyframe.confidence)
-            fusion.integrate(
-                keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera
-            )
+            fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera)
             advance(done + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, config.fusion.min_component)

@@ -3,12 +3,16 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import HaustraError
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 FOLDER_FPS = 30.0  # of an image folder without camera.json; times are then nominal
@@ -85,7 +89,7 @@ class Source:
             self.notes.append(sentence)
 
 
-def open_video(path: Path):  # noqa: ANN201 - av's container type would import av here
+def open_video(path: Path) -> "InputContainer":
     """An open PyAV container with a video stream; one sentence if there is none."""
     import av
 

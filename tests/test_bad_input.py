@@ -148,7 +148,12 @@ def test_resume_of_nothing(run, tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("frames: {stride: 0}", "frames.stride"), ("colour: red", "colour"), ("[1, 2]", "not a mapping"), ("a: [", "cannot read")],
+    [
+        ("frames: {stride: 0}", "frames.stride"),
+        ("colour: red", "colour"),
+        ("[1, 2]", "not a mapping"),
+        ("a: [", "cannot read"),
+    ],
 )
 def test_wrong_settings_are_named(run, tmp_path, text, words):
     write_video(tmp_path / "a.mp4", textured_frames(2))

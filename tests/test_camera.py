@@ -50,9 +50,7 @@ def test_radial_models_are_special_cases(model):
     np.testing.assert_allclose(Camera(model, 640, 480, params).project(RAYS), general.project(RAYS), atol=1e-12)
 
 
-@given(
-    st.integers(0, 200), st.integers(0, 150), st.floats(0.2, 3.0), st.sampled_from([OPENCV, FISHEYE])
-)
+@given(st.integers(0, 200), st.integers(0, 150), st.floats(0.2, 3.0), st.sampled_from([OPENCV, FISHEYE]))
 def test_crop_and_scale_commute_with_projection(x0, y0, scale, camera):
     moved = camera.cropped_and_scaled(x0, y0, 300, 200, scale)
     np.testing.assert_allclose(moved.project(RAYS), (camera.project(RAYS) - [x0, y0]) * scale, atol=1e-9)
@@ -91,7 +89,9 @@ def test_a_wide_fisheye_says_how_much_is_cut():
 def test_presets_scale_with_the_frame_and_refuse_another_shape(name, tmp_path):
     camera = PRESETS[name].camera
     half = (camera.width // 2, camera.height // 2)
-    assert calibrate(name, tmp_path, half, (0, 0, *half)).camera.focal[0] == pytest.approx(camera.focal[0] / 2, rel=0.01)
+    assert calibrate(name, tmp_path, half, (0, 0, *half)).camera.focal[0] == pytest.approx(
+        camera.focal[0] / 2, rel=0.01
+    )
     with pytest.raises(HaustraError, match="cropped otherwise"):
         calibrate(name, tmp_path, (camera.width, camera.height // 2), (0, 0, 1, 1))
 

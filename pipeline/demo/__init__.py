@@ -14,9 +14,7 @@ CAMERA = FOLDER / "camera.json"
 VIDEO = FOLDER / "video.mp4"
 
 
-def run_demo(
-    output: Path, config: Config, *, resume: bool = False, overwrite: bool = False, progress: Progress
-) -> str:
+def run_demo(output: Path, config: Config, *, resume: bool = False, overwrite: bool = False, progress: Progress) -> str:
     """Reconstruct the clip with its own camera and return its errors as text."""
     from pipeline.compare import compare_run
     from pipeline.run import reconstruct
