@@ -17,6 +17,8 @@ from torch import Tensor
 from completion.errors import CompletionError
 from completion.network import MSCSAConfig, MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
 
+Network = MSCSANet | ScaleFreeMSCSANet
+
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
     """Write atomically: a run that is killed while saving keeps its last whole checkpoint."""

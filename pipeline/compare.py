@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from reconstruction.export import read_mesh
-from reconstruction.observed_truth import observed_truth, truth_from_mesh
+from reconstruction.observed_truth import ObservedTruth, observed_truth, truth_from_mesh
 from reconstruction.surface_metrics import SurfaceErrors, surface_errors
 
 from pipeline.errors import HaustraError
@@ -22,6 +22,8 @@ from reconstruction.trajectory import (
     simcol3d_errors,
     trajectory_errors,
 )
+
+Path3D = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,11 @@ class Comparison:
                     f"median {errors.rotation_median_deg:.3f}, max {errors.rotation_max_deg:.3f} deg "
                     f"({errors.count} camera centres after {name} alignment, scale {errors.scale:.4f})"
                 )
-        if (s := self.simcol3d) is not None:
+        if (chained := self.simcol3d) is not None:
             lines.append(
-                f"SimCol3D    ATE {s.ate_median:.4f} {s.unit}, RTE {s.rte_median:.4f} {s.unit}, "
-                f"ROT {s.rot_median_deg:.3f} deg (medians over {s.count} motions, one scale, no rotation fitted)"
+                f"SimCol3D    ATE {chained.ate_median:.4f} {chained.unit}, RTE {chained.rte_median:.4f} {chained.unit}, "
+                f"ROT {chained.rot_median_deg:.3f} deg (medians over {chained.count} motions, chained from the first "
+                "pose, one scale, no rotation fitted)"
             )
         if self.surface is not None:
             lines.append(f"surface     {self.surface}")
@@ -85,14 +88,11 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     surface = None
     if points is not None:
         mesh = read_mesh(workspace.mesh).transformed(truth_from_run)
-        surface = surface_errors(mesh, points, tau, np.random.default_rng(0), unit="mm")
+        surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
     return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface)
 
 
-Path3D = tuple[NDArray[np.float64], NDArray[np.float64]]
-
-
-def _load_truth(truth: Path) -> tuple[Path3D | None, NDArray[np.float64] | None]:
+def _load_truth(truth: Path) -> tuple[Path3D | None, ObservedTruth | None]:
     """(seconds and poses, surface points) of a truth, each None where it is not given."""
     if truth.is_dir():
         trajectory = truth / "trajectory.txt"

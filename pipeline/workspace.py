@@ -89,13 +89,14 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
         _clear(workspace)
     elif root.exists() and any(root.iterdir()):
         raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
+    identity = {"path": str(source.resolve()), "sha256": digest(source)}
     try:
         root.mkdir(parents=True, exist_ok=True)
         workspace.log.mkdir(exist_ok=True)
     except OSError as error:
         raise HaustraError(f"cannot create the output folder {root}: {error.strerror}") from error
     workspace.record |= {
-        "source": {"path": str(source.resolve()), "sha256": digest(source)},
+        "source": identity,
         "versions": _versions(),
         "config": config.model_dump(mode="json"),
     }

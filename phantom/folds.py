@@ -1,0 +1,90 @@
+"""Haustral folds and plicae: crescents that reach into the lumen, lean, tilt and hide what lies behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantom.config import AnatomyConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One crescent. Its rim runs at arc + tilt * cos(angle - tilt_phase)."""
+
+    arc_mm: float
+    angle_rad: float  # middle of the crescent
+    half_span_rad: float  # half the angle it covers; pi and more closes the ring
+    depth_mm: float
+    width_mm: float  # decay length of the flanks
+    tilt_mm: float
+    tilt_phase_rad: float
+    lean: float  # axial shift of the rim per depth
+
+
+def place_folds(anatomy: AnatomyConfig, rng: np.random.Generator) -> list[Fold]:
+    """Stations along the gut, each with its crescents."""
+    folds: list[Fold] = []
+    arc = rng.uniform(0.2, 1.0) * anatomy.fold_spacing_mm
+    while arc < anatomy.length_mm - 4:
+        folds += _station(arc, anatomy, rng)
+        arc += anatomy.fold_spacing_mm * (1 + anatomy.fold_spacing_jitter * rng.uniform(-1, 1))
+    return folds
+
+
+def _station(arc: float, anatomy: AnatomyConfig, rng: np.random.Generator) -> list[Fold]:
+    """In the colon two or three crescents, one per gap between taeniae; in the small intestine one ring."""
+    if anatomy.scene == "small_intestine":
+        return [_fold(arc, rng.uniform(0, 2 * np.pi), rng.uniform(2.2, 5.0), anatomy, rng)]
+    twist = np.radians(anatomy.taenia_twist_deg_per_mm) * arc
+    gaps = rng.permutation(3)[: rng.choice([1, 2, 3], p=[0.15, 0.4, 0.45])]
+    middles = twist + np.pi / 3 + gaps * 2 * np.pi / 3
+    stagger = 0.12 * anatomy.fold_spacing_mm
+    return [
+        _fold(arc + rng.normal(0, stagger), middle + rng.normal(0, 0.2), rng.uniform(0.9, 1.7), anatomy, rng)
+        for middle in middles
+    ]
+
+
+def _fold(arc: float, angle: float, half_span: float, anatomy: AnatomyConfig, rng: np.random.Generator) -> Fold:
+    depth = anatomy.fold_depth_mm * max(0.15, 1 + anatomy.fold_depth_jitter * rng.normal())
+    return Fold(
+        arc_mm=float(arc),
+        angle_rad=float(angle),
+        half_span_rad=float(half_span),
+        depth_mm=float(min(depth, 0.6 * anatomy.radius_mm)),
+        width_mm=float(anatomy.fold_width_mm * rng.uniform(0.7, 1.4)),
+        tilt_mm=float(anatomy.fold_tilt_mm * rng.normal()),
+        tilt_phase_rad=float(rng.uniform(0, 2 * np.pi)),
+        lean=float(anatomy.fold_lean * rng.uniform(-1, 1)),
+    )
+
+
+def fold_relief(folds: list[Fold], arc: Array, angle: Array, anatomy: AnatomyConfig) -> tuple[Array, Array]:
+    """Height into the lumen and shift along it (mm) at broadcast arc (mm) and angle (rad)."""
+    shape = np.broadcast_shapes(arc.shape, angle.shape)
+    power, shift, bulge = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for fold in folds:
+        near = np.flatnonzero(np.abs(arc.ravel() - fold.arc_mm) < abs(fold.tilt_mm) + 9 * fold.width_mm)
+        if len(near) == 0:
+            continue
+        part = slice(near[0], near[-1] + 1)  # arc is (M,1): far rows are skipped
+        height, nearness = _one_fold(fold, arc[part], angle, anatomy)
+        power[part] += height**4  # a soft maximum lets crescents merge instead of adding up
+        shift[part] += fold.lean * height
+        bulge[part] += nearness
+    return power**0.25 - anatomy.sacculation_mm * (0.5 - np.minimum(bulge, 1.0)), shift
+
+
+def _one_fold(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> tuple[Array, Array]:
+    """Height (mm) of a single crescent, and how near its rim is (0 to 1): the wall bulges out in between."""
+    edge, reach = anatomy.fold_edge_mm, 0.3 * anatomy.fold_spacing_mm
+    away = np.angle(np.exp(1j * (angle - fold.angle_rad)))
+    window = (0.5 + 0.5 * np.cos(np.pi * np.clip(away / fold.half_span_rad, -1, 1))) ** 0.6
+    offset = arc - fold.arc_mm - fold.tilt_mm * np.cos(angle - fold.tilt_phase_rad)
+    flank = np.exp(-(np.hypot(offset, edge) - edge) / fold.width_mm)  # |offset| with a rounded rim
+    return fold.depth_mm * window * flank, window * np.exp(-((offset / reach) ** 2))

@@ -1,0 +1,1 @@
+"""Dense depth and poses in, a measured surface out. Importing this package imports nothing heavy."""
