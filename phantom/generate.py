@@ -4,7 +4,8 @@ video.mp4       H.264, what a user would have
 rgb/%05d.png    the same frames, lossless
 depth/%05d.png  uint16 z-depth in units of 0.01 mm, 0 = none
 trajectory.txt  TUM lines "seconds tx ty tz qx qy qz qw", world_from_camera, mm
-mesh.ply        the wall, mm; the face property `seen` is 1 where any frame's pixel centre hit it
+mesh.ply        the wall, mm; face properties: `seen` is 1 where any frame's pixel centre hit it, `nearest_mm` the
+                smallest depth at which one did (infinite where none)
 camera.json  polyps.json  config.yaml
 """
 
@@ -45,16 +46,17 @@ def generate(
     poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed)
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    seen = np.zeros(len(phantom.colon.triangles), np.uint8)
+    nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
     with _video(folder / "video.mp4", config, crf) as add_to_video:
         for index, frame in enumerate(phantom.film(poses)):
             _write_frame(folder, index, frame)
             add_to_video(frame.image)
-            seen[frame.triangle[frame.triangle >= 0]] = 1
+            hit = frame.triangle >= 0
+            np.minimum.at(nearest_mm, frame.triangle[hit], frame.depth[hit].astype(np.float32))
             if progress:
                 progress(index + 1, len(poses))
     _write_trajectory(folder / "trajectory.txt", poses, config.motion.fps)
-    write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, seen)
+    write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, nearest_mm)
     _write_records(folder, phantom)
     return folder
 
@@ -71,14 +73,12 @@ def _video(path: Path, config: PhantomConfig, crf: int) -> Iterator[Callable[[ND
     with av.open(str(path), "w") as container:
         stream: Any = container.add_stream("libx264", rate=Fraction(config.motion.fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = config.camera.width, config.camera.height, "yuv420p"
-        stream.options = {
-            "crf": str(crf),
-            "preset": "slow",
-            "threads": "1",
-        }  # one thread: same bytes everywhere
+        # Same bytes each time: one thread, and no macroblock tree, whose lookahead reads uninitialised memory.
+        stream.options = {"crf": str(crf), "preset": "slow", "threads": "1", "x264-params": "mbtree=0"}
 
         def add(image: NDArray[np.uint8]) -> None:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+            planes = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420)  # swscale's rounding depends on memory alignment
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")))
 
         yield add
         container.mux(stream.encode())
@@ -90,15 +90,21 @@ def _write_trajectory(path: Path, poses: NDArray[np.float64], fps: float) -> Non
     np.savetxt(path, rows, fmt=["%.6f"] * 4 + ["%.9f"] * 4)
 
 
-def write_ply(path: Path, vertices: NDArray[np.float32], triangles: NDArray[np.int32], seen: NDArray[np.uint8]) -> None:
-    """Binary PLY: vertices (V,3) mm, triangles (F,3), one uchar `seen` (F,) per face."""
+def write_ply(
+    path: Path, vertices: NDArray[np.float32], triangles: NDArray[np.int32], nearest_mm: NDArray[np.float32]
+) -> None:
+    """Binary PLY: vertices (V,3) mm, triangles (F,3); for each face `nearest_mm` (F,), and `seen` if that is finite."""
+    wide = len(vertices) > 65535  # two bytes for a corner where they suffice
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment unit mm\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nproperty uchar seen\nend_header\n"
+        f"element face {len(triangles)}\nproperty list uchar {'int' if wide else 'ushort'} vertex_indices\n"
+        "property uchar seen\nproperty float nearest_mm\nend_header\n"
     )
-    faces = np.empty(len(triangles), [("count", "u1"), ("corners", "<i4", 3), ("seen", "u1")])
-    faces["count"], faces["corners"], faces["seen"] = 3, triangles, seen
+    layout = [("count", "u1"), ("corners", "<i4" if wide else "<u2", 3), ("seen", "u1"), ("nearest_mm", "<f4")]
+    faces = np.empty(len(triangles), layout)
+    faces["count"], faces["corners"] = 3, triangles
+    faces["seen"], faces["nearest_mm"] = np.isfinite(nearest_mm), nearest_mm
     path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + faces.tobytes())
 
 

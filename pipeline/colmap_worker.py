@@ -117,7 +117,8 @@ def map_scene(job: dict[str, Any]) -> None:
         folder = output / str(number)
         folder.mkdir(exist_ok=True)
         model.write_binary(folder)
-        np.savez(folder / "model.npz", allow_pickle=False, **model_arrays(model))
+        sigma = camera_sigma(model) if job["refine_camera"] else np.zeros(0)
+        np.savez(folder / "model.npz", allow_pickle=False, camera_sigma=sigma, **model_arrays(model))
 
 
 def _map_globally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Reconstruction]:
@@ -139,6 +140,25 @@ def _map_incrementally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.
     options.ba_refine_focal_length = options.ba_refine_extra_params = job["refine_camera"]
     options.mapper.init_min_tri_angle = 4.0  # a tube seen along its axis never reaches the default of 16 degrees
     return pycolmap.incremental_mapping(job["database"], job["image_folder"], output, options)
+
+
+def camera_sigma(model: pycolmap.Reconstruction) -> NDArray[np.float64]:
+    """Standard deviations of the refined camera parameters (focal length first), from the bundle adjustment's
+    covariance with one pixel of noise; NaN where the problem does not determine them."""
+    camera = next(iter(model.cameras.values()))
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in model.images.values():
+        if image.has_pose:
+            config.add_image(image.image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(pycolmap.BundleAdjustmentOptions(), config, model)
+    options = pycolmap.BACovarianceOptions()
+    options.params = pycolmap.BACovarianceOptionsParams.ALL
+    found = pycolmap.estimate_ba_covariance(options, model, adjuster)
+    covariance = found.get_other_params_cov(camera.params) if found is not None else None
+    if covariance is None:
+        return np.full(len(camera.focal_length_idxs()), np.nan)
+    return np.sqrt(np.maximum(np.diag(covariance), 0))
 
 
 def scale_models(job: dict[str, Any]) -> None:

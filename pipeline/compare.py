@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from reconstruction.export import read_mesh
-from reconstruction.observed_truth import ObservedTruth, observed_truth, truth_from_mesh
-from reconstruction.surface_metrics import SurfaceErrors, surface_errors
 
 from pipeline.errors import HaustraError
 from pipeline.workspace import open_workspace
+from reconstruction.export import read_mesh
+from reconstruction.observed_truth import ObservedTruth, observed_truth, truth_from_mesh
+from reconstruction.surface_metrics import SurfaceErrors, surface_errors
 from reconstruction.trajectory import (
     SimCol3DErrors,
     TrajectoryErrors,
@@ -51,7 +51,7 @@ class Comparison:
                 )
         if (chained := self.simcol3d) is not None:
             lines.append(
-                f"SimCol3D    ATE {chained.ate_median:.4f} {chained.unit}, RTE {chained.rte_median:.4f} {chained.unit}, "
+                f"SimCol3D    ATE {chained.ate_median:.4f}, RTE {chained.rte_median:.4f} {chained.unit}, "
                 f"ROT {chained.rot_median_deg:.3f} deg (medians over {chained.count} motions, chained from the first "
                 "pose, one scale, no rotation fitted)"
             )

@@ -84,6 +84,7 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
             f"of {witness['voters']} frames (Spearman {witness['spearman']:.2f} in the median)",
         ),
         ("scale", submap["scale"]),
+        ("calibration", submap["camera"]["trust"]),
     ]
 
 

@@ -5,15 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from reconstruction.export import write_mesh
 
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
 from pipeline.isolation import run_isolated
 from pipeline.page import write_page
 from pipeline.progress import Progress
+from pipeline.structure import camera_trust
 from pipeline.surface import Surface, mesh_path
 from pipeline.workspace import Workspace, write_json
+from reconstruction.export import write_mesh
 from reconstruction.trajectory import write_tum
 
 
@@ -120,7 +121,12 @@ def collect_metrics(
                 "unit": surface.scale.unit,
                 "scale": surface.scale.origin,
                 "evidence": witness,
-                "camera": {"params": list(submap.camera_params), "trusted": frames.camera.trusted},
+                "camera": {
+                    "model": frames.camera.model,
+                    "params": list(submap.camera_params),
+                    "sigma": list(submap.camera_sigma),
+                    "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap),
+                },
                 "rectified_share": part.rectifier.kept_share,
             }
         )

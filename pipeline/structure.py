@@ -23,6 +23,7 @@ from pipeline.workspace import Workspace
 
 WORKER = "pipeline.colmap_worker"
 MIN_SUBMAP = 3  # frames
+MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
 Judged = tuple[Submap, Evidence, Path]
 
 
@@ -50,6 +51,8 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
         units=[_unit(submap) for submap, _, _ in models],
     )
     progress.say(_sentence(models, chosen, len(frames.index)))
+    if not frames.camera.trusted:
+        progress.say(camera_trust(frames.camera, models[0][0]))
     return load_structure(workspace)
 
 
@@ -62,6 +65,19 @@ def load_structure(workspace: Workspace) -> list[Submap]:
 def structure_camera(camera: Camera, submap: Submap) -> Camera:
     """The camera with the parameters that were refined together with the submap."""
     return Camera(camera.model, camera.width, camera.height, submap.camera_params, camera.trusted)
+
+
+def camera_trust(guess: Camera, submap: Submap) -> str:
+    """What became of a guessed camera, and how far to believe it."""
+    focal, start = submap.camera_params[0], guess.focal[0]
+    sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
+    text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after SfM"
+    if not np.isfinite(sigma):
+        return text + "; the motion does not determine it: shapes may be stretched along the view"
+    text += f" (sigma {sigma:.2g} px for 1 px of noise)"
+    if sigma > MAX_FOCAL_SIGMA * focal:
+        return text + "; too uncertain to trust: shapes may be stretched along the view"
+    return text
 
 
 def _job(frames: Frames, config: Config, workspace: Workspace) -> dict[str, object]:

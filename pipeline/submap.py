@@ -13,7 +13,8 @@ class Submap:
 
     frames: (N,) source frame index, ascending. world_from_camera: (N,4,4). points: (P,3). error_px: (P,) mean
     reprojection error. observations: (M,2) row in `frames` and row in `points`. pixels: (M,2), structure camera's
-    image, COLMAP's convention. camera_params: as refined with it.
+    image, COLMAP's convention. camera_params: as refined with it. camera_sigma: standard deviations of
+    the refined ones, focal length first; empty if the camera was given.
     """
 
     frames: NDArray[np.int64]
@@ -23,6 +24,7 @@ class Submap:
     observations: NDArray[np.int64]
     pixels: NDArray[np.float64]
     camera_params: tuple[float, ...]
+    camera_sigma: tuple[float, ...] = ()
 
     @property
     def centres(self) -> NDArray[np.float64]:
@@ -86,4 +88,5 @@ def read_submap(folder: Path) -> Submap:
             arrays["observations"],
             arrays["pixels"],
             tuple(float(p) for p in arrays["camera_params"]),
+            tuple(float(s) for s in arrays["camera_sigma"]),
         )

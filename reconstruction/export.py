@@ -58,10 +58,10 @@ def read_mesh(path: Path | str) -> SurfaceMesh:
     )
 
 
-def read_face_flag(path: Path | str, name: str) -> NDArray[np.bool_] | None:
-    """Whether a property of a PLY file's faces is 1, (F,); None where the file has no such property."""
-    flag = _ply_element(_load(Path(path)), "face").get(name)
-    return None if flag is None else flag == 1
+def read_face_property(path: Path | str, name: str) -> NDArray | None:
+    """A scalar property of a PLY file's faces, (F,); None where the file has no such property."""
+    values = _ply_element(_load(Path(path)), "face").get(name)
+    return None if values is None else values.reshape(-1)
 
 
 def _load(path: Path) -> Any:
@@ -72,7 +72,9 @@ def _load(path: Path) -> Any:
     if not path.is_file():
         raise ReconstructionError(f"there is no mesh at {path}")
     try:
-        loaded: Any = trimesh.load(path, process=False, force="mesh")
+        loaded: Any = trimesh.load(path, process=False)
+        if isinstance(loaded, trimesh.Scene):  # a GLB, or no geometry at all
+            loaded = trimesh.load(path, process=False, force="mesh")
     except (ValueError, KeyError, IndexError, TypeError, NotImplementedError) as error:
         raise ReconstructionError(f"{path} cannot be read as a mesh ({error})") from error
     if not hasattr(loaded, "faces"):

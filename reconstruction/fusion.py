@@ -40,9 +40,10 @@ class FusionSettings:
     max_grazing_deg: float = 80.0
     """Angle between ray and normal beyond which neither a pixel nor a crossing of the distance field is believed."""
     min_evidence: float = 0.0
-    """Sum of confidences below which a voxel is not surface."""
+    """Sum of confidences below which a corner of a cell is not used."""
     min_observations: int = 1
-    """Frames below which a voxel is not surface; 2 removes most floating bits and costs 1-6 % of completeness."""
+    """Frames that must have seen a surface within the truncation of each of a cell's eight corners; 2 removes most
+    floating bits and costs 1 to 6 % of completeness."""
 
     def __post_init__(self) -> None:
         if not 0 < self.voxel_size < np.inf:

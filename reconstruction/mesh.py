@@ -30,10 +30,7 @@ class SurfaceMesh:
                 raise ReconstructionError(f"{name} must be ({count},3), not {getattr(self, name).shape}")
         if self.confidence.shape != (count,) or self.observations.shape != (count,):
             raise ReconstructionError(f"confidence and observations must have one value for each of {count} vertices")
-        if self.faces.ndim != 2 or self.faces.shape[1] != 3:
-            raise ReconstructionError(f"faces must be (F,3), not {self.faces.shape}")
-        if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < count:
-            raise ReconstructionError(f"faces name vertices outside 0..{count - 1}")
+        _check_faces(self.faces, count)
 
     @classmethod
     def from_triangles(
@@ -49,6 +46,7 @@ class SurfaceMesh:
         points = np.asarray(vertices, np.float64).reshape(-1, 3)
         triangles = np.asarray(faces, np.int64).reshape(-1, 3)
         count = len(points)
+        _check_faces(triangles, count)
         return cls(
             vertices=points,
             faces=triangles,
@@ -142,3 +140,10 @@ def _doubled_face_vectors(vertices: NDArray[np.float64], faces: NDArray[np.int64
     """Cross product of two edges: along the face's normal, as long as twice its area, (F,3)."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     return np.cross(second - first, third - first)
+
+
+def _check_faces(faces: NDArray[np.int64], count: int) -> None:
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise ReconstructionError(f"faces must be (F,3), not {faces.shape}")
+    if len(faces) and not 0 <= faces.min() <= faces.max() < count:
+        raise ReconstructionError(f"faces name vertices outside 0..{count - 1}")

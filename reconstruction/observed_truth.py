@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.export import read_face_flag, read_mesh
+from reconstruction.export import read_face_property, read_mesh
+from reconstruction.mesh import SurfaceMesh
 from reconstruction.surface_metrics import sample_surface
 from reconstruction.trajectory import read_tum
 
@@ -32,7 +33,7 @@ FRAMES_AT_ONCE = 16  # between thinnings
 
 @dataclass(frozen=True)
 class ObservedTruth:
-    """Points (N,3) in mm, world axes of the truth; without depth images both sets are the same."""
+    """Points (N,3) in mm, world axes of the truth; both sets are the same where depth is not known."""
 
     seen: Array
     required: Array
@@ -44,7 +45,7 @@ def observed_truth(
     """Truth of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`."""
     folder = Path(folder)
     if not (folder / "depth").is_dir():
-        return truth_from_mesh(folder / "mesh.ply", spacing_mm)
+        return truth_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
     # Thinned to half the spacing on the way, so that memory follows the surface and not the length of the video.
     waiting: list[tuple[Array, Array]] = []
     for view in _views(folder, every):
@@ -55,15 +56,30 @@ def observed_truth(
     return ObservedTruth(seen=points, required=points[nearest <= max_depth_mm])
 
 
-def truth_from_mesh(path: Path | str, spacing_mm: float = 0.5, seed: int = 0) -> ObservedTruth:
-    """Points on a true mesh; only faces whose property `seen` is 1 count, where the file has that property."""
-    mesh, seen = read_mesh(path), read_face_flag(path, "seen")
-    part = mesh if seen is None else mesh.with_faces(seen)
-    if not len(part.faces):
+def truth_from_mesh(
+    path: Path | str, max_depth_mm: float = 60.0, spacing_mm: float = 0.5, seed: int = 0
+) -> ObservedTruth:
+    """Points on a true mesh, by its face properties where it has them.
+
+    `seen`: only faces where it is 1 count. `nearest_mm`: the smallest depth at which a face was seen; those deeper
+    than `max_depth_mm` are not required.
+    """
+    mesh, seen = read_mesh(path), read_face_property(path, "seen")
+    nearest = read_face_property(path, "nearest_mm")
+    whole = np.ones(len(mesh.faces), bool) if seen is None else seen == 1
+    if not whole.any():
         raise ReconstructionError(f"{path} has no face that was seen")
-    count = int(np.ceil(SAMPLES_PER_CUBE * part.face_areas.sum() / spacing_mm**2))
-    points = thin(sample_surface(part.vertices, part.faces, count, np.random.default_rng(seed)), spacing_mm)
-    return ObservedTruth(seen=points, required=points)
+    near = whole if nearest is None else whole & (nearest <= max_depth_mm)
+    points = _points_on(mesh.with_faces(whole), spacing_mm, seed)
+    return ObservedTruth(
+        seen=points, required=points if near.all() else _points_on(mesh.with_faces(near), spacing_mm, seed)
+    )
+
+
+def _points_on(mesh: SurfaceMesh, spacing_mm: float, seed: int) -> Array:
+    """About one point (N,3) in each cube of edge `spacing_mm` that the mesh passes."""
+    count = int(np.ceil(SAMPLES_PER_CUBE * mesh.face_areas.sum() / spacing_mm**2))
+    return thin(sample_surface(mesh.vertices, mesh.faces, count, np.random.default_rng(seed)), spacing_mm)
 
 
 def thin(points: Array, spacing: float) -> Array:

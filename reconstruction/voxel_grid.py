@@ -134,6 +134,8 @@ class VoxelGrid:
 
     def _rows(self, keys: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Rows of blocks given as an int32 tensor (B,3), 0 for those that do not exist, and whether they do."""
+        if not len(keys):
+            return np.empty(0, np.int64), np.empty(0, bool)
         slots, exists = self._row_of_block.find(keys)
         rows = self._row_of_block.value_tensor().numpy()[:, 0]
         found = exists.numpy()

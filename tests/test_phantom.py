@@ -113,11 +113,18 @@ def test_depth_and_pose_explain_the_next_frame(phantom: Phantom, poses: np.ndarr
     now_from_then = np.linalg.inv(poses[0]) @ poses[1]
     moved = points @ now_from_then[:3, :3].T + now_from_then[:3, 3]
     u, v = fx * moved[..., 0] / moved[..., 2] + cx - 0.5, fy * moved[..., 1] / moved[..., 2] + cy - 0.5
-    warped = cv2.remap(now.image, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    maps = u.astype(np.float32), v.astype(np.float32)
+    warped = cv2.remap(now.image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     inside = (u > 1) & (v > 1) & (u < size - 2) & (v < size - 2) & (then.depth > 0)
-    error = np.abs(warped.astype(float) - then.image)[inside].mean()
-    standing_still = np.abs(now.image.astype(float) - then.image)[inside].mean()
-    assert error < 0.5 * standing_still
+    error = np.abs(detail(warped) - detail(then.image))[inside].mean()
+    standing_still = np.abs(detail(now.image) - detail(then.image))[inside].mean()
+    assert error < 0.35 * standing_still  # half a pixel off in the lens would give 0.43, one pixel 0.68
+
+
+def detail(image: np.ndarray) -> np.ndarray:
+    """The image without its slow part: the light moves along with the camera, so brightness differs, texture not."""
+    floats = image.astype(np.float32)
+    return floats - cv2.GaussianBlur(floats, (0, 0), 3.0)
 
 
 def test_same_seed_same_bytes(phantom: Phantom, poses: np.ndarray) -> None:
@@ -126,6 +133,14 @@ def test_same_seed_same_bytes(phantom: Phantom, poses: np.ndarray) -> None:
     for one, other in zip(phantom.film(poses), again.film(poses)):
         assert one.image.tobytes() == other.image.tobytes()
         assert one.depth.tobytes() == other.depth.tobytes()
+
+
+def test_same_seed_same_folder(folder: Path, tmp_path: Path) -> None:
+    generate(TINY, tmp_path, threads=2)
+    files = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file()]
+    assert len(files) == 2 * TINY.motion.frames + 6
+    for name in files:
+        assert (folder / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
 def test_another_seed_is_another_colon(phantom: Phantom) -> None:
@@ -163,8 +178,9 @@ def test_seen_faces_equal_brute_force(tmp_path: Path, phantom: Phantom) -> None:
     small = replace(TINY, camera=CameraConfig(width=20, height=20), motion=replace(TINY.motion, frames=3))
     generate(small, tmp_path, threads=1)
     mesh = trimesh.load(tmp_path / "mesh.ply", process=False)
-    seen = mesh.metadata["_ply_raw"]["face"]["data"]["seen"].ravel().astype(bool)
-    corners, expected = corners_of(phantom), np.zeros(len(seen), bool)
+    data = mesh.metadata["_ply_raw"]["face"]["data"]
+    seen, nearest_mm = data["seen"].ravel().astype(bool), data["nearest_mm"].ravel()
+    corners, expected = corners_of(phantom), np.full(len(seen), np.inf)
     np.testing.assert_allclose(mesh.triangles, corners, atol=1e-5)
     poses, camera = (
         camera_path(phantom.colon, phantom.caster, small.motion, small.seed),
@@ -174,8 +190,9 @@ def test_seen_faces_equal_brute_force(tmp_path: Path, phantom: Phantom) -> None:
         for row, column in np.ndindex(20, 20):
             direction = pose[:3, :3] @ pixel_direction(camera, row, column)
             z, triangle = first_hit(pose[:3, 3], direction, corners)
-            expected[triangle] |= np.isfinite(z)
-    np.testing.assert_array_equal(seen, expected)
+            expected[triangle] = min(expected[triangle], z)
+    np.testing.assert_array_equal(seen, np.isfinite(expected))
+    np.testing.assert_allclose(nearest_mm, expected, rtol=1e-5)
 
 
 def test_mesh_faces_the_lumen_and_polyps_lie_on_it(phantom: Phantom) -> None:

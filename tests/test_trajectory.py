@@ -1,6 +1,7 @@
 """Camera paths against evo, SciPy's rotations, and motions whose error is known by construction."""
 
 import copy
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -141,7 +142,7 @@ def test_simcol3d_medians_equal_the_error_put_in():
     extra = np.eye(4)
     extra[:3, :3] = Rotation.from_euler("z", 3, degrees=True).as_matrix()
     estimated = [truth[0]]
-    for before, after in zip(truth[:-1], truth[1:], strict=True):
+    for before, after in pairwise(truth):
         estimated.append(estimated[-1] @ np.linalg.inv(before) @ after @ extra)
     errors = simcol3d_errors(np.stack(estimated), truth)
     assert errors.rot_median_deg == pytest.approx(3)
