@@ -48,7 +48,7 @@ def pack_demo(folder: Path, package: Path) -> None:
     nearest_mm = mesh.metadata["_ply_raw"]["face"]["data"]["nearest_mm"].ravel()
     seen = np.isfinite(nearest_mm)
     used, faces = np.unique(mesh.faces[seen], return_inverse=True)
-    write_ply(package / "mesh.ply", mesh.vertices[used], faces.reshape(-1, 3), nearest_mm[seen])
+    write_ply(package / "mesh.ply", mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32), nearest_mm[seen])
 
 
 def main() -> None:

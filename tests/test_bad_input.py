@@ -49,9 +49,18 @@ def test_text_file_named_mp4(run, tmp_path):
 
 
 def test_video_without_its_index(run, tmp_path):
-    data = write_video(tmp_path / "a.mp4", textured_frames(20)).read_bytes()
-    (tmp_path / "a.mp4").write_bytes(data[:40])
-    assert_one_sentence(run("a.mp4"), "not a video")
+    """An MP4 recorder writes the index last; a file cut off before it cannot be read at all."""
+    import av
+
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width = stream.height = 160
+        for frame in textured_frames(30):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    data = (tmp_path / "a.mp4").read_bytes()
+    (tmp_path / "a.mp4").write_bytes(data[: len(data) // 2])
+    assert_one_sentence(run("a.mp4"), "not a video that FFmpeg can read (or its index is cut off)")
 
 
 def test_sound_without_pictures(run, tmp_path):
