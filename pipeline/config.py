@@ -69,10 +69,10 @@ class FusionSettings(Settings):
     """TSDF fusion."""
 
     voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
-    truncation_voxels: float = Field(10.0, ge=2, description="must exceed the error of completed depth")
+    truncation_voxels: float = Field(12.0, ge=2, description="must exceed the error of completed depth")
     min_observations: int = Field(3, ge=1, description="frames that must agree before a surface is believed")
     min_confidence: float = Field(0.1, ge=0, le=1)
-    max_depth_ratio: float = Field(2.5, gt=0, description="times the median depth; farther is seen better later")
+    max_depth_ratio: float = Field(2.0, gt=0, description="times the median depth; farther is seen better later")
     min_component: float = Field(0.02, ge=0, le=1, description="share of the area; smaller pieces float")
 
 

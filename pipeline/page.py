@@ -93,7 +93,8 @@ def _mesh_views(part: DenseSubmap, surface: Surface) -> str:
         return "<h2>Surface</h2><p>The keyframes of this submap agree on no surface.</p>"
     middle = part.submap.scaled(surface.scale.factor).world_from_camera[part.rows[len(part.rows) // 2]]
     outside = render_mesh(surface.mesh, None, 640, 480)
-    inside = render_mesh(surface.mesh, middle, 640, 480)
+    wide = float(np.degrees(2 * np.arctan(part.camera.width / 2 / part.camera.focal[0])))
+    inside = render_mesh(surface.mesh, middle, 640, 480, fov_deg=wide)
     note = "Only what was seen: holes are places that no keyframe saw well enough."
     return (
         f'<h2>Surface</h2><div class="pair">{_image(png(outside), "mesh from outside")}'

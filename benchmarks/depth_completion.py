@@ -1,6 +1,6 @@
 """abs.REL of the shipped model beside linear interpolation on folders with true depth.
 
-    python benchmarks/completion.py ../shared/data/ctcolon ../shared/data/simcol3d --json completion.json
+    python benchmarks/depth_completion.py ../shared/data/ctcolon ../shared/data/simcol3d --json completion.json
 
 Samplers: `uniform` takes pixels at random with true depth. `sfm` takes SIFT keypoints (OpenCV, contrast threshold
 0.005) at random, multiplies depth by 1 + 0.03 N(0,1), 3 % of the points by U(0.5, 2), and all points of a frame by
