@@ -1,7 +1,7 @@
 """Stage 3: dense depth and confidence of every keyframe, from its image and its sparse depth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -67,9 +67,9 @@ def complete_depth(
     frames: Frames, submaps: list[Submap], config: Config, workspace: Workspace, progress: Progress
 ) -> list[DenseSubmap]:
     """Complete the keyframes of every submap; those already on disk are kept."""
-    dense = [_plan(frames, submap, config, workspace) for submap in submaps]
     if workspace.is_done("depth"):
-        return _planned(dense, workspace)
+        return planned_keyframes(frames, submaps, workspace)
+    dense = [_plan(frames, submap, config, workspace) for submap in submaps]
     workspace.depth.mkdir(exist_ok=True)
     workspace.confidence.mkdir(exist_ok=True)
     write_json(workspace.camera, dense[0].camera.to_dict())
@@ -90,22 +90,20 @@ def complete_depth(
     workspace.finish("depth", keyframe_rows=kept, kept_share=[round(p.rectifier.kept_share, 4) for p in dense])
     skipped = total - sum(len(rows) for rows in kept)
     progress.say(f"{total - skipped} keyframes completed" + (f", {skipped} had too few points" if skipped else ""))
-    return _planned(dense, workspace)
+    return planned_keyframes(frames, submaps, workspace)
+
+
+def planned_keyframes(frames: Frames, submaps: list[Submap], workspace: Workspace) -> list[DenseSubmap]:
+    """The completed keyframes of a finished depth stage."""
+    dense = [_plan(frames, submap, workspace.config, workspace) for submap in submaps]
+    rows = workspace.result("depth")["keyframe_rows"]
+    return [replace(part, rows=np.array(r, dtype=np.int64)) for part, r in zip(dense, rows, strict=True)]
 
 
 def _plan(frames: Frames, submap: Submap, config: Config, workspace: Workspace) -> DenseSubmap:
     camera = structure_camera(frames.camera, submap)
     rows = choose_keyframes(submap, camera.width, config.depth.keyframe_motion)
     return DenseSubmap(submap, make_rectifier(camera, config.depth.max_fov_deg), rows, workspace)
-
-
-def _planned(dense: list[DenseSubmap], workspace: Workspace) -> list[DenseSubmap]:
-    """With only those keyframes that were completed."""
-    rows = workspace.result("depth")["keyframe_rows"]
-    return [
-        DenseSubmap(p.submap, p.rectifier, np.array(r, dtype=np.int64), workspace)
-        for p, r in zip(dense, rows, strict=True)
-    ]
 
 
 def _complete(

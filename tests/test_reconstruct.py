@@ -14,10 +14,10 @@ from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
 from pipeline.run import reconstruct
 
-ARTEFACTS = (
-    "run.yaml camera.json frames.json trajectory.tum keyframes.tum mesh.ply mesh.glb metrics.json report.html "
-    "sparse/0/cameras.bin sparse/0/images.bin sparse/0/points3D.bin"
-).split()
+ARTEFACTS = [
+    *("run.yaml", "camera.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
+    *("metrics.json", "report.html", "sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"),
+]
 
 
 def tiny_config(**changes):

@@ -1,0 +1,91 @@
+"""What people glue together today: COLMAP, linear interpolation, Open3D's own TSDF. The peer of `throughput.py`.
+
+    python benchmarks/peer_colmap.py RGBD_FOLDER OUT
+
+COLMAP's incremental mapper with the features and the matching overlap that `reconstruct` uses (so that the peer is not
+slowed by worse settings), every posed frame's own points interpolated (Delaunay), all posed frames fused.
+"""
+
+import sys
+from pathlib import Path
+
+import cv2  # before pycolmap: see pipeline/colmap_worker.py
+import numpy as np
+import pycolmap
+from scipy.interpolate import LinearNDInterpolator
+
+from pipeline.camera import read_camera
+from reconstruction.fusion import choose_voxel_size
+from reconstruction.open3d_import import import_open3d
+
+OVERLAP, PEAK_THRESHOLD, MAX_FEATURES = 8, 0.002, 2048
+
+
+def map_frames(folder: Path, out: Path) -> pycolmap.Reconstruction:
+    camera = read_camera(folder / "camera.json")
+    database = out / "database.db"
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.use_gpu = False
+    extraction.sift.peak_threshold, extraction.sift.max_num_features = PEAK_THRESHOLD, MAX_FEATURES
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model, reader.camera_params = camera.model, ",".join(map(str, camera.params))
+    pycolmap.extract_features(
+        database,
+        folder / "rgb",
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reader,
+        extraction_options=extraction,
+        device=pycolmap.Device.cpu,
+    )
+    pairing = pycolmap.SequentialPairingOptions()
+    pairing.overlap = OVERLAP
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    pycolmap.match_sequential(database, matching, pairing, device=pycolmap.Device.cpu)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    models = pycolmap.incremental_mapping(database, folder / "rgb", out, options)
+    return max(models.values(), key=lambda model: model.num_reg_images())
+
+
+def interpolated_depth(model: pycolmap.Reconstruction, image: pycolmap.Image, shape: tuple[int, int]) -> np.ndarray:
+    """(H,W) float32 depth from the frame's own points; 0 outside their hull."""
+    pixels = np.array([p.xy for p in image.points2D if p.has_point3D()])
+    points = np.array([model.points3D[p.point3D_id].xyz for p in image.points2D if p.has_point3D()])
+    depth = (image.cam_from_world() * points)[:, 2]
+    rows, columns = np.indices(shape) + 0.5
+    return LinearNDInterpolator(pixels, depth, fill_value=0)(columns, rows).astype(np.float32)
+
+
+def main() -> None:
+    folder, out = Path(sys.argv[1]), Path(sys.argv[2])
+    out.mkdir(parents=True, exist_ok=True)
+    model = map_frames(folder, out)
+    o3d = import_open3d()
+    camera = read_camera(folder / "camera.json")
+    matrix = camera.matrix
+    matrix[:2, 2] -= 0.5  # Open3D counts from the first pixel's centre
+    images = [image for image in model.images.values() if image.has_pose]
+    depths = {i.name: interpolated_depth(model, i, (camera.height, camera.width)) for i in images}
+    voxel = choose_voxel_size(list(depths.values()), camera.matrix)
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (o3d.core.float32,) * 3, ((1,), (1,), (3,)), voxel, 8, 20000
+    )
+    intrinsic = o3d.core.Tensor(matrix)
+    for image in images:
+        pose = np.eye(4)
+        pose[:3] = image.cam_from_world().matrix()
+        extrinsic = o3d.core.Tensor(pose)
+        depth = o3d.t.geometry.Image(o3d.core.Tensor(depths[image.name]))
+        rgb = cv2.imread(str(folder / "rgb" / image.name))[..., ::-1].astype(np.float32)
+        colour = o3d.t.geometry.Image(o3d.core.Tensor(np.ascontiguousarray(rgb)))
+        far = float(depths[image.name].max()) + voxel
+        blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, far, 4.0)
+        grid.integrate(blocks, depth, colour, intrinsic, intrinsic, extrinsic, 1.0, far, 4.0)
+    mesh = grid.extract_triangle_mesh(weight_threshold=3.0).to_legacy()
+    o3d.io.write_triangle_mesh(str(out / "mesh.ply"), mesh)
+    print(f"{len(images)} frames posed, {len(mesh.triangles)} triangles")
+
+
+if __name__ == "__main__":
+    main()
