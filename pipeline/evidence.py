@@ -38,15 +38,6 @@ class Evidence:
     def to_dict(self) -> dict[str, float]:
         return asdict(self)
 
-    def score(self, total_frames: int) -> float:
-        """Higher is better: share of frames posed, less what the light contradicts, which weighs five times.
-
-        Ties between mappers that pose the same frames fall to the one whose light agrees better and which has the
-        smaller reprojection error.
-        """
-        light = 5 * self.contrary + 0.2 * (1 + self.spearman) if self.voters else 0.2
-        return self.frames / total_frames - light - 0.02 * self.reprojection_px
-
 
 def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Smoothed brightest channel: red saturates last to zero in blood, blue first; (H,W) float32."""

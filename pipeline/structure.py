@@ -116,15 +116,30 @@ def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
 
 
 def _is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
-    if not models:
-        return True
-    evidence = models[0][1]
     settings = config.structure
-    return evidence.frames < settings.min_registered * total or evidence.contrary > settings.max_dark_near
+    return _posed(models) < settings.min_registered * total or _contrary(models) > settings.max_dark_near
 
 
 def _score(models: list[Judged], total: int) -> float:
-    return models[0][1].score(total) if models else -np.inf
+    """Higher is better: the share of frames posed, less what the light contradicts, which weighs five times.
+
+    Between mappers that pose the same frames, the light's agreement and the reprojection error of the largest model
+    decide.
+    """
+    if not models:
+        return -np.inf
+    first = models[0][1]
+    return _posed(models) / total - 5 * _contrary(models) - 0.2 * (1 + first.spearman) - 0.02 * first.reprojection_px
+
+
+def _posed(models: list[Judged]) -> int:
+    return sum(evidence.frames for _, evidence, _ in models)
+
+
+def _contrary(models: list[Judged]) -> float:
+    """Share of the voting frames of all models whose light contradicts them."""
+    voters = sum(evidence.voters for _, evidence, _ in models)
+    return sum(evidence.contrary * evidence.voters for _, evidence, _ in models) / max(voters, 1)
 
 
 def _keep(models: list[Judged], workspace: Workspace) -> None:

@@ -1,5 +1,7 @@
 """Submaps, their evidence and their sparse depth, on a made-up tube whose truth is known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from pipeline.camera import Camera
 from pipeline.colmap_worker import sequential_pairs
 from pipeline.config import SparseSettings
-from pipeline.evidence import judge_submap
+from pipeline.evidence import Evidence, judge_submap
 from pipeline.keyframes import choose_keyframes
 from pipeline.loop_pairs import loop_pairs
 from pipeline.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
+from pipeline.structure import _score
 from pipeline.submap import Submap
 
 CAMERA = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
@@ -88,7 +91,17 @@ def test_light_agrees_with_a_true_model_and_contradicts_a_mirrored_depth(tube):
     assert true.spearman < -0.8
     false = judge_submap(tube, lambda index: lit_image(tube, rows[index], exponent=1.0))
     assert false.contrary > 0.9
-    assert true.score(12) > false.score(12) + 1
+    assert _score([(tube, true, Path())], 12) > _score([(tube, false, Path())], 12) + 1
+
+
+def test_a_mapper_that_leaves_frames_out_needs_clearly_better_light_to_win(tube):
+    whole = Evidence(12, 600, 0.5, 5.0, -0.9, 0.0, 12)
+    half = Evidence(6, 300, 0.4, 5.0, -0.95, 0.0, 6)
+    wrong = Evidence(12, 600, 0.3, 5.0, -0.86, 0.17, 12)
+    scores = [_score([(tube, evidence, Path())], 12) for evidence in (whole, half, wrong)]
+    assert scores[0] > scores[1] > scores[2]
+    two_halves = [(tube, half, Path()), (tube, half, Path())]
+    assert _score(two_halves, 12) > scores[0]
 
 
 def test_one_bad_frame_shows_although_the_median_does_not(tube):
