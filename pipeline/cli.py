@@ -24,7 +24,7 @@ app = typer.Typer(
 )
 
 Source = Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="run folder [default: NAME_run]")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="run folder; NAME_run beside you if not given")]
 
 
 @app.command()
