@@ -117,8 +117,11 @@ def map_scene(job: dict[str, Any]) -> None:
         folder = output / str(number)
         folder.mkdir(exist_ok=True)
         model.write_binary(folder)
-        sigma = camera_sigma(model) if job["refine_camera"] else np.zeros(0)
-        np.savez(folder / "model.npz", allow_pickle=False, camera_sigma=sigma, **model_arrays(model))
+        np.savez(folder / "model.npz", allow_pickle=False, **model_arrays(model))
+    if job["refine_camera"]:  # last, since models that are written survive its failure
+        for number, model in enumerate(models.values()):
+            sigma = " ".join(str(s) for s in camera_sigma(model))
+            (output / str(number) / "camera_sigma.txt").write_text(sigma)
 
 
 def _map_globally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Reconstruction]:

@@ -1,7 +1,7 @@
 """Stage 3a: COLMAP's points to the sparse depth of one keyframe, each point with its relative error.
 
-A point's depth error follows from its parallax: with rays that meet at angle alpha, sigma_pixel of localisation error
-in an image of focal length f moves it by sigma_z / z = sigma_pixel / (f alpha), and n rays average it by sqrt(n / 2).
+A point's depth error follows from its parallax: n rays at angles alpha_i, each off by sigma_pixel / f, fix the depth to
+sigma_z / z = sigma_pixel / (f sqrt(sum (alpha_i - mean)^2)), the slope of a line fitted to them.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,10 @@ class SparseDepth:
 
 
 def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> tuple[NDArray, NDArray]:
-    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each."""
+    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each.
+
+    focal: of the image in which the points were found, px.
+    """
     angles = submap.triangulation_angles()
     lengths = submap.track_lengths()
     good = (
@@ -49,9 +52,8 @@ def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> t
         & (lengths >= settings.min_track_length)
         & (angles >= settings.min_angle_deg)
     )
-    parallax_px = focal * np.radians(np.maximum(angles, 1e-3))
     noise = np.maximum(settings.pixel_noise, submap.error_px)
-    return good, noise / parallax_px / np.sqrt(np.maximum(lengths, 2) / 2)
+    return good, noise / (focal * np.maximum(submap.ray_spreads(), 1e-6))
 
 
 class SparseDepthMaker:
@@ -59,7 +61,8 @@ class SparseDepthMaker:
 
     def __init__(self, submap: Submap, pinhole: Camera, settings: SparseSettings) -> None:
         self.submap, self.pinhole, self.settings = submap, pinhole, settings
-        self.good, self.error = reliable_points(submap, pinhole.focal[0], settings)
+        # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
+        self.good, self.error = reliable_points(submap, submap.camera_params[0], settings)
         order = np.argsort(submap.observations[:, 0], kind="stable")
         frame, self._points = submap.observations[order].T
         self._starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))

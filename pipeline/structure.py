@@ -37,8 +37,11 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
     if _is_doubtful(mapped["global"], len(frames.index), config):
         mapped["incremental"] = _map("incremental", job, workspace, progress)
     chosen = max(mapped, key=lambda method: _score(mapped[method], len(frames.index)))
-    models = [model for model in mapped[chosen] if len(model[0].frames) >= MIN_SUBMAP]
+    models = mapped[chosen][:1]
+    models += [model for model in mapped[chosen][1:] if model[1].contrary <= config.structure.max_dark_near]
     if not models:
+        if all((workspace.log / f"{method}.failed").exists() for method in mapped):
+            raise HaustraError(f"COLMAP failed to map the frames; its logs are in {workspace.log}")
         raise HaustraError(
             "no two frames could be related: too few features, or a camera that does not move "
             f"({len(frames.index)} frames tried)"
@@ -49,8 +52,10 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
         mapper=chosen,
         evidence={m: [e.to_dict() for _, e, _ in found] for m, found in mapped.items()},
         units=[_unit(submap) for submap, _, _ in models],
+        warnings=_warnings(models, config),
     )
-    progress.say(_sentence(models, chosen, len(frames.index)))
+    for sentence in (_sentence(models, chosen, len(frames.index)), *_warnings(models, config)):
+        progress.say(sentence)
     if not frames.camera.trusted:
         progress.say(camera_trust(frames.camera, models[0][0]))
     return load_structure(workspace)
@@ -59,7 +64,19 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
 def load_structure(workspace: Workspace) -> list[Submap]:
     """The submaps of a finished stage, scaled to units of median depth."""
     units = workspace.result("structure")["units"]
-    return [read_submap(workspace.models / str(k)).scaled(1 / unit) for k, unit in enumerate(units)]
+    read = [read_submap(workspace.models / str(k)) for k in range(len(units))]
+    return [submap.scaled(1 / unit) for submap, unit in zip(disjoint(read), units, strict=True)]
+
+
+def disjoint(submaps: list[Submap]) -> list[Submap]:
+    """Each frame to the first submap that has it: a mapper may pose one frame in several models, but a frame has one
+    depth map."""
+    claimed: set[int] = set()
+    parts = []
+    for submap in submaps:
+        parts.append(submap.without_frames(claimed))
+        claimed |= set(submap.frames.tolist())
+    return parts
 
 
 def structure_camera(camera: Camera, submap: Submap) -> Camera:
@@ -96,19 +113,24 @@ def _job(frames: Frames, config: Config, workspace: Workspace) -> dict[str, obje
 
 
 def _map(method: str, job: dict[str, object], workspace: Workspace, progress: Progress) -> list[Judged]:
-    """All models of one mapper with their evidence, most frames first."""
+    """All models of one mapper, without frames in common, with their evidence; most frames first.
+
+    A mapper that fails is told of, and what it wrote before is used; the other one may still succeed.
+    """
     output = workspace.log / method
     shutil.rmtree(output, ignore_errors=True)
+    (workspace.log / f"{method}.failed").unlink(missing_ok=True)
     job = job | {"method": method, "output": str(output)}
-    log = workspace.log / f"{method}.log"
     try:
-        run_isolated(WORKER, "map", job, log, f"structure ({method})", progress)
+        run_isolated(WORKER, "map", job, workspace.log / f"{method}.log", f"structure ({method})", progress)
     except HaustraError as error:
-        progress.say(str(error))  # the other mapper may still succeed
-        return []
-    folders = sorted(p.parent for p in output.glob("*/model.npz"))
-    judged = [(s := read_submap(f), judge_submap(s, _image_reader(workspace)), f) for f in folders]
-    return sorted(judged, key=lambda model: -len(model[0].frames))
+        progress.say(str(error))
+        (workspace.log / f"{method}.failed").write_text(str(error))
+    read = [(read_submap(p.parent), p.parent) for p in sorted(output.glob("*/model.npz"))]
+    read.sort(key=lambda model: -len(model[0].frames))
+    images = _image_reader(workspace)
+    parts = zip(disjoint([submap for submap, _ in read]), (folder for _, folder in read), strict=True)
+    return [(part, judge_submap(part, images), folder) for part, folder in parts if len(part.frames) >= MIN_SUBMAP]
 
 
 def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
@@ -116,30 +138,42 @@ def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
 
 
 def _is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
+    """Few frames posed, no frame with enough points to ask the light, or the light says no."""
     settings = config.structure
-    return _posed(models) < settings.min_registered * total or _contrary(models) > settings.max_dark_near
+    posed = sum(evidence.frames for _, evidence, _ in models)
+    unasked = not any(evidence.voters for _, evidence, _ in models)
+    return posed < settings.min_registered * total or unasked or _contrary(models) > settings.max_dark_near
 
 
 def _score(models: list[Judged], total: int) -> float:
-    """Higher is better: the share of frames posed, less what the light contradicts, which weighs five times.
+    """Higher is better: how much of the video hangs together, less what the light contradicts, which weighs five times.
 
-    Between mappers that pose the same frames, the light's agreement and the reprojection error of the largest model
-    decide.
+    Pieces count by the square of their share, so that one whole map beats two halves. Between mappers that pose the
+    same frames, the light's agreement and the reprojection error of the largest model decide.
     """
     if not models:
         return -np.inf
     first = models[0][1]
-    return _posed(models) / total - 5 * _contrary(models) - 0.2 * (1 + first.spearman) - 0.02 * first.reprojection_px
-
-
-def _posed(models: list[Judged]) -> int:
-    return sum(evidence.frames for _, evidence, _ in models)
+    whole = sum((evidence.frames / total) ** 2 for _, evidence, _ in models)
+    return whole - 5 * _contrary(models) - 0.2 * (1 + first.spearman) - 0.02 * first.reprojection_px
 
 
 def _contrary(models: list[Judged]) -> float:
     """Share of the voting frames of all models whose light contradicts them."""
     voters = sum(evidence.voters for _, evidence, _ in models)
     return sum(evidence.contrary * evidence.voters for _, evidence, _ in models) / max(voters, 1)
+
+
+def _warnings(models: list[Judged], config: Config) -> list[str]:
+    """Sentences on models that are kept although the light does not speak for them."""
+    found = []
+    for number, (_, evidence, _) in enumerate(models):
+        if evidence.voters == 0:
+            found.append(f"submap {number} has too few points to ask the light whether it is true")
+        elif evidence.contrary > config.structure.max_dark_near:
+            share = 100 * evidence.contrary
+            found.append(f"submap {number} is not to be trusted: in {share:.0f} % of its frames nearer is not brighter")
+    return found
 
 
 def _keep(models: list[Judged], workspace: Workspace) -> None:
@@ -158,8 +192,8 @@ def _unit(submap: Submap) -> float:
 def _sentence(models: list[Judged], mapper: str, total: int) -> str:
     posed = sum(len(submap.frames) for submap, _, _ in models)
     first = models[0][1]
+    light = f", light agrees in {100 * (1 - first.contrary):.0f} % of {first.voters} frames" if first.voters else ""
     return (
         f"{posed} of {total} frames posed in {len(models)} submap(s) by the {mapper} mapper: {first.points} points, "
-        f"reprojection {first.reprojection_px:.2f} px, light agrees in {100 * (1 - first.contrary):.0f} % of "
-        f"{first.voters} frames"
+        f"reprojection {first.reprojection_px:.2f} px{light}"
     )

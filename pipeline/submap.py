@@ -70,6 +70,32 @@ class Submap:
         angles[seen] = np.degrees(np.arccos(np.clip(lowest, -1, 1)))
         return angles
 
+    def ray_spreads(self) -> NDArray[np.float64]:
+        """(P,) root of the summed squared deviations of each point's unit rays from their mean, in radians.
+
+        For small angles this is sqrt(sum (alpha_i - mean)^2), the lever arm of triangulation.
+        """
+        frame, point = self.observations.T
+        rays = self.points[point] - self.centres[frame]
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+        count = np.maximum(self.track_lengths(), 1)
+        total = np.stack([np.bincount(point, rays[:, k], minlength=len(self.points)) for k in range(3)], axis=1)
+        return np.sqrt(np.maximum(self.track_lengths() - (total**2).sum(axis=1) / count, 0))
+
+    def without_frames(self, frames: set[int]) -> "Submap":
+        """The same points, seen by the other frames only."""
+        kept = ~np.isin(self.frames, sorted(frames))
+        mine = kept[self.observations[:, 0]]
+        observations = self.observations[mine].copy()
+        observations[:, 0] = (np.cumsum(kept) - 1)[observations[:, 0]]
+        return replace(
+            self,
+            frames=self.frames[kept],
+            world_from_camera=self.world_from_camera[kept],
+            observations=observations,
+            pixels=self.pixels[mine],
+        )
+
     def scaled(self, factor: float) -> "Submap":
         """The same submap in another unit."""
         poses = self.world_from_camera.copy()
@@ -79,6 +105,7 @@ class Submap:
 
 def read_submap(folder: Path) -> Submap:
     """A submap from the arrays that the COLMAP worker wrote."""
+    sigma = folder / "camera_sigma.txt"
     with np.load(folder / "model.npz", allow_pickle=False) as arrays:
         return Submap(
             np.array([int(name.split(".")[0]) for name in arrays["names"]], dtype=np.int64),
@@ -88,5 +115,5 @@ def read_submap(folder: Path) -> Submap:
             arrays["observations"],
             arrays["pixels"],
             tuple(float(p) for p in arrays["camera_params"]),
-            tuple(float(s) for s in arrays["camera_sigma"]),
+            tuple(float(s) for s in sigma.read_text().split()) if sigma.exists() else (),
         )
