@@ -9,32 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import HaustraError
-from pipeline.workspace import open_workspace
+from pipeline.workspace import damage_named, open_workspace
 from reconstruction.export import read_mesh
-from reconstruction.observed_truth import ObservedTruth, observed_truth, truth_from_mesh
+from reconstruction.observed_truth import ObservedTruth, observed_truth
 from reconstruction.surface_metrics import SurfaceErrors, surface_errors
 from reconstruction.trajectory import (
     SimCol3DErrors,
     TrajectoryErrors,
-    align_umeyama,
+    align_poses,
     associate,
     read_tum,
     simcol3d_errors,
     trajectory_errors,
 )
 
-Path3D = tuple[NDArray[np.float64], NDArray[np.float64]]
-
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of the main submap; None where the truth has no path or no surface."""
+    """Errors of the main submap; `surface` is None where the truth has none, `se3` where the run has no millimetres."""
 
     posed: int
     total: int
-    sim3: TrajectoryErrors | None
+    sim3: TrajectoryErrors
     se3: TrajectoryErrors | None
-    simcol3d: SimCol3DErrors | None
+    simcol3d: SimCol3DErrors
     surface: SurfaceErrors | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -49,58 +47,59 @@ class Comparison:
                     f"median {errors.rotation_median_deg:.3f}, max {errors.rotation_max_deg:.3f} deg "
                     f"({errors.count} camera centres after {name} alignment, scale {errors.scale:.4f})"
                 )
-        if (chained := self.simcol3d) is not None:
-            lines.append(
-                f"SimCol3D    ATE {chained.ate_median:.4f}, RTE {chained.rte_median:.4f} {chained.unit}, "
-                f"ROT {chained.rot_median_deg:.3f} deg (medians over {chained.count} motions, chained from the first "
-                "pose, one scale, no rotation fitted)"
-            )
+        chained = self.simcol3d
+        lines.append(
+            f"SimCol3D    ATE {chained.ate_median:.4f}, RTE {chained.rte_median:.4f} {chained.unit}, "
+            f"ROT {chained.rot_median_deg:.3f} deg (medians over {chained.count} motions between neighbouring posed "
+            "frames, chained from the first pose, one scale, no rotation fitted)"
+        )
         if self.surface is not None:
             lines.append(f"surface     {self.surface}")
         return "\n".join(lines)
 
 
 def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
-    """Compare a finished run with an RGB-D folder, a TUM file, or a mesh that is in the run's own frame.
+    """Compare a finished run with an RGB-D folder or a TUM file.
 
-    The surface is moved by the Sim(3) that is fitted to the camera centres alone, so that a wrong surface cannot
-    hide behind its own alignment.
+    The surface is moved by the Sim(3) that is fitted to the camera poses alone, so that a wrong surface cannot hide
+    behind its own alignment. A mesh without a path is refused: the run's frame and unit are arbitrary.
     """
     workspace = open_workspace(run)
     if not workspace.is_done("report"):
         raise HaustraError(f"the run {run} is not finished; go on with --resume")
-    metrics = json.loads(workspace.metrics.read_text())
-    seconds, poses = read_tum(workspace.trajectory)
-    path, points = _load_truth(truth)
-    sim3 = se3 = simcol3d = None
-    truth_from_run = np.eye(4)
-    if path is not None:
-        # Half the truth's frame spacing: closer than any other frame.
-        mine, theirs = associate(seconds, path[0], max_difference=0.5 * float(np.median(np.diff(path[0]))))
-        if len(mine) < 3:
-            raise HaustraError(f"only {len(mine)} frames of {run} have a true pose in {truth}; three are needed")
-        estimated, true = poses[mine], path[1][theirs]
-        truth_from_run = align_umeyama(estimated[:, :3, 3], true[:, :3, 3], with_scale=True)
-        sim3 = trajectory_errors(estimated, true, "sim3", "mm")
-        # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
-        se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
-        simcol3d = simcol3d_errors(estimated, true, "mm")
+    with damage_named(workspace.metrics):
+        metrics = json.loads(workspace.metrics.read_text())
+    with damage_named(workspace.trajectory):
+        seconds, poses = read_tum(workspace.trajectory)
+    true_seconds, true_poses, points = _load_truth(truth)
+    if len(true_seconds) < 3:
+        raise HaustraError(f"{truth} has {len(true_seconds)} poses; three are needed")
+    # Half the truth's frame spacing: closer than any other frame.
+    mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * float(np.median(np.diff(true_seconds))))
+    if len(mine) < 3:
+        raise HaustraError(f"only {len(mine)} frames of {run} have a true pose in {truth}; three are needed")
+    estimated, true = poses[mine], true_poses[theirs]
+    sim3 = trajectory_errors(estimated, true, "sim3", "mm")
+    # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
+    se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
+    simcol3d = simcol3d_errors(estimated, true, "mm")
     surface = None
     if points is not None:
-        mesh = read_mesh(workspace.mesh).transformed(truth_from_run)
+        mesh = read_mesh(workspace.mesh).transformed(align_poses(estimated, true))
         surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
     return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface)
 
 
-def _load_truth(truth: Path) -> tuple[Path3D | None, ObservedTruth | None]:
-    """(seconds and poses, surface points) of a truth, each None where it is not given."""
+def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], ObservedTruth | None]:
+    """Seconds, poses, and the surface if there is one."""
     if truth.is_dir():
         trajectory = truth / "trajectory.txt"
         if not trajectory.exists():
             raise HaustraError(f"{truth} is no RGB-D folder with truth: it has no trajectory.txt")
-        return read_tum(trajectory), observed_truth(truth)
+        has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
+        return *read_tum(trajectory), observed_truth(truth) if has_surface else None
     if truth.suffix in (".tum", ".txt") and truth.is_file():
-        return read_tum(truth), None
+        return *read_tum(truth), None
     if truth.suffix in (".ply", ".obj", ".stl", ".glb") and truth.is_file():
-        return None, truth_from_mesh(truth)
-    raise HaustraError(f"{truth} is neither an RGB-D folder, nor a TUM trajectory, nor a mesh")
+        raise HaustraError(f"{truth} is a mesh without a path to align by; put trajectory.txt beside a mesh.ply")
+    raise HaustraError(f"{truth} is neither an RGB-D folder nor a TUM trajectory")

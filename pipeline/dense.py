@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -72,7 +73,8 @@ def complete_depth(
     dense = [_plan(frames, submap, config, workspace) for submap in submaps]
     workspace.depth.mkdir(exist_ok=True)
     workspace.confidence.mkdir(exist_ok=True)
-    write_json(workspace.camera, dense[0].camera.to_dict())
+    for number, part in enumerate(dense):
+        write_json(camera_path(workspace, number), part.camera.to_dict())
     completer = DepthCompleter.load(config.model, config.device)
     total = sum(len(part) for part in dense)
     done, kept = 0, []
@@ -91,6 +93,11 @@ def complete_depth(
     skipped = total - sum(len(rows) for rows in kept)
     progress.say(f"{total - skipped} keyframes completed" + (f", {skipped} had too few points" if skipped else ""))
     return planned_keyframes(frames, submaps, workspace)
+
+
+def camera_path(workspace: Workspace, number: int) -> Path:
+    """`camera.json`, and `camera_1.json` and on for further submaps, whose lens may have been refined otherwise."""
+    return workspace.camera if number == 0 else workspace.root / f"camera_{number}.json"
 
 
 def planned_keyframes(frames: Frames, submaps: list[Submap], workspace: Workspace) -> list[DenseSubmap]:

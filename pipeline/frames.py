@@ -18,7 +18,7 @@ from pipeline.errors import HaustraError
 from pipeline.progress import Progress
 from pipeline.quality import FrameJudge
 from pipeline.video import Source
-from pipeline.workspace import Workspace, write_json
+from pipeline.workspace import Workspace, damage_named, write_json
 
 CONTENT_SAMPLES = 24  # frames looked at for the content area,
 CONTENT_STRIDE = 25  # of which 25 apart are 20 s: long enough for the view to move over all of it
@@ -139,15 +139,17 @@ def _too_few(verdicts: Counter[str]) -> str:
 
 def load_frames(workspace: Workspace) -> Frames:
     """The frames that an earlier call stored."""
-    state = json.loads(workspace.frames.read_text())
-    used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
+    with damage_named(workspace.frames):
+        state = json.loads(workspace.frames.read_text())
+        used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
+        camera = Camera(**(state["camera"] | {"params": tuple(state["camera"]["params"])}))
     content = cv2.imread(str(workspace.masks / "content.png"), cv2.IMREAD_GRAYSCALE)
     if content is None:
         raise HaustraError(f"{workspace.masks} has lost its content mask; start the run anew with --overwrite")
     return Frames(
         np.array([index for index, _ in used]),
         np.array([seconds for _, seconds in used]),
-        Camera(**(state["camera"] | {"params": tuple(state["camera"]["params"])})),
+        camera,
         content,
         dict(Counter(verdict for _, _, verdict in state["frames"])),
     )

@@ -63,6 +63,7 @@ def _summary(metrics: dict[str, Any]) -> str:
     ]
     for number, submap in enumerate(metrics["submaps"]):
         rows += _submap_rows(number, submap)
+    rows += [("warning", warning) for warning in metrics["warnings"]]
     rows += [("note", note) for note in frames["notes"]]
     cells = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(str(b))}</td></tr>" for a, b in rows)
     return f"<table>{cells}</table>"
@@ -70,6 +71,7 @@ def _summary(metrics: dict[str, Any]) -> str:
 
 def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
     unit, witness = submap["unit"], submap["evidence"]
+    light = f"of {witness['voters']} frames (Spearman {witness['spearman']:.2f} in the median)"
     return [
         (
             f"submap {number}",
@@ -80,12 +82,18 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
         (
             "evidence",
             f"reprojection error {witness['reprojection_px']:.2f} px (mean); triangulation angle "
-            f"{witness['angle_deg']:.1f}° (median); nearer is brighter in {100 * (1 - witness['contrary']):.0f} % "
-            f"of {witness['voters']} frames (Spearman {witness['spearman']:.2f} in the median)",
+            f"{witness['angle_deg']:.1f}° (median); nearer is brighter in "
+            f"{100 * (1 - witness['contrary']):.0f} % {light}",
         ),
         ("scale", submap["scale"]),
-        ("calibration", submap["camera"]["trust"]),
+        ("calibration", submap["camera"]["trust"] + _cut(submap["rectified_share"])),
     ]
+
+
+def _cut(kept: float) -> str:
+    if kept > 0.995:
+        return ""
+    return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
 def _mesh_views(part: DenseSubmap, surface: Surface) -> str:

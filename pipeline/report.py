@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.dense import DenseSubmap
+from pipeline.dense import DenseSubmap, camera_path
+from pipeline.depth_maps import DEPTH_STEP
 from pipeline.frames import Frames
 from pipeline.isolation import run_isolated
 from pipeline.page import write_page
@@ -50,9 +51,7 @@ def write_report(
         _write_paths(frames, part, surface, number, workspace)
     _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
-    main = surfaces[0].scale
-    workspace.record["unit"] = main.unit
-    workspace.record["depth_png_step"] = {"value": _depth_step(surfaces[0]), "unit": main.unit}
+    workspace.record["submaps"] = [_submap_record(*pair) for pair in enumerate(zip(dense, surfaces, strict=True))]
     metrics = collect_metrics(frames, dense, surfaces, workspace)
     write_json(workspace.metrics, metrics)
     write_page(frames, dense, surfaces, metrics, workspace)
@@ -62,10 +61,15 @@ def write_report(
     return result
 
 
-def _depth_step(surface: Surface) -> float:
-    from pipeline.depth_maps import DEPTH_STEP
-
-    return DEPTH_STEP * surface.scale.factor
+def _submap_record(number: int, pair: tuple[DenseSubmap, Surface]) -> dict[str, Any]:
+    """How to read a submap's depth maps: unit, step of the PNGs, camera, and which frames they are."""
+    part, surface = pair
+    return {
+        "unit": surface.scale.unit,
+        "depth_png_step": DEPTH_STEP * surface.scale.factor,
+        "camera": camera_path(part.workspace, number).name,
+        "keyframes": part.submap.frames[part.rows].tolist(),
+    }
 
 
 def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
@@ -139,7 +143,9 @@ def collect_metrics(
             "notes": workspace.result("frames")["notes"],
         },
         "camera": workspace.result("frames")["camera_origin"],
+        "front_end": "sfm",
         "mapper": structure["mapper"],
+        "warnings": structure["warnings"],
         "model": workspace.record["config"]["model"],
         "submaps": submaps,
         "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],

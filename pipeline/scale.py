@@ -49,9 +49,11 @@ def check_scale_file(path: Path) -> dict[str, float]:
         numbers = {str(name): float(value) for name, value in values.items()}
     except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
         raise HaustraError(f"cannot read the scale file {path}: it must name numbers ({error})") from error
-    if set(numbers) not in ({"mm_per_unit"}, {"frame_a", "frame_b", "distance_mm"}) or min(numbers.values()) < 0:
+    lengths = [numbers.get(name, 1.0) for name in ("mm_per_unit", "distance_mm")]
+    known = set(numbers) in ({"mm_per_unit"}, {"frame_a", "frame_b", "distance_mm"})
+    if not known or not np.isfinite(list(numbers.values())).all() or min(lengths) <= 0:
         raise HaustraError(
-            f"the scale file {path} must give mm_per_unit, or frame_a, frame_b and distance_mm, none negative"
+            f"the scale file {path} must give mm_per_unit, or frame_a, frame_b and distance_mm, as positive numbers"
         )
     return numbers
 

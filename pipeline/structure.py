@@ -19,7 +19,7 @@ from pipeline.frames import Frames, read_image
 from pipeline.isolation import run_isolated
 from pipeline.progress import Progress
 from pipeline.submap import Submap, read_submap
-from pipeline.workspace import Workspace
+from pipeline.workspace import Workspace, damage_named
 
 WORKER = "pipeline.colmap_worker"
 MIN_SUBMAP = 3  # frames
@@ -64,7 +64,8 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
 def load_structure(workspace: Workspace) -> list[Submap]:
     """The submaps of a finished stage, scaled to units of median depth."""
     units = workspace.result("structure")["units"]
-    read = [read_submap(workspace.models / str(k)) for k in range(len(units))]
+    with damage_named(workspace.models):
+        read = [read_submap(workspace.models / str(k)) for k in range(len(units))]
     return [submap.scaled(1 / unit) for submap, unit in zip(disjoint(read), units, strict=True)]
 
 

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from reconstruction.export import read_mesh, write_mesh
 
 from pipeline.config import Config
 from pipeline.dense import DenseSubmap
 from pipeline.errors import HaustraError
 from pipeline.progress import Progress
-from pipeline.scale import Scale, find_scale
+from pipeline.scale import SCENE, Scale, find_scale
 from pipeline.workspace import Workspace, open_workspace
+from reconstruction.export import read_mesh, write_mesh
 from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.mesh import SurfaceMesh, drop_small_components
 
@@ -34,7 +34,9 @@ def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, p
         return load_surfaces(workspace)
     records = []
     for number, part in enumerate(dense):
-        surface = _fuse(part, config, f"fusion of submap {number}", progress)
+        # A scale file speaks of the first submap: the others have units of their own.
+        own = config if number == 0 else config.model_copy(update={"scale_file": None})
+        surface = _fuse(part, own, f"fusion of submap {number}", progress)
         if number == 0 and len(surface.mesh.faces) == 0:
             raise HaustraError(
                 "the keyframes agree on no surface: too few of them see the same place "
@@ -76,6 +78,8 @@ def mesh_path(workspace: Workspace, number: int) -> Path:
 
 def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> Surface:
     settings = fusion_settings(part, config)
+    if settings is None:
+        return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
     fusion = SurfaceFusion(settings)
     with progress.bar(label, len(part)) as advance:
         for done, keyframe in enumerate(part):
@@ -90,10 +94,12 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     return Surface(mesh.transformed(output_from_scene), scale, settings.voxel_size * scale.factor, dropped_share)
 
 
-def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings:
-    """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes."""
+def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
+    """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
     step = max(1, len(part) // VOXEL_SAMPLES)
     depths = [part.keyframe(int(row)).depth for row in part.rows[::step]]
+    if not any((depth > 0).any() for depth in depths):
+        return None
     median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
     return FusionSettings(
         voxel_size=config.fusion.voxel_size or choose_voxel_size(depths, part.camera.matrix),

@@ -1,7 +1,8 @@
 """The run folder: the name of each artefact, and what is done already.
 
 `run.yaml` is the run's memory. A stage is recorded there after its artefacts are whole on disk, so a run that was
-stopped anywhere goes on after its last finished stage; files are replaced, never written in place.
+stopped anywhere goes on after its last finished stage. Records and depth maps are replaced as wholes; a stage that was
+stopped is done again.
 """
 
 import hashlib
@@ -10,6 +11,9 @@ import json
 import os
 import platform
 import shutil
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,6 @@ import yaml
 from pipeline.config import Config, validate_config
 from pipeline.errors import HaustraError
 
-STAGES = ("frames", "structure", "depth", "surface", "report")
 PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "opencv-python-headless", "av")
 
 
@@ -89,7 +92,7 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
         _clear(workspace)
     elif root.exists() and any(root.iterdir()):
         raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
-    identity = {"path": str(source.resolve()), "sha256": digest(source)}
+    identity = {"path": str(source.resolve()), "sha256": _identity(source, config)}
     try:
         root.mkdir(parents=True, exist_ok=True)
         workspace.log.mkdir(exist_ok=True)
@@ -111,7 +114,7 @@ def open_workspace(root: Path) -> Workspace:
         raise HaustraError(f"{root} is not a run folder: it has no run.yaml")
     try:
         workspace.record = yaml.safe_load(workspace.record_path.read_text())
-        workspace.record["stages"], workspace.record["config"]
+        workspace.record["stages"], workspace.record["config"], workspace.record["source"]["sha256"]["source"]
     except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError) as error:
         raise HaustraError(f"{workspace.record_path} is damaged; start the run anew with --overwrite") from error
     return workspace
@@ -120,20 +123,36 @@ def open_workspace(root: Path) -> Workspace:
 def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
     """An existing run of the same source and settings, to go on with."""
     workspace = open_workspace(root)
-    if workspace.record["source"]["sha256"] != digest(source):
+    now, then = _identity(source, config), workspace.record["source"]["sha256"]
+    if now["source"] != then["source"]:
         raise HaustraError(f"{root} is a run of another video; --resume needs the same one")
     if workspace.config != config:
         raise HaustraError(f"{root} was run with other settings; repeat them, or use --overwrite")
+    for name in now:
+        if now[name] != then.get(name):
+            raise HaustraError(f"{root} was run with another {name}; its contents have changed since")
     return workspace
 
 
+def _identity(source: Path, config: Config) -> dict[str, str]:
+    """SHA-256 of everything outside the run folder that the run depends on."""
+    files = {"camera file": config.camera, "scale file": config.scale_file, "model file": config.model}
+    if source.is_dir():
+        files["camera file"] = str(source / "camera.json") if config.camera == "auto" else config.camera
+    found = {name: digest(Path(path)) for name, path in files.items() if path is not None and Path(path).is_file()}
+    return {"source": digest(source), **found}
+
+
 def _clear(workspace: Workspace) -> None:
-    """Remove what a run writes, and nothing else that a user may have put there."""
+    """Remove what a run writes, and nothing else that a user may have put there; its record first, so that a stop in
+    between leaves no record of stages whose files are gone."""
+    workspace.record_path.unlink()
     for path in vars(workspace).values():
         if isinstance(path, Path) and path != workspace.root:
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    for path in workspace.root.glob("features.db-*"):
-        path.unlink()
+    for pattern in ("features.db-*", "mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json"):
+        for path in workspace.root.glob(pattern):
+            path.unlink()
 
 
 def digest(source: Path) -> str:
@@ -169,3 +188,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2) + "\n")
+
+
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """What goes wrong while reading a run's own file becomes one sentence that names it."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise HaustraError(f"{path} is missing or damaged; start the run anew with --overwrite") from error

@@ -191,6 +191,23 @@ def _align_poses(estimated: Array, truth: Array, with_scale: bool) -> Array:
     return about_the_line @ truth_from_estimate
 
 
+def align_poses(estimated: Array, truth: Array) -> Array:
+    """The Sim(3) `truth_from_estimate` (4x4) that fits centres and orientations of poses (N,4,4) together.
+
+    Centres of a nearly straight path leave the roll about it open, and a surface 20 mm off the path would move by
+    millimetres. So each camera also gives the tips of its three axes, as long as the true centres' spread.
+    """
+    estimated, truth = _paired(estimated, truth)
+    from_centres = align_umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale=True)
+    scale = float(np.cbrt(np.linalg.det(from_centres[:3, :3])))
+    reach = float(np.sqrt(truth[:, :3, 3].var(axis=0).sum()))
+    points = [
+        np.concatenate([poses[:, :3, 3], *(poses[:, :3, 3] + length * poses[:, :3, axis] for axis in range(3))])
+        for poses, length in ((estimated, reach / scale), (truth, reach))
+    ]
+    return align_umeyama(points[0], points[1], with_scale=True)
+
+
 def _best_roll(axis: Array, rotations: Array, true_rotations: Array) -> Array:
     """The rotation about `axis` that brings `rotations` (N,3,3) nearest to the true ones, by the sum of traces.
 

@@ -65,6 +65,50 @@ def test_variable_frame_rate_keeps_the_time_stamps(tmp_path):
     np.testing.assert_allclose([f.seconds for f in Source(path)], np.array(stamps) / 1000, atol=2e-3)
 
 
+def test_pixels_are_made_square(tmp_path):
+    path = write_video(tmp_path / "sar.mp4", textured_frames(3), **{"x264-params": "sar=3/2"})
+    source = Source(path)
+    assert next(iter(source)).rgb.shape == (160, 240, 3)
+    assert any("not square" in note for note in source.notes)
+
+
+def test_damage_in_the_middle_costs_only_what_is_damaged(tmp_path):
+    path = write_video(tmp_path / "a.mp4", textured_frames(60), g="10")
+    data = bytearray(path.read_bytes())
+    half = len(data) // 2
+    data[half : half + 200] = bytes(200)
+    path.write_bytes(bytes(data))
+    frames = list(Source(path))
+    assert len(frames) > 40
+    assert frames[-1].seconds == pytest.approx(59 / 30, abs=0.01)
+
+
+def test_an_unpadded_data_set_is_read_in_the_order_of_its_numbers(tmp_path):
+    """C3VD's cecum_t1_a: unpadded numbers, and maps of other kinds in the same folder."""
+    for i in (0, 1, 2, 10, 11):
+        for kind in ("color", "normals", "occlusion"):
+            cv2.imwrite(str(tmp_path / f"{i}_{kind}.png"), textured_frames(1)[0])
+    source = Source(tmp_path)
+    assert [p.name for p in source.images] == [f"{i}_color.png" for i in (0, 1, 2, 10, 11)]
+    assert source.notes == [f"10 images of other kinds in {tmp_path.name} were left out"]
+
+
+def test_kinds_of_images_are_not_guessed(tmp_path):
+    for i in range(4):
+        for kind in ("left", "right"):
+            cv2.imwrite(str(tmp_path / f"{kind}{i}.png"), textured_frames(1)[0])
+    with pytest.raises(HaustraError, match="several kinds of images"):
+        Source(tmp_path)
+
+
+def test_an_rgbd_folder_keeps_its_frame_rate(tmp_path):
+    (tmp_path / "rgb").mkdir()
+    for i, frame in enumerate(textured_frames(3)):
+        cv2.imwrite(str(tmp_path / "rgb" / f"{i:05d}.png"), frame)
+    (tmp_path / "camera.json").write_text('{"fps": 25}')
+    np.testing.assert_allclose([f.seconds for f in Source(tmp_path)], [0, 0.04, 0.08])
+
+
 def test_an_image_folder_is_read_in_name_order_without_depth_maps(tmp_path):
     for i, frame in enumerate(textured_frames(3)):
         cv2.imwrite(str(tmp_path / f"FrameBuffer_{i:04d}.png"), frame)

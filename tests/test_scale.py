@@ -71,7 +71,9 @@ def test_scale_files(tmp_path):
     assert find_scale(Config(scale_file=str(path)), submap_of(poses), mesh).factor == pytest.approx(12 / true)
     for text, words in (
         ("frame_a: 0\nframe_b: 99\ndistance_mm: 12.0", "frame 99 of the scale file"),
-        ("mm_per_unit: -1", "none negative"),
+        ("mm_per_unit: -1", "positive numbers"),
+        ("mm_per_unit: 0", "positive numbers"),
+        ("mm_per_unit: .nan", "positive numbers"),
         ("width: 3", "must give mm_per_unit"),
         ("mm_per_unit: wide", "must name numbers"),
     ):
