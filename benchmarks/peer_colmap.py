@@ -38,7 +38,7 @@ def map_frames(folder: Path, out: Path) -> pycolmap.Reconstruction:
         device=pycolmap.Device.cpu,
     )
     pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap = OVERLAP
+    pairing.overlap, pairing.quadratic_overlap = OVERLAP, False
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     pycolmap.match_sequential(database, matching, pairing, device=pycolmap.Device.cpu)

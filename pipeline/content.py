@@ -1,7 +1,7 @@
 """Where a frame shows tissue: the lit disc or octagon of the endoscope, less the lamp's mirror images.
 
-The area is found once per video from the brightest value that each pixel takes over many frames, since a dark lumen
-moves and the black border does not. Text burned into the border is a separate patch and falls away.
+The area is found once per video from the (nearly) brightest value that each pixel takes over many frames, since a
+dark lumen moves and the black border does not. Text burned into the border is a separate patch and falls away.
 """
 
 from collections.abc import Iterable
@@ -24,19 +24,15 @@ class ContentArea:
     mask: NDArray[np.uint8]
     box: tuple[int, int, int, int]
 
-    @property
-    def is_full_frame(self) -> bool:
-        return bool((self.mask > 0).all())
-
 
 def find_content(frames: Iterable[NDArray[np.uint8]]) -> ContentArea:
     """Content area of frames (H,W,3) uint8 RGB; raises `HaustraError` when all of them are black."""
-    brightest: NDArray[np.uint8] | None = None
-    for rgb in frames:
-        value = cv2.blur(rgb.max(axis=2), (5, 5))
-        brightest = value if brightest is None else np.maximum(brightest, value)
-    if brightest is None:
+    values = np.array([cv2.blur(rgb.max(axis=2), (5, 5)) for rgb in frames])
+    if len(values) == 0:
         raise HaustraError("the video holds no frames")
+    # The third brightest of many: a title card or two must not light the border.
+    rank = min(2, len(values) // 4)
+    brightest = np.partition(values, len(values) - 1 - rank, axis=0)[len(values) - 1 - rank]
     lit = (brightest > BORDER_LEVEL).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(lit)
     if count < 2 or stats[1:, cv2.CC_STAT_AREA].max() < MIN_CONTENT * lit.size:

@@ -3,6 +3,7 @@
 import itertools
 import json
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +13,12 @@ from numpy.typing import NDArray
 
 from pipeline.calibration import calibrate
 from pipeline.camera import Camera
-from pipeline.config import Config
+from pipeline.config import Config, FrameSettings
 from pipeline.content import ContentArea, find_content, highlight_mask
 from pipeline.errors import HaustraError
 from pipeline.progress import Progress
 from pipeline.quality import FrameJudge
-from pipeline.video import Source
+from pipeline.video import RawFrame, Source
 from pipeline.workspace import Workspace, damage_named, write_json
 
 CONTENT_SAMPLES = 24  # frames looked at for the content area,
@@ -45,9 +46,9 @@ def read_frames(source: Source, config: Config, workspace: Workspace, progress: 
         return load_frames(workspace)
     for folder in (workspace.images, workspace.masks):
         folder.mkdir(exist_ok=True)
-    area, size = _find_area(source)
+    area, size = _find_area(source, config.frames)
     calibration = calibrate(config.camera, source.path, size, area.box)
-    scale = min(1.0, config.frames.long_side / max(area.box[2:]))
+    scale = _working_scale(area.box[2:], config.frames.long_side)
     camera = calibration.camera.cropped_and_scaled(*area.box, scale)
     verdicts = _store_frames(source, config, area, camera, workspace, progress)
     counts = Counter(verdict for _, _, verdict in verdicts)
@@ -62,18 +63,37 @@ def read_frames(source: Source, config: Config, workspace: Workspace, progress: 
     return load_frames(workspace)
 
 
-def _find_area(source: Source) -> tuple[ContentArea, tuple[int, int]]:
+def _working_scale(box: tuple[int, int], long_side: int) -> float:
+    """Scale to about `long_side` at which both sides come out whole: rounding one would stretch the image against the
+    camera, by half a pixel at the border. One source pixel is never made larger."""
+    longer, shorter = max(box), min(box)
+    if longer <= long_side:
+        return 1.0
+    sizes = np.arange(round(0.95 * long_side), long_side + 1)
+    misfit = np.abs(shorter * sizes / longer - np.round(shorter * sizes / longer))
+    return float(sizes[misfit <= misfit.min() + 0.02][-1] / longer)
+
+
+def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tuple[int, int]]:
     """Content area and frame size (width, height); a black opening is skipped, black all through is an error."""
     stride = CONTENT_STRIDE
     if 0 < source.announced < CONTENT_SAMPLES * CONTENT_STRIDE:
         stride = max(1, source.announced // CONTENT_SAMPLES)
-    sampled = (frame.rgb for frame in itertools.islice(source, 0, None, stride))
+    sampled = (frame.rgb for frame in itertools.islice(_in_range(source, settings), 0, None, stride))
     while window := list(itertools.islice(sampled, CONTENT_SAMPLES)):
         try:
             return find_content(window), (window[0].shape[1], window[0].shape[0])
         except HaustraError:
             continue
     raise HaustraError("the video is black: no part of any frame is ever lit")
+
+
+def _in_range(source: Source, settings: FrameSettings) -> Iterator[RawFrame]:
+    for frame in source:
+        if settings.end_s is not None and frame.seconds >= settings.end_s:
+            return
+        if frame.seconds >= settings.start_s:
+            yield frame
 
 
 def _store_frames(
@@ -90,12 +110,10 @@ def _store_frames(
     judge = FrameJudge(settings)
     verdicts: list[tuple[int, float, str]] = []
     with progress.bar("reading frames", source.announced or None) as advance:
-        for frame in source:
+        for frame in _in_range(source, settings):
             advance(frame.index + 1)
-            if frame.index % settings.stride or frame.seconds < settings.start_s:
+            if frame.index % settings.stride:
                 continue
-            if settings.end_s is not None and frame.seconds >= settings.end_s:
-                break
             rgb = _resized(frame.rgb, area, camera, cv2.INTER_AREA)
             verdict = judge.judge(rgb, content)
             verdicts.append((frame.index, frame.seconds, verdict))

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from reconstruction.open3d_import import import_open3d
 
-DIRECTIONS = 36  # diameters tried across each station
-MIN_HITS = 0.6  # share of those diameters with surface at both ends
+DIRECTIONS = 72  # rays across each station
+MIN_HITS = 0.7  # share of them that must meet the surface
+MAX_POSES = 400  # along the path; more only measure the same places again
 
 
 @dataclass(frozen=True)
@@ -28,25 +29,34 @@ def measure_lumen(
 ) -> LumenWidth | None:
     """Median diameter across the path of the cameras, or None if nothing surrounds it.
 
-    At each camera centre, and `reach` ahead of it, rays go out square to the path; where enough opposite pairs both
-    meet the surface, the station's diameter is the median of the pairs' lengths. `reach` (mesh unit) also is the
-    chord over which the path's direction is taken, so that wobble does not turn it.
+    At each camera centre, and `reach` ahead of it, rays go out square to the path. Where enough of them meet the
+    surface they bound a polygon (gaps are bridged), and the station's diameter is that of the circle of its area, so
+    that it does not depend on where in the lumen the camera is. `reach` (mesh unit) also is the chord over which the
+    path's direction is taken, so that wobble does not turn it.
     """
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
-    origins, axes = _stations(world_from_camera, reach)
-    angles = np.arange(2 * DIRECTIONS) * np.pi / DIRECTIONS
+    step = -(-len(world_from_camera) // MAX_POSES)
+    origins, axes = _stations(world_from_camera[::step], reach)
+    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     first, second = _square_to(axes)
     rays = np.cos(angles)[None, :, None] * first[:, None] + np.sin(angles)[None, :, None] * second[:, None]
     packed = np.concatenate([np.broadcast_to(origins[:, None], rays.shape), rays], axis=2)
-    hit = scene.cast_rays(o3d.core.Tensor(packed.astype(np.float32)))["t_hit"].numpy()
-    across = hit[:, :DIRECTIONS] + hit[:, DIRECTIONS:]
-    enough = np.isfinite(across).mean(axis=1) >= MIN_HITS
+    radius = scene.cast_rays(o3d.core.Tensor(packed.astype(np.float32)))["t_hit"].numpy()
+    enough = np.isfinite(radius).mean(axis=1) >= MIN_HITS
     if not enough.any():
         return None
-    measured = np.where(np.isfinite(across[enough]), across[enough], np.nan)
-    return LumenWidth(float(np.median(np.nanmedian(measured, axis=1))), int(enough.sum()), len(enough))
+    diameters = [_diameter(angles, r) for r in radius[enough].astype(np.float64)]
+    return LumenWidth(float(np.median(diameters)), int(enough.sum()), len(enough))
+
+
+def _diameter(angles: NDArray[np.float64], radius: NDArray[np.float64]) -> float:
+    """Of the circle with the area of the polygon that the hits span; infinite radii are interpolated round."""
+    hit = np.isfinite(radius)
+    filled = np.interp(angles, angles[hit], radius[hit], period=2 * np.pi)
+    area = 0.5 * np.sin(angles[1] - angles[0]) * float(filled @ np.roll(filled, 1))
+    return 2 * float(np.sqrt(area / np.pi))
 
 
 def _stations(poses: NDArray[np.float64], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -131,7 +131,13 @@ def test_content_is_the_lit_disc_without_burned_in_text():
 
 
 def test_content_is_the_whole_frame_when_there_is_no_border():
-    assert find_content(textured_frames(5)).is_full_frame
+    assert (find_content(textured_frames(5)).mask == 255).all()
+
+
+def test_a_title_card_does_not_light_the_border():
+    canvases = on_black(textured_frames(16, 200), (300, 500), (50, 250), disc(200))
+    canvases[3] = np.full_like(canvases[3], 200)
+    assert find_content(canvases).box[0] >= 250
 
 
 def test_black_has_no_content():

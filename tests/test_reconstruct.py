@@ -1,9 +1,14 @@
 """From a tiny phantom's video to a surface: the whole command, what it leaves, and going on after a stop."""
 
 import json
+import shutil
 import sys
+from contextlib import contextmanager
+from dataclasses import replace
 
+import cv2
 import numpy as np
+import psutil
 import pytest
 import yaml
 
@@ -12,7 +17,15 @@ from pipeline import cli, surface
 from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
+from pipeline.dense import planned_keyframes
+from pipeline.errors import HaustraError
+from pipeline.frames import load_frames
+from pipeline.isolation import run_isolated
+from pipeline.progress import SilentProgress
 from pipeline.run import reconstruct
+from pipeline.structure import load_structure
+from pipeline.workspace import open_workspace
+from reconstruction.errors import ReconstructionError
 
 ARTEFACTS = [
     *("run.yaml", "camera.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
@@ -39,7 +52,11 @@ def test_every_artefact_of_the_contract_is_there(finished):
     assert len(list((folder / "confidence").glob("*.png"))) == keyframes
     record = yaml.safe_load((folder / "run.yaml").read_text())
     assert set(record["stages"]) == {"frames", "structure", "depth", "surface", "report"}
-    assert record["unit"] == "mm"
+    entry = record["submaps"][0]
+    assert entry["unit"] == "mm"
+    first = entry["keyframes"][0]
+    steps = cv2.imread(str(folder / "depth" / f"{first:06d}.png"), cv2.IMREAD_UNCHANGED)
+    assert 5 < np.median(steps * entry["depth_png_step"]) < 80
 
 
 def test_error_against_the_clips_truth(finished):
@@ -116,10 +133,45 @@ def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch
         assert (folder / name).read_bytes() == (finished[0] / name).read_bytes(), f"{name} depends on the stop"
 
 
-def test_a_killed_worker_is_one_sentence(tmp_path, monkeypatch):
-    from pipeline.errors import HaustraError
-    from pipeline.isolation import run_isolated
-    from pipeline.progress import SilentProgress
+class StopAtOnce(SilentProgress):
+    """Ctrl-C as soon as COLMAP reports its first step."""
 
+    @contextmanager
+    def bar(self, label, total):
+        def advance(done, total=None):
+            if label == "features and matches":
+                raise KeyboardInterrupt
+
+        yield advance
+
+
+def test_ctrl_c_stops_colmap_at_once_and_resume_goes_on(tmp_path, finished):
+    folder = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(VIDEO, folder, tiny_config(), progress=StopAtOnce())
+    workers = [p for p in psutil.process_iter(["cmdline"]) if "pipeline.colmap_worker" in (p.info["cmdline"] or [])]
+    assert workers == []
+    reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    assert compare_run(folder, FOLDER).sim3.ate_rmse < 0.1
+
+
+@pytest.mark.parametrize("name", ["frames.json", "mesh.ply", "log/models/0/model.npz"])
+def test_a_damaged_run_is_named(finished, tmp_path, name):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished[0], folder)
+    (folder / name).write_bytes(b"\x00damage")
+    with pytest.raises((HaustraError, ReconstructionError), match=r"damaged|cannot be read"):
+        reconstruct(VIDEO, folder, tiny_config(), resume=True)
+
+
+def test_submaps_without_depth_end_empty_and_not_in_a_crash(finished, monkeypatch):
+    workspace = open_workspace(finished[0])
+    part = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)[0]
+    empty = replace(part, rows=part.rows[:0])
+    surfaced = surface._fuse(empty, tiny_config(), "fusion", SilentProgress())
+    assert len(surfaced.mesh.faces) == 0
+
+
+def test_a_failing_worker_is_one_sentence(tmp_path, monkeypatch):
     with pytest.raises(HaustraError, match=r"structure failed \(exit code 1\); its log is"):
         run_isolated("pipeline.colmap_worker", "map", {}, tmp_path / "x.log", "structure", SilentProgress())

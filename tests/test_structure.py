@@ -13,7 +13,7 @@ from pipeline.evidence import Evidence, judge_submap
 from pipeline.keyframes import choose_keyframes
 from pipeline.loop_pairs import loop_pairs
 from pipeline.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
-from pipeline.structure import _score
+from pipeline.structure import _score, disjoint
 from pipeline.submap import Submap
 
 CAMERA = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
@@ -181,6 +181,16 @@ def test_points_hidden_behind_a_nearer_surface_are_not_lent():
     sparse = SparseDepthMaker.sparse_depth(maker, 0)
     assert (sparse.depth == 10).all()
     assert len(sparse.depth) == 60
+
+
+def test_a_frame_belongs_to_one_submap_only(tube):
+    first, second = tube.without_frames({16, 18, 20, 22}), tube.without_frames({0, 2, 4})
+    parts = disjoint([first, second])
+    assert parts[0].frames.tolist() == list(range(0, 16, 2))
+    assert parts[1].frames.tolist() == [16, 18, 20, 22]
+    pixels = CAMERA.project(parts[1].points_in_camera(2, parts[1].points))
+    mine = parts[1].observations[:, 0] == 2
+    np.testing.assert_allclose(parts[1].pixels[mine], pixels[parts[1].observations[mine, 1]], atol=1e-6)
 
 
 def test_a_still_camera_has_one_keyframe_and_a_moving_one_several(tube):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.trajectory import (
+    align_poses,
     align_umeyama,
     associate,
     read_tum,
@@ -207,3 +208,17 @@ def test_pairs_and_shapes_are_checked():
         trajectory_errors(path[:, :3], path[:, :3])
     with pytest.raises(ReconstructionError, match="alignment is one of"):
         trajectory_errors(path, path, "sim(3)")
+
+
+def test_a_surface_off_a_straight_path_is_aligned_by_the_orientations():
+    """Centres alone leave the roll open: a wall 20 mm off the path would land anywhere on a circle."""
+    rng = np.random.default_rng(0)
+    truth = np.tile(np.eye(4), (40, 1, 1))
+    truth[:, :3, :3] = Rotation.from_euler("xyz", rng.normal(0, 5, (40, 3)), degrees=True).as_matrix()
+    truth[:, 2, 3] = np.linspace(0, 60, 40)
+    estimate = np.linalg.inv(truth[0]) @ truth
+    estimate[:, :3, 3] = (estimate[:, :3, 3] + rng.normal(0, 0.05, (40, 3))) / 7
+    wall = truth[10] @ np.array([20.0, 0, 15, 1])
+    in_estimate = (np.linalg.inv(truth[0]) @ wall)[:3] / 7
+    found = align_poses(estimate, truth) @ np.append(in_estimate, 1)
+    assert np.linalg.norm(found - wall) < 0.1
