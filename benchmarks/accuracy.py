@@ -40,21 +40,27 @@ def main() -> None:
     parser.add_argument("--model", default="mscsa")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    runs = []
+    runs: list[dict[str, float]] = []
+    failed: list[str] = []
     with tempfile.TemporaryDirectory() as scratch:
         video = encode_video(sorted((arguments.folder / "rgb").glob("*.png")), Path(scratch) / "video.mp4")
         for seed in range(arguments.seeds):
-            runs.append(one_run(arguments.folder, video, Path(scratch) / f"run{seed}", seed, arguments.model))
-            print(
-                f"seed {seed}: " + ", ".join(f"{name} {value:.4g}" for name, value in runs[-1].items()),
-                flush=True,
-            )
+            try:
+                runs.append(one_run(arguments.folder, video, Path(scratch) / f"run{seed}", seed, arguments.model))
+            except ValueError as error:  # every known failure; it counts as a wrong run
+                failed.append(f"seed {seed}: {error}")
+                print(failed[-1], flush=True)
+                continue
+            print(f"seed {seed}: " + ", ".join(f"{name} {value:.4g}" for name, value in runs[-1].items()), flush=True)
+    if not runs:
+        raise SystemExit("every run failed")
     summary = {name: spread([run[name] for run in runs]) for name in runs[0]}
-    wrong = sum(run["rotation_deg"] > 5 for run in runs)
-    print(f"wrong runs: {wrong} of {len(runs)}; worst ATE {summary['ate_mm']['max']:.4f} mm")
+    wrong = len(failed) + sum(run["rotation_deg"] > 5 for run in runs)
+    print(f"wrong runs: {wrong} of {arguments.seeds}; worst ATE {summary['ate_mm']['max']:.4f} mm")
     for name, values in summary.items():
         print(f"{name:16} median {values['median']:.4g}  [{values['min']:.4g}, {values['max']:.4g}]")
-    write(arguments.json, {"folder": arguments.folder.name, "wrong": wrong, "figures": summary})
+    about = {"folder": arguments.folder.name, "model": arguments.model, "seeds": list(range(arguments.seeds))}
+    write(arguments.json, {**about, "wrong": wrong, "failed": failed, "figures": summary})
 
 
 if __name__ == "__main__":

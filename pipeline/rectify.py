@@ -1,7 +1,8 @@
 """Distorted frames to a pinhole's: the completion network and fusion then need no lens model.
 
-The pinhole is the widest useful one: it shows the whole of the source image, unless that needs more than a stated
-field of view, beyond which a pinhole image is mostly stretched border. What is cut is counted, not hidden.
+The pinhole is the widest useful one: as wide as the source along its axes, but no wider than a stated field of view,
+beyond which a pinhole image is mostly stretched border. Corners of a barrel image are cut. How much of the source is
+kept is counted and reported.
 """
 
 import math

@@ -9,6 +9,7 @@ from completion.attention import StructureAwareness
 from completion.infer import DepthCompleter
 from completion.nconv import MultiScaleConfidence, NormalizedConv2d, confidence_pool
 from completion.network import MSCSAConfig, MSCSANet, ScaleFreeMSCSANet
+from completion.sampling import SfmPattern, sample_features, sample_like_sfm, sample_uniform
 
 
 @pytest.fixture(autouse=True)
@@ -167,3 +168,31 @@ def test_folding_batch_normalisation_changes_nothing():
         after = DepthCompleter(network, precision="fp32").network(rgb, 0.1 * sparse, sparse)
     for a, b in zip(before, after, strict=True):
         assert torch.allclose(a, b, atol=1e-4)
+
+
+@pytest.mark.parametrize("points", [1, 100, 5000])
+def test_samplers_take_exact_counts_of_true_depths_by_seed(points):
+    rgb, depth = torch.rand(3, 3, 80, 90), 5 + 50 * torch.rand(3, 1, 80, 90)
+    depth[:, :, :10] = 0
+
+    def both(seed):
+        generator = torch.Generator().manual_seed(seed)
+        return sample_uniform(depth, points, generator), sample_features(rgb, depth, points, generator)
+
+    for sparse, again in zip(both(1), both(1), strict=True):
+        assert (sparse > 0).flatten(1).sum(1).tolist() == [points] * 3
+        assert torch.equal(sparse[sparse > 0], depth[sparse > 0])
+        assert torch.equal(sparse, again)
+    assert not torch.equal(both(1)[0], both(2)[0])
+
+
+def test_sfm_like_points_have_noise_outliers_and_no_points_without_truth():
+    generator = torch.Generator().manual_seed(0)
+    rgb, depth = torch.rand(16, 3, 96, 96), torch.full((16, 1, 96, 96), 20.0)
+    depth[:, :, :, :20] = 0
+    sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
+    assert torch.equal(sparse > 0, trust > 0)
+    assert (sparse[..., :20] == 0).all()
+    ratio = sparse[sparse > 0] / 20
+    assert 0.005 < (ratio.log().abs() > 0.3).float().mean() < 0.12
+    assert 0.005 < ratio.log().abs().median() < 0.06
