@@ -11,11 +11,10 @@ import tempfile
 from pathlib import Path
 
 from inputs import encode_video
-from record import spread, write
-
 from pipeline.compare import compare_run
 from pipeline.config import Config
 from pipeline.run import reconstruct
+from record import spread, write
 
 
 def one_run(folder: Path, video: Path, output: Path, seed: int, model: str) -> dict[str, float]:

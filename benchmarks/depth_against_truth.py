@@ -12,15 +12,15 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from reconstruction.export import read_mesh
-from record import write
 
 from completion.dataset import read_evaluation_frames
 from pipeline.camera import read_camera
 from pipeline.config import Config
 from pipeline.run import reconstruct
+from reconstruction.export import read_mesh
 from reconstruction.open3d_import import import_open3d
 from reconstruction.trajectory import read_tum
+from record import write
 
 
 def cast_depths(mesh, camera, poses):

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from record import write
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from completion import DepthCompleter
 from completion.dataset import EvaluationFrame, read_evaluation_frames
+from record import write
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))
 

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from inputs import encode_video
-from record import write
 from scipy.spatial.transform import Rotation
 
+from inputs import encode_video
 from pipeline.config import Config
 from pipeline.run import reconstruct
 from reconstruction.trajectory import read_tum, simcol3d_errors, trajectory_errors
+from record import write
 
 FPS = 30
 

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import psutil
+
 from record import spread, write
 
 PEER = Path(__file__).with_name("peer_colmap.py")

@@ -5,8 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import textured_frames, write_video
 
+from conftest import textured_frames, write_video
 from pipeline import cli
 
 

@@ -5,8 +5,8 @@ from fractions import Fraction
 import cv2
 import numpy as np
 import pytest
-from conftest import shared, textured_frames, write_video
 
+from conftest import shared, textured_frames, write_video
 from pipeline.config import FrameSettings
 from pipeline.content import find_content, highlight_mask
 from pipeline.errors import HaustraError

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from conftest import shared
 from scipy.spatial.distance import cdist
 
+from conftest import shared
 from reconstruction.errors import ReconstructionError
 from reconstruction.fusion import FusionSettings, SurfaceFusion
 from reconstruction.mesh import SurfaceMesh, drop_small_components
