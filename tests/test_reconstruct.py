@@ -105,6 +105,12 @@ def test_export_writes_every_format(finished, tmp_path, suffix, monkeypatch, cap
     assert len(loaded.faces) == finished[1].metrics["submaps"][0]["faces"]
 
 
+def test_two_runs_of_one_seed_agree_to_the_bit(finished, tmp_path):
+    reconstruct(VIDEO, tmp_path / "again", tiny_config())
+    for name in ("trajectory.tum", "mesh.ply", "sparse/0/points3D.bin"):
+        assert (tmp_path / "again" / name).read_bytes() == (finished[0] / name).read_bytes(), name
+
+
 def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch):
     """Ctrl-C in completion after three keyframes, then in fusion; each resume keeps what was done."""
     calls = []
