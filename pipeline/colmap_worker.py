@@ -20,13 +20,15 @@ from numpy.typing import NDArray
 from pipeline.loop_pairs import loop_pairs
 
 BATCHES = 20  # steps of the progress bar
-MAPPING_THREADS = 1  # two threads sum in any order, so two runs of one seed would differ; they gain a tenth
+# Matching and mapping with two threads differ from run to run of one seed; they gain a quarter and a tenth.
+REPEATABLE_THREADS = 1
 
 
 def extract_and_match(job: dict[str, Any]) -> None:
     """SIFT on every image within its mask, then verified matches along the sequence and across loops."""
     database = Path(job["database"])
     pycolmap.set_random_seed(job["seed"])
+    _register(job)
     batches = _batches(job["images"])
     total = 2 * len(batches) + 1
     for done, names in enumerate(batches):
@@ -40,35 +42,39 @@ def extract_and_match(job: dict[str, Any]) -> None:
         _report(len(batches) + 2 + done, total)
 
 
+def _register(job: dict[str, Any]) -> None:
+    """Enter the images in order: extraction would number them as its threads finish, and mapping depends on that."""
+    with pycolmap.Database.open(job["database"]) as db:
+        known = db.num_images()
+    if known == len(job["images"]):
+        return
+    mode = pycolmap.CameraMode.SINGLE
+    pycolmap.import_images(job["database"], job["image_folder"], mode, job["images"], _reader(job))
+
+
+def _reader(job: dict[str, Any]) -> pycolmap.ImageReaderOptions:
+    reader = pycolmap.ImageReaderOptions()
+    reader.mask_path = job["masks"]
+    reader.camera_model = job["camera"]["model"]
+    reader.camera_params = ",".join(repr(p) for p in job["camera"]["params"])
+    return reader
+
+
 def _extract(job: dict[str, Any], names: list[str]) -> None:
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = job["threads"]
     options.sift.peak_threshold = job["peak_threshold"]
     options.sift.max_num_features = job["max_features"]
-    reader = pycolmap.ImageReaderOptions()
-    reader.mask_path = job["masks"]
-    reader.camera_model = job["camera"]["model"]
-    reader.camera_params = ",".join(repr(p) for p in job["camera"]["params"])
-    reader.existing_camera_id = _existing_camera(job["database"])
     pycolmap.extract_features(
         job["database"],
         job["image_folder"],
         image_names=names,
         camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=reader,
+        reader_options=_reader(job),
         extraction_options=options,
         device=pycolmap.Device.cpu,
     )
-
-
-def _existing_camera(database: str) -> int:
-    """The camera that the first batch made: SINGLE would make another for each batch."""
-    if not Path(database).exists():
-        return -1
-    with pycolmap.Database.open(database) as db:
-        cameras = db.read_all_cameras()
-    return cameras[0].camera_id if cameras else -1
 
 
 def sequential_pairs(names: list[str], overlap: int) -> list[tuple[str, str]]:
@@ -99,7 +105,7 @@ def _match(job: dict[str, Any], pairs: list[tuple[str, str]]) -> None:
     listed.write_text("".join(f"{a} {b}\n" for a, b in pairs))
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu = False
-    options.num_threads = job["threads"]
+    options.num_threads = REPEATABLE_THREADS
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = str(listed)
     verification = pycolmap.TwoViewGeometryOptions()
@@ -127,9 +133,10 @@ def map_scene(job: dict[str, Any]) -> None:
 
 def _map_globally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Reconstruction]:
     options = pycolmap.GlobalPipelineOptions()
-    options.num_threads = options.mapper.num_threads = MAPPING_THREADS
+    options.num_threads = options.mapper.num_threads = REPEATABLE_THREADS
     options.random_seed = options.mapper.random_seed = job["seed"]
     options.mapper.bundle_adjustment.ceres.use_gpu = False
+    options.mapper.bundle_adjustment.ceres.solver_options.num_threads = REPEATABLE_THREADS
     options.mapper.global_positioning.use_gpu = False
     options.mapper.bundle_adjustment.refine_focal_length = job["refine_camera"]
     options.mapper.bundle_adjustment.refine_extra_params = job["refine_camera"]
@@ -138,7 +145,7 @@ def _map_globally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Recon
 
 def _map_incrementally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Reconstruction]:
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = MAPPING_THREADS
+    options.num_threads = REPEATABLE_THREADS
     options.random_seed = job["seed"]
     options.min_model_size = 3
     options.ba_refine_focal_length = options.ba_refine_extra_params = job["refine_camera"]

@@ -39,7 +39,7 @@ class StructureSettings(Settings):
     overlap: int = Field(8, ge=1, description="frames; each is matched with as many before it")
     loop_neighbours: int = Field(2, ge=0, description="look-alike frames beyond the overlap tried for each keyframe")
     loop_stride: int = Field(10, ge=1, description="frames between two that look for loops")
-    threads: int = Field(2, ge=1, description="of features and matching; mapping takes one, to be repeatable")
+    threads: int = Field(2, ge=1, description="of feature extraction; matching and mapping take one, to be repeatable")
     min_registered: float = Field(0.8, description="share of frames below which a second mapper is asked")
     max_dark_near: float = Field(
         0.05, description="share of frames with brightness growing with distance that is tolerated"
