@@ -148,7 +148,9 @@ def read_camera(path: Path) -> Camera:
         )
     except HaustraError as error:
         raise HaustraError(f"{path}: {error}") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise HaustraError(f"{path} is not a camera file: it lacks {error.args[0]}") from error
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, TypeError, ValueError) as error:
         raise HaustraError(
             f"{path} is not a camera file: it must be JSON with model, width, height and params ({error})"
         ) from error

@@ -35,8 +35,14 @@ class RunResult:
         main = m["submaps"][0]
         return (
             f"{m['frames']['posed']} of {m['frames']['total']} frames posed, {main['keyframes']} keyframes, "
-            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface: {self.mesh}"
+            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface: {self.mesh}{self._caution()}"
         )
+
+    def _caution(self) -> str:
+        """Said with success, so that nobody overlooks it."""
+        doubts = [*self.metrics["warnings"], *(s["camera"]["trust"] for s in self.metrics["submaps"])]
+        doubts = [doubt for doubt in doubts if "trust" in doubt or "does not determine" in doubt]
+        return "; CAUTION: " + "; ".join(doubts) if doubts else ""
 
 
 def write_report(
