@@ -34,8 +34,16 @@ class AnatomyConfig:
     fold_tilt_mm: float = 5.0  # the crescents are not perpendicular to the lumen
     fold_lean: float = 0.35  # rim leans along the lumen by this fraction of its depth: one-sided occlusion
     relief_mm: float = 0.5  # random undulation of the wall, standard deviation of the largest scale
-    polyps: int = 3  # sessile polyps
+    polyps: int = 3  # sessile polyps (Paris Is)
     polyp_radius_mm: float = 3.5  # base radius; clinically relevant from 5 mm diameter
+    pedunculated: int = 0  # polyps on a stalk (Paris Ip), heads of the same radius
+    flat: int = 0  # flat, slightly raised polyps (Paris IIa): wider and hardly a millimetre high
+    diverticula: int = 0  # pouches through the muscle, with a neck narrower than the pouch
+    diverticulum_mm: float = 3.0  # radius of the mouth
+    villi_mm: float = 0.0  # height of the velvet that covers the small intestine
+    collapse: float = 0.0  # 0 inflated; towards 1 the lumen is pressed flat in places
+    closed_start: bool = False  # a blind end, rounded as the caecum is, instead of a contracted opening
+    closed_end: bool = False
     edge_mm: float = 0.8  # mesh edge; finer detail comes from the texture's bump
 
 
@@ -58,6 +66,10 @@ class AppearanceConfig:
     tree_width_mm: float = 0.6  # calibre of a trunk; twigs go down to one texel
     bump_mm: float = 0.012  # standard deviation of fine relief: breaks glints up, roughens the shading
     cavity: float = 0.35  # darkening in grooves, brightening on crests (stands in for interreflection)
+    stool: float = 0.0  # part of the wall under stool: matte, ochre to brown, slightly raised
+    stool_colour: Colour = (0.42, 0.27, 0.07)
+    fluid: float = 0.0  # part of the wall under a film of turbid fluid: tinted, smooth, glossy
+    fluid_colour: Colour = (0.80, 0.62, 0.25)  # multiplies the tissue under an opaque film
     texel_mm: float = 0.13  # texture resolution: a pixel at 20 mm and f = 160 px
 
 
@@ -83,6 +95,12 @@ class ImagingConfig:
     noise: float = 0.006  # sensor noise, standard deviation as fraction of full scale
     blur_px: float = 0.45  # lens and demosaicing; also softens jagged silhouettes
     shutter: float = 0.0  # part of the frame interval the shutter is open: motion blur
+    focus_mm: float = 25.0  # distance of sharpest focus
+    defocus_px: float = 0.0  # blur at half the focus distance, standard deviation at 320 px width
+    sharpen: float = 0.0  # edge enhancement of the video processor: weight of an unsharp mask
+    chroma_px: int = 1  # 2 keeps one colour sample for 2x2 pixels (4:2:0)
+    jpeg_quality: int = 0  # 1 to 100: blocks and ringing as a recorder leaves them; 0 keeps the picture as it is
+    text: bool = False  # burned-in lines such as a processor writes; invented, no patient's
 
 
 @dataclass(frozen=True)
@@ -102,7 +120,7 @@ class MotionConfig:
 
     frames: int = 160  # 5.3 s at 30 fps
     fps: float = 30.0
-    direction: str = "withdrawal"  # "withdrawal" looks ahead and backs out; "insertion" moves forward
+    direction: str = "withdrawal"  # looks ahead and backs out; "insertion" moves forward; "loop" goes in and returns
     start: float = 0.55  # where along the lumen it begins, fraction of the length
     speed_mm: float = 0.5  # per frame; withdrawal is 5 to 30 mm/s
     speed_variation: float = 0.35  # relative
@@ -112,6 +130,27 @@ class MotionConfig:
     roll_deg: float = 8.0  # twist of the shaft
     ahead_mm: float = 25.0  # the tip looks at the centreline this far ahead
     clearance_mm: float = 3.5  # nearest approach of the lens to the wall
+    pauses: int = 0  # times the scope rests
+    touches: int = 0  # times the tip comes within `touch_mm` of the wall
+    touch_mm: float = 1.2  # gap that is left between lens and wall
+    quick_turns: int = 0  # sudden swings of the view and back
+    quick_turn_deg: float = 35.0
+    look_backs: int = 0  # times the tip bends round to look behind a fold, and returns
+    look_back_deg: float = 110.0
+    manoeuvre_s: float = 1.0  # length of each of these
+
+
+@dataclass(frozen=True)
+class EventsConfig:
+    """What happens in front of the lens: how often, and for how long. Truth stays exact through all of it."""
+
+    red_outs: int = 0  # mucosa covers the lens: nothing can be measured
+    water_jets: int = 0  # rinsing: a spray from the tip hides part of the wall
+    bubbles: int = 0  # foam on the wall
+    tools: int = 0  # a forceps comes out of its channel and goes back
+    peristalsis: int = 0  # a contraction runs along the wall: the mesh itself moves
+    duration_s: float = 1.0  # of each event
+    contraction: float = 0.35  # part of the radius that peristalsis takes away
 
 
 @dataclass(frozen=True)
@@ -124,6 +163,7 @@ class PhantomConfig:
     imaging: ImagingConfig = field(default_factory=ImagingConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
+    events: EventsConfig = field(default_factory=EventsConfig)
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, strings and lists, fit for YAML."""
