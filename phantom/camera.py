@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantom.config import CameraConfig
+from phantom.errors import PhantomError
 
 Array = NDArray[np.float64]
 MODELS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE")
@@ -28,10 +29,10 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
-            raise ValueError(f"unknown camera model {self.model!r}; known: {', '.join(MODELS)}")
+            raise PhantomError(f"unknown camera model {self.model!r}; known: {', '.join(MODELS)}")
         wanted = 4 if self.model == "PINHOLE" else 8
         if len(self.params) != wanted:
-            raise ValueError(f"{self.model} takes {wanted} parameters, got {len(self.params)}")
+            raise PhantomError(f"{self.model} takes {wanted} parameters, got {len(self.params)}")
 
     @property
     def matrix(self) -> Array:
@@ -74,7 +75,7 @@ class Camera:
         for _ in range(50):
             ideal = np.clip(ideal + (plane - _distort(ideal, self.params[4:])), -10, 10)
         if np.abs(_distort(ideal, self.params[4:]) - plane).max() > 1e-6:
-            raise ValueError(f"distortion {self.params[4:]} folds over inside the image: no inverse there")
+            raise PhantomError(f"distortion {self.params[4:]} folds over inside the image: no inverse there")
         return ideal
 
     def _fisheye_plane(self, x: Array, y: Array, z: Array) -> Array:

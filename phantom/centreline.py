@@ -13,6 +13,7 @@ from phantom.noise import path_noise
 
 Array = NDArray[np.float64]
 FLEXURE_MM = 28.0  # a flexure turns the lumen by a right angle within some 60 mm
+LONG_AXIS = 0.4  # a lumen that is pressed flat widens across by this fraction: its wall hardly gets shorter
 STEP_MM = 0.5  # far below any radius of curvature (tens of mm)
 
 
@@ -50,7 +51,8 @@ def grow_centreline(anatomy: AnatomyConfig, rng: np.random.Generator) -> Centrel
 
 
 def _widest(anatomy: AnatomyConfig) -> float:
-    return anatomy.radius_mm * (1 + anatomy.radius_variation) + anatomy.sacculation_mm + 3 * anatomy.relief_mm
+    round_mm = anatomy.radius_mm * (1 + anatomy.radius_variation) + anatomy.sacculation_mm + 3 * anatomy.relief_mm
+    return round_mm * (1 + LONG_AXIS * anatomy.collapse)
 
 
 def _random_curvature(arc: Array, anatomy: AnatomyConfig, rng: np.random.Generator) -> Array:

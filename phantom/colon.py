@@ -6,31 +6,32 @@ that steep flanks of folds get as many vertices (and texels) per millimetre as t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from phantom.bulb import Bulb
 from phantom.centreline import Centreline, grow_centreline
 from phantom.config import AnatomyConfig
-from phantom.folds import Fold, fold_relief, place_folds
-from phantom.noise import SolidNoise, path_noise
+from phantom.folds import place_folds
+from phantom.lesions import (
+    POUCH_FLARE_MM,
+    BulbPlacer,
+    Diverticulum,
+    Polyp,
+    bump_footprint,
+    place_flat,
+    place_sessile,
+)
+from phantom.wall import Wall, arc_at, unrolled_length
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-END_OPENING = 0.04  # of the radius that stays open at the ends
-
-
-@dataclass(frozen=True)
-class Polyp:
-    """A sessile polyp: where it sits, in the sheet and in space, and how big it is."""
-
-    arc_mm: float
-    angle_rad: float
-    radius_mm: float
-    height_mm: float
-    apex: tuple[float, float, float] = (0.0, 0.0, 0.0)
+BULB_COLUMNS = 1.4  # more columns where bulbs are drawn out of the wall; rows are spaced as each bulb needs
+ROW_STEP_MM = 0.25  # far below a mesh edge
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class Colon:
     polyp_cover: Floats  # (M,N) 0 on plain wall, 1 on a polyp
     spacing_mm: tuple[float, float]  # typical edge along and around
     polyps: list[Polyp]
+    diverticula: list[Diverticulum]
 
     @property
     def vertices(self) -> Floats:
@@ -75,97 +77,115 @@ def build_colon(anatomy: AnatomyConfig, seed: int) -> Colon:
     """Grow one gut. The seed fixes it together with the config."""
     rng = np.random.default_rng([seed, 1])
     line = grow_centreline(anatomy, rng)
-    wall = _Wall(anatomy, place_folds(anatomy, rng), _place_polyps(anatomy, rng), rng)
-    arc = _space_rows(wall, anatomy)
-    columns = max(24, round(2 * np.pi * anatomy.radius_mm / anatomy.edge_mm))
-    angle = np.arange(columns) * 2 * np.pi / columns
-    radius, shift, cover = wall.evaluate(arc[:, None], angle[None, :])
-    smooth = _wrap(line, arc[:, None] + shift, angle, radius)
-    radius = radius * (1 + _relief(smooth, anatomy, rng) / anatomy.radius_mm)
-    points = _wrap(line, arc[:, None] + shift, angle, radius)
-    spacing = (anatomy.edge_mm, 2 * np.pi * anatomy.radius_mm / columns)
-    polyps = [_with_apex(polyp, arc, angle, points) for polyp in wall.polyps]
+    folds, sessile = place_folds(anatomy, rng), place_sessile(anatomy, rng)
+    polyps = sessile + place_flat(anatomy, sessile, _own_generator(seed, 1))
+    wall = Wall(anatomy, line, folds, polyps, rng, _own_generator(seed, 2))
+    stalked, pouches = _grow_bulbs(wall, seed)
+    bulbs = stalked + pouches
+    arc, angle = _space_rows(wall, bulbs), _space_columns(anatomy, bulbs)
+    points, cover, sheet = _draw(wall, bulbs, arc, angle)
     floats = points.astype(np.float32)
-    return Colon(anatomy, line, arc, floats, _normals(points), cover.astype(np.float32), spacing, polyps)
+    return Colon(
+        anatomy=anatomy,
+        line=line,
+        arc=arc,
+        points=floats,
+        normals=grid_normals(points),
+        polyp_cover=cover.astype(np.float32),
+        spacing_mm=(anatomy.edge_mm, 2 * np.pi * anatomy.radius_mm / len(angle)),
+        polyps=[_with_apex(polyp, *sheet, points) for polyp in [*polyps, *map(_as_polyp, stalked)]],
+        diverticula=[_as_diverticulum(pouch) for pouch in pouches],
+    )
 
 
-class _Wall:
-    """Radius, axial shift and polyp cover as functions of arc length (mm) and angle (rad)."""
-
-    def __init__(
-        self, anatomy: AnatomyConfig, folds: list[Fold], polyps: list[Polyp], rng: np.random.Generator
-    ) -> None:
-        self.anatomy, self.folds, self.polyps = anatomy, folds, polyps
-        self._knots = np.arange(0.0, anatomy.length_mm + 2.0)
-        self._widening = 1 + anatomy.radius_variation * path_noise(len(self._knots), 80.0, rng)
-
-    def evaluate(self, arc: Array, angle: Array) -> tuple[Array, Array, Array]:
-        """Radius (mm), shift along the lumen (mm) and polyp cover (0 to 1), broadcast over arc and angle."""
-        anatomy = self.anatomy
-        radius = anatomy.radius_mm * np.interp(arc, self._knots, self._widening) + 0 * angle
-        if anatomy.scene == "colon":
-            twist = np.radians(anatomy.taenia_twist_deg_per_mm) * arc
-            radius = radius - anatomy.taenia_depth_mm * (0.5 + 0.5 * np.cos(3 * (angle - twist))) ** 2
-        inward, shift = fold_relief(self.folds, arc, angle, anatomy)
-        radius = np.maximum(radius - inward, 0.3 * anatomy.radius_mm)
-        cover = np.zeros_like(radius)
-        for polyp in self.polyps:
-            around = np.angle(np.exp(1j * (angle - polyp.angle_rad))) * anatomy.radius_mm
-            distance = np.hypot(arc - polyp.arc_mm, around) / polyp.radius_mm
-            bump = np.exp(-(distance**4))  # flat top, steep side
-            radius, cover = radius - polyp.height_mm * bump, np.maximum(cover, bump)
-        return radius * _pinch(arc, anatomy), shift, cover
+def _own_generator(seed: int, feature: int) -> np.random.Generator:
+    """Features that came later draw apart from the first ones, so that older guts stay as they are."""
+    return np.random.default_rng([seed, 1, feature])
 
 
-def _pinch(arc: Array, anatomy: AnatomyConfig) -> Array:
-    """Factor that narrows the lumen towards both ends, as a contraction does: little is seen through them."""
-    part = np.clip(np.minimum(arc, anatomy.length_mm - arc) / anatomy.pinch_mm, 0, 1)
-    return END_OPENING + (1 - END_OPENING) * np.sin(0.5 * np.pi * part)
+def _grow_bulbs(wall: Wall, seed: int) -> tuple[list[Bulb], list[Bulb]]:
+    """Polyps on stalks, and diverticula."""
+    anatomy = wall.anatomy
+    if not anatomy.pedunculated + anatomy.diverticula:
+        return [], []
+    dense, _, _ = _draw(wall, [], _space_rows(wall, []), _space_columns(anatomy, []))
+    taken = [bump_footprint(polyp, anatomy) for polyp in wall.polyps]
+    placer = BulbPlacer(wall.points, anatomy, [cKDTree(dense.reshape(-1, 3))], taken)
+    return placer.polyps(_own_generator(seed, 3)), placer.diverticula(_own_generator(seed, 4))
 
 
-def _place_polyps(anatomy: AnatomyConfig, rng: np.random.Generator) -> list[Polyp]:
-    margin = min(30.0, 0.2 * anatomy.length_mm)
-    arcs = rng.uniform(margin, anatomy.length_mm - margin, anatomy.polyps)
-    sizes = anatomy.polyp_radius_mm * rng.uniform(0.6, 1.5, anatomy.polyps)
-    angles, flatness = rng.uniform(0, 2 * np.pi, anatomy.polyps), rng.uniform(0.5, 1.0, anatomy.polyps)
-    return [Polyp(float(a), float(t), float(r), float(r * f)) for a, t, r, f in zip(arcs, angles, sizes, flatness)]
+def _space_columns(anatomy: AnatomyConfig, bulbs: list[Bulb]) -> Array:
+    """Angles (N,) rad."""
+    edge_mm = anatomy.edge_mm / (BULB_COLUMNS if bulbs else 1)
+    columns = max(24, round(2 * np.pi * anatomy.radius_mm / edge_mm))
+    return np.arange(columns) * 2 * np.pi / columns
 
 
-def _space_rows(wall: _Wall, anatomy: AnatomyConfig) -> Array:
-    """Arc lengths whose steps are one mesh edge of wall at the steepest angle."""
-    arc = np.arange(0.0, anatomy.length_mm, 0.25)
+def _space_rows(wall: Wall, bulbs: list[Bulb]) -> Array:
+    """Arc lengths (M,) mm whose steps are one mesh edge of wall at the steepest angle."""
+    anatomy = wall.anatomy
+    place = np.arange(0.0, unrolled_length(anatomy), ROW_STEP_MM)
+    if anatomy.closed_end:  # the pole itself, which the arange leaves out
+        place = np.linspace(0.0, unrolled_length(anatomy), len(place) + 1)
+    step, arc = place[1], arc_at(place, anatomy)
     radius, shift, _ = wall.evaluate(arc[:, None], np.linspace(0, 2 * np.pi, 60, endpoint=False)[None, :])
-    along, inward = np.gradient(arc[:, None] + shift, 0.25, axis=0), np.gradient(radius, 0.25, axis=0)
+    along, inward = np.gradient(arc[:, None] + shift, step, axis=0), np.gradient(radius, step, axis=0)
     speed = np.hypot(along, inward).max(axis=1)
-    length = np.concatenate([[0.0], np.cumsum(0.125 * (speed[1:] + speed[:-1]))])
-    return np.interp(np.linspace(0, length[-1], max(8, round(length[-1] / anatomy.edge_mm))), length, arc)
+    for bulb in bulbs:
+        near = np.abs(arc - bulb.site.arc_mm) * bulb.site.per_arc < bulb.profile.reach_mm
+        across = np.linspace(-1, 1, 41) * bulb.profile.reach_mm / bulb.site.per_rad
+        points, _, _ = _draw(wall, [bulb], arc[near], bulb.site.angle_rad + across)
+        stretched = np.linalg.norm(np.gradient(points, step, axis=0), axis=-1).max(axis=1)
+        speed[near] = np.maximum(speed[near], stretched)
+    length = np.concatenate([[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
+    rows = np.linspace(0, length[-1], max(8, round(length[-1] / anatomy.edge_mm)))
+    return arc_at(np.interp(rows, length, place), anatomy)
 
 
-def _relief(points: Array, anatomy: AnatomyConfig, rng: np.random.Generator) -> Floats:
-    """Undulation of the wall (M,N) mm at three scales; smaller scales are shallower."""
-    bands = [(40.0, 9.0, 1.0), (9.0, 4.0, 0.16), (4.0, 2.0, 0.04)]
-    floats = points.astype(np.float32)
-    layers = [amplitude * SolidNoise(big, small, rng)(floats) for big, small, amplitude in bands]
-    return anatomy.relief_mm * np.sum(layers, axis=0)
+def _draw(wall: Wall, bulbs: list[Bulb], arc: Array, angle: Array) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Points (M,N,3) mm, polyp cover (M,N), and where on the plain wall each point was taken from: arc and angle."""
+    if not bulbs:
+        sheet = arc[:, None], angle[None, :]
+        return *wall(*sheet), sheet
+    sheet_arc, sheet_angle = (np.array(a) for a in np.broadcast_arrays(arc[:, None], angle[None, :]))
+    discs = []
+    for bulb in bulbs:  # discs do not meet: each point is moved once
+        part, direction = bulb.part(arc[:, None], angle[None, :])
+        inside = part < 1
+        discs.append((bulb, inside, part[inside], direction[inside]))
+        sheet_arc[inside], sheet_angle[inside] = bulb.gathered(part[inside], direction[inside])
+    points, cover = wall(sheet_arc, sheet_angle)
+    for bulb, inside, part, direction in discs:
+        points[inside] = bulb.drawn_out(points[inside], part, direction)
+        cover[inside] = np.maximum(cover[inside], bulb.cover(part))
+    return points, cover, (sheet_arc, sheet_angle)
 
 
-def _wrap(line: Centreline, arc: Array, angle: Array, radius: Array) -> Array:
-    """Cylinder coordinates around the centreline to points (M,N,3)."""
-    centre, frame = line.at(np.clip(arc, 0, line.arc[-1]))
-    outward = np.cos(angle)[:, None] * frame[..., 0] + np.sin(angle)[:, None] * frame[..., 1]
-    beyond = arc - np.clip(arc, 0, line.arc[-1])  # leaning folds at an open end keep their shape
-    return centre + radius[..., None] * outward + beyond[..., None] * frame[..., 2]
-
-
-def _normals(points: Array) -> Floats:
+def grid_normals(points: Array) -> Floats:
+    """Unit normals (M,N,3) into the lumen."""
     along = np.gradient(points, axis=0)
     around = np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1)
     normal = np.cross(along, around)
+    for end, next_to_it in ((0, 1), (-1, -2)):
+        if not np.ptp(points[end], axis=0).any():  # the pole of a blind end: a ring of no size has no normal
+            normal[end] = normal[next_to_it].mean(axis=0)
     return (normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)).astype(np.float32)
 
 
-def _with_apex(polyp: Polyp, arc: Array, angle: Array, points: Array) -> Polyp:
-    row = int(np.argmin(np.abs(arc - polyp.arc_mm)))
-    column = int(np.argmin(np.abs(np.angle(np.exp(1j * (angle - polyp.angle_rad))))))
-    x, y, z = (float(v) for v in points[row, column])
-    return Polyp(polyp.arc_mm, polyp.angle_rad, polyp.radius_mm, polyp.height_mm, (x, y, z))
+def _with_apex(polyp: Polyp, sheet_arc: Array, sheet_angle: Array, points: Array) -> Polyp:
+    """The polyp with the vertex at its middle."""
+    around = np.angle(np.exp(1j * (sheet_angle - polyp.angle_rad))) * 20.0  # any lumen's radius will do
+    middle = np.argmin(np.hypot(sheet_arc - polyp.arc_mm, around))
+    x, y, z = (float(v) for v in points.reshape(-1, 3)[middle])
+    return replace(polyp, apex=(x, y, z))
+
+
+def _as_polyp(bulb: Bulb) -> Polyp:
+    head = float(bulb.profile.rho[bulb.profile.height > bulb.profile.neck_mm].max())
+    return Polyp(bulb.site.arc_mm, bulb.site.angle_rad, head, bulb.profile.top_mm, kind="pedunculated")
+
+
+def _as_diverticulum(bulb: Bulb) -> Diverticulum:
+    x, y, z = (float(v) for v in bulb.site.centre)
+    mouth = bulb.profile.radius_at(0.5 * POUCH_FLARE_MM)
+    return Diverticulum(bulb.site.arc_mm, bulb.site.angle_rad, mouth, bulb.profile.top_mm, (x, y, z))

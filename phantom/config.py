@@ -5,8 +5,10 @@ Lengths are millimetres, angles degrees, colours linear RGB in [0, 1]. One seed 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
+
+from phantom.errors import PhantomError
 
 Colour = tuple[float, float, float]
 
@@ -171,8 +173,12 @@ class PhantomConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PhantomConfig:
-        """Inverse of `to_dict`; missing keys take the default, unknown keys raise ValueError."""
-        return _build(cls, values)
+        """Inverse of `to_dict`; missing keys take the default. PhantomError on unknown keys and wrong types."""
+        return cls().updated(values)
+
+    def updated(self, values: dict[str, Any]) -> PhantomConfig:
+        """This config with some (nested) values replaced. PhantomError on unknown keys and wrong types."""
+        return _updated(self, values)
 
 
 def _plain(value: Any) -> Any:
@@ -181,21 +187,25 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _build(cls: Any, values: dict[str, Any]) -> Any:
-    defaults = cls()
-    known = {f.name for f in fields(cls)}
-    if unknown := sorted(set(values) - known):
-        raise ValueError(f"unknown {cls.__name__} keys: {', '.join(unknown)}; known: {', '.join(sorted(known))}")
-    return cls(**{name: _restore(getattr(defaults, name), value) for name, value in values.items()})
+def _updated(held: Any, values: Any) -> Any:
+    name = type(held).__name__
+    if not isinstance(values, dict):
+        raise PhantomError(f"{name}: expected a mapping, got {values!r}")
+    known = {f.name for f in fields(held)}
+    if unknown := sorted(str(key) for key in set(values) - known):
+        raise PhantomError(f"unknown {name} keys: {', '.join(unknown)}; known: {', '.join(sorted(known))}")
+    return replace(held, **{key: _restored(f"{name}.{key}", getattr(held, key), v) for key, v in values.items()})
 
 
-def _restore(default: Any, value: Any) -> Any:
-    if is_dataclass(default):
-        return _build(type(default), value)
-    if isinstance(default, tuple):
-        return tuple(value)
-    if isinstance(default, float) and type(value) is int:
+def _restored(name: str, held: Any, value: Any) -> Any:
+    if is_dataclass(held):
+        return _updated(held, value)
+    if isinstance(held, float) and type(value) is int:
         return float(value)
-    if type(value) is not type(default):
-        raise ValueError(f"expected {type(default).__name__}, got {value!r}")
-    return value
+    if isinstance(held, tuple) and isinstance(value, list | tuple):
+        if len(value) == len(held) and all(type(item) in (int, float) for item in value):
+            return tuple(float(item) for item in value)
+    elif type(value) is type(held):
+        return value
+    wanted = f"{len(held)} numbers" if isinstance(held, tuple) else type(held).__name__
+    raise PhantomError(f"{name}: expected {wanted}, got {value!r}")

@@ -65,15 +65,16 @@ def _fold(arc: float, angle: float, half_span: float, anatomy: AnatomyConfig, rn
 
 
 def fold_relief(folds: list[Fold], arc: Array, angle: Array, anatomy: AnatomyConfig) -> tuple[Array, Array]:
-    """Height into the lumen and shift along it (mm) at broadcast arc (mm) and angle (rad)."""
+    """Height into the lumen and shift along it (mm) at broadcast arc (mm) and angle (rad), both two-dimensional."""
     shape = np.broadcast_shapes(arc.shape, angle.shape)
     power, shift, bulge = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for fold in folds:
-        near = np.flatnonzero(np.abs(arc.ravel() - fold.arc_mm) < abs(fold.tilt_mm) + 9 * fold.width_mm)
+        reached = np.abs(arc - fold.arc_mm) < abs(fold.tilt_mm) + 9 * fold.width_mm
+        near = np.flatnonzero(reached.any(axis=1))
         if len(near) == 0:
             continue
-        part = slice(near[0], near[-1] + 1)  # arc is (M,1): far rows are skipped
-        height, nearness = _one_fold(fold, arc[part], angle, anatomy)
+        part = slice(near[0], near[-1] + 1)  # far rows are skipped
+        height, nearness = _one_fold(fold, arc[part], angle[part] if len(angle) > 1 else angle, anatomy)
         power[part] += height**4  # a soft maximum lets crescents merge instead of adding up
         shift[part] += fold.lean * height
         bulge[part] += nearness

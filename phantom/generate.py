@@ -4,15 +4,20 @@ video.mp4       H.264, what a user would have
 rgb/%05d.png    the same frames, lossless
 depth/%05d.png  uint16 z-depth in units of 0.01 mm, 0 = none
 trajectory.txt  TUM lines "seconds tx ty tz qx qy qz qw", world_from_camera, mm
-mesh.ply        the wall, mm; face properties: `seen` is 1 where any frame's pixel centre hit it, `nearest_mm` the
-                smallest depth at which one did (infinite where none)
-camera.json  polyps.json  config.yaml
+mesh.ply        the wall at rest, mm; face properties: `seen` is 1 where any frame's pixel centre hit it, `nearest_mm`
+                the smallest depth at which one did (infinite where none). With peristalsis, vertex properties
+                axis_x axis_y axis_z arc_mm say how each vertex moves (see `peristalsis`)
+events.json     what happened when: manoeuvres and events with frames and seconds; per frame, each contraction
+camera.json  polyps.json  diverticula.json  config.yaml
+
+Depth is that of the wall: 0 under burned-in text, outside the border mask, and where an event hides the wall.
+mesh.ply is written last: a folder without it is unfinished.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from fractions import Fraction
@@ -26,10 +31,16 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from phantom.checks import check
 from phantom.config import PhantomConfig
+from phantom.errors import PhantomError
 from phantom.motion import camera_path
+from phantom.peristalsis import WIDTH_MM, Peristalsis
 from phantom.render import Frame, Phantom
+from phantom.timeline import Slot, plan_timeline
 
+FILES = ("video.mp4", "trajectory.txt", "mesh.ply", "events.json", "camera.json", "config.yaml")
+RECORDS = ("polyps.json", "diverticula.json")  # what is where on the wall
 DEPTH_UNIT_MM = 0.01  # uint16 then reaches 655 mm
 Progress = Callable[[int, int], None]
 
@@ -39,32 +50,77 @@ def generate(
 ) -> Path:
     """Film one phantom into `folder` (made if missing); `progress(done, total)` counts frames.
 
-    `crf` is x264's constant rate factor: 18 looks lossless, +6 halves the file. One frame is in memory at a time.
+    `crf` is x264's constant rate factor: 18 looks lossless, +6 halves the file. A few frames are in memory at a time.
+    Raises PhantomError where the config cannot be built or filmed.
     """
     folder = Path(folder)
+    check(config)
+    timeline = plan_timeline(config.motion, config.events, config.seed)
     phantom = Phantom(config, threads)
-    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed)
-    for name in ("rgb", "depth"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
-    with _video(folder / "video.mp4", config, crf) as add_to_video:
-        for index, frame in enumerate(phantom.film(poses)):
-            _write_frame(folder, index, frame)
-            add_to_video(frame.image)
-            hit = frame.triangle >= 0
-            np.minimum.at(nearest_mm, frame.triangle[hit], frame.depth[hit].astype(np.float32))
-            if progress:
-                progress(index + 1, len(poses))
-    _write_trajectory(folder / "trajectory.txt", poses, config.motion.fps)
-    write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, nearest_mm)
+    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed, timeline)
+    peristalsis = Peristalsis(phantom.colon, config.events, timeline, poses[:, :3, 3])
+    folder.mkdir(parents=True, exist_ok=True)
     _write_records(folder, phantom)
+    _write_trajectory(folder / "trajectory.txt", poses, config.motion.fps)
+    _write_events(folder / "events.json", timeline, peristalsis, config.motion.fps)
+    nearest_mm = film_into(folder, phantom, poses, timeline, peristalsis, progress, crf)
+    motion = peristalsis.vertex_properties() if config.events.peristalsis else {}
+    write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, nearest_mm, motion)
     return folder
 
 
+def film_into(
+    folder: Path,
+    phantom: Phantom,
+    poses: NDArray[np.float64],
+    timeline: Sequence[Slot] = (),
+    peristalsis: Peristalsis | None = None,
+    progress: Progress | None = None,
+    crf: int = 18,
+) -> NDArray[np.float32]:
+    """Write video, pictures and depth; returns the smallest depth (F,) mm at which each face was seen, or infinity."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(exist_ok=True)
+    nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
+    with _video(folder / "video.mp4", phantom.config, crf) as add_to_video:
+        for index, frame in enumerate(phantom.film(poses, timeline, peristalsis)):
+            _write_frame(folder, index, frame)
+            add_to_video(frame.image)
+            hit = frame.triangle >= 0
+            np.minimum.at(nearest_mm, frame.triangle[hit], frame.depth[hit])
+            if progress:
+                progress(index + 1, len(poses))
+    return nearest_mm
+
+
+def is_finished(folder: Path, config: PhantomConfig) -> bool:
+    """True if `folder` already holds exactly this phantom."""
+    record = Path(folder) / "config.yaml"
+    if not (record.exists() and (Path(folder) / "mesh.ply").exists()):
+        return False
+    try:
+        return PhantomConfig.from_dict(yaml.safe_load(record.read_text())) == config
+    except (PhantomError, yaml.YAMLError, UnicodeDecodeError):
+        return False
+
+
+def clear(folder: Path) -> None:
+    """Remove what `generate` writes, and nothing else."""
+    folder = Path(folder)
+    for pattern in ("rgb/[0-9]*.png", "depth/[0-9]*.png", *FILES, *RECORDS):
+        for path in folder.glob(pattern):
+            path.unlink()
+
+
 def _write_frame(folder: Path, index: int, frame: Frame) -> None:
-    cv2.imwrite(str(folder / "rgb" / f"{index:05d}.png"), cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
+    _write_png(folder / "rgb" / f"{index:05d}.png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
     stored = np.clip(np.round(frame.depth / DEPTH_UNIT_MM), 0, 65535).astype(np.uint16)
-    cv2.imwrite(str(folder / "depth" / f"{index:05d}.png"), stored)
+    _write_png(folder / "depth" / f"{index:05d}.png", stored)
+
+
+def _write_png(path: Path, image: NDArray[Any]) -> None:
+    """Raises OSError on a full disk, of which cv2.imwrite would say nothing."""
+    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 @contextmanager
@@ -80,8 +136,10 @@ def _video(path: Path, config: PhantomConfig, crf: int) -> Iterator[Callable[[ND
             planes = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420)  # swscale's rounding depends on memory alignment
             container.mux(stream.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")))
 
-        yield add
-        container.mux(stream.encode())
+        try:
+            yield add
+        finally:  # what was filmed before an interruption can be played
+            container.mux(stream.encode())
 
 
 def _write_trajectory(path: Path, poses: NDArray[np.float64], fps: float) -> None:
@@ -91,13 +149,22 @@ def _write_trajectory(path: Path, poses: NDArray[np.float64], fps: float) -> Non
 
 
 def write_ply(
-    path: Path, vertices: NDArray[np.float32], triangles: NDArray[np.int32], nearest_mm: NDArray[np.float32]
+    path: Path,
+    vertices: NDArray[np.float32],
+    triangles: NDArray[np.int32],
+    nearest_mm: NDArray[np.float32],
+    vertex_properties: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> None:
-    """Binary PLY: vertices (V,3) mm, triangles (F,3); for each face `nearest_mm` (F,), and `seen` if that is finite."""
+    """Binary PLY: vertices (V,3) mm, triangles (F,3); for each face `nearest_mm` (F,), and `seen` if that is finite.
+
+    `vertex_properties` are further floats (V,) by name.
+    """
+    more = dict(vertex_properties or {})
     wide = len(vertices) > 65535  # two bytes for a corner where they suffice
+    floats = "".join(f"property float {name}\n" for name in ("x", "y", "z", *more))
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment unit mm\n"
-        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element vertex {len(vertices)}\n{floats}"
         f"element face {len(triangles)}\nproperty list uchar {'int' if wide else 'ushort'} vertex_indices\n"
         "property uchar seen\nproperty float nearest_mm\nend_header\n"
     )
@@ -105,12 +172,31 @@ def write_ply(
     faces = np.empty(len(triangles), layout)
     faces["count"], faces["corners"] = 3, triangles
     faces["seen"], faces["nearest_mm"] = np.isfinite(nearest_mm), nearest_mm
-    path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + faces.tobytes())
+    table = np.column_stack([vertices, *more.values()]).astype("<f4")
+    path.write_bytes(header.encode() + table.tobytes() + faces.tobytes())
 
 
 def _write_records(folder: Path, phantom: Phantom) -> None:
+    """Lens, lesions, and the config with its seed."""
     camera = phantom.camera.to_dict() | {"fps": phantom.config.motion.fps, "depth_unit_mm": DEPTH_UNIT_MM}
     (folder / "camera.json").write_text(json.dumps(camera) + "\n")
-    polyps = [asdict(polyp) for polyp in phantom.colon.polyps]
-    (folder / "polyps.json").write_text(json.dumps(polyps, indent=1) + "\n")
+    for name in ("polyps", "diverticula"):
+        lesions = [asdict(lesion) for lesion in getattr(phantom.colon, name)]
+        (folder / f"{name}.json").write_text(json.dumps(lesions, indent=1) + "\n")
     (folder / "config.yaml").write_text(yaml.safe_dump(phantom.config.to_dict(), sort_keys=False))
+
+
+def _write_events(path: Path, timeline: Sequence[Slot], peristalsis: Peristalsis, fps: float) -> None:
+    """{"slots": [{kind, first_frame, last_frame, first_s, last_s}], "contractions": [{frame, centre_mm, ...}]}."""
+    slots = [
+        {
+            "kind": slot.kind,
+            "first_frame": slot.first,
+            "last_frame": slot.last,
+            "first_s": round(slot.first / fps, 6),
+            "last_s": round(slot.last / fps, 6),
+        }
+        for slot in timeline
+    ]
+    contractions = [asdict(wave) | {"width_mm": WIDTH_MM} for wave in peristalsis.waves.values()]
+    path.write_text(json.dumps({"slots": slots, "contractions": contractions}, indent=1) + "\n")

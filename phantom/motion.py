@@ -1,6 +1,8 @@
-"""Where the tip goes: seeded, smooth camera paths that keep off the wall."""
+"""Where the tip goes: seeded, smooth camera paths that keep off the wall, with the manoeuvres of a timeline."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,31 +11,43 @@ from scipy.spatial.transform import Rotation
 
 from phantom.colon import Colon
 from phantom.config import MotionConfig
+from phantom.errors import PhantomError
 from phantom.noise import path_noise
 from phantom.raycaster import RayCaster
+from phantom.timeline import Slot
 
 Array = NDArray[np.float64]
 PUSH_ROUNDS = 80
 PUSH_SPREAD = 5.0  # frames: a push off the wall starts before the wall is reached
-DIRECTIONS = {"insertion": 1.0, "withdrawal": -1.0}
+DIRECTIONS = {"insertion": 1.0, "withdrawal": -1.0, "loop": 1.0}
+STANDSTILL = {"pause": 1.0, "look_back": 1.0, "touch": 0.85}  # part of the speed that a manoeuvre takes away
+TURNING_POINT = 0.06  # of the frames: how gently a loop's way out becomes its way back
 
 
-def camera_path(colon: Colon, caster: RayCaster, motion: MotionConfig, seed: int) -> Array:
-    """Poses world_from_camera (N,4,4), mm. The camera looks along increasing arc length either way."""
+def camera_path(
+    colon: Colon, caster: RayCaster, motion: MotionConfig, seed: int, timeline: Sequence[Slot] = ()
+) -> Array:
+    """Poses world_from_camera (N,4,4), mm. The camera looks along increasing arc length, whichever way it moves.
+
+    Raises PhantomError where the path leaves the lumen or does not fit it.
+    """
     if motion.direction not in DIRECTIONS:
-        raise ValueError(f"unknown direction {motion.direction!r}; known: {', '.join(DIRECTIONS)}")
+        raise PhantomError(f"unknown direction {motion.direction!r}; known: {', '.join(DIRECTIONS)}")
     rng = np.random.default_rng([seed, 4])
-    arc = _progress(colon.line.arc[-1], motion, rng)
+    going = _going(motion, timeline)
+    clock = np.concatenate([[0.0], np.cumsum(going[:-1])])  # stands still while the scope rests
+    arc = _progress(colon.line.arc[-1], motion, going, rng)
     centre, frames = colon.line.at(arc)
-    sway = motion.wobble_mm * _swings(2, motion, rng)
+    sway = motion.wobble_mm * _swings(2, motion, clock, rng)
     positions = centre + frames[..., 0] * sway[:, :1] + frames[..., 1] * sway[:, 1:]
-    positions = _keep_off(positions, centre, colon, caster, motion.clearance_mm)
+    positions = _keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
     goal, goal_frames = colon.line.at(arc + motion.ahead_mm)
-    looks = np.radians(motion.look_deg) * _swings(2, motion, rng)
-    rolls = np.radians(motion.roll_deg) * _swings(1, motion, rng)
+    looks = np.radians(motion.look_deg) * _swings(2, motion, clock, rng)
+    rolls = np.radians(motion.roll_deg) * _swings(1, motion, clock, rng)
+    turns = _look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
     poses = np.tile(np.eye(4), (motion.frames, 1, 1))
-    poses[:, :3, :3] = _look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
-    poses[:, :3, 3] = positions
+    poses[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
+    poses[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
     return poses
 
 
@@ -48,34 +62,80 @@ def clearance(colon: Colon, caster: RayCaster, points: Array) -> tuple[Array, Ar
     return side * distance, side[:, None] * away / np.maximum(distance, 1e-9)[:, None]
 
 
-def _progress(length: float, motion: MotionConfig, rng: np.random.Generator) -> Array:
-    """Arc length of each frame: never stops, never turns round."""
-    speed = motion.speed_mm * np.maximum(
-        0.1, 1 + motion.speed_variation * path_noise(motion.frames, motion.wobble_period, rng)
-    )
-    travelled = np.concatenate([[0.0], np.cumsum(speed[:-1])])
+def _going(motion: MotionConfig, timeline: Sequence[Slot]) -> Array:
+    """Part of the speed (N,) that is left by the manoeuvres of each frame."""
+    going = np.ones(motion.frames)
+    for slot in timeline:
+        if slot.kind in STANDSTILL:
+            going -= STANDSTILL[slot.kind] * np.array([slot.strength(frame) for frame in range(motion.frames)])
+    return np.maximum(going, 0.0)
+
+
+def _progress(length: float, motion: MotionConfig, going: Array, rng: np.random.Generator) -> Array:
+    """Arc length (N,) mm of each frame. Only a loop turns round; it ends where it began."""
+    pace = np.maximum(0.1, 1 + motion.speed_variation * path_noise(motion.frames, motion.wobble_period, rng))
+    steps = motion.speed_mm * pace * going
+    if motion.direction == "loop":
+        middle, ease = 0.5 * motion.frames, max(TURNING_POINT * motion.frames, 1.0)
+        steps = steps * np.tanh((middle - np.arange(motion.frames)) / ease)
+        out, back = np.maximum(steps, 0.0), np.minimum(steps, 0.0)
+        steps = out + back * out.sum() / max(-back[:-1].sum(), 1e-9)
+    travelled = np.concatenate([[0.0], np.cumsum(steps[:-1])])
     arc = motion.start * length + DIRECTIONS[motion.direction] * travelled
     if arc.min() < 0 or arc.max() > length:
-        raise ValueError(f"a path of {travelled[-1]:.0f} mm from {motion.start:.0%} leaves the {length:.0f} mm lumen")
+        far = np.abs(travelled).max()
+        raise PhantomError(f"a path of {far:.0f} mm from {motion.start:.0%} leaves the {length:.0f} mm lumen")
     return arc
 
 
-def _swings(count: int, motion: MotionConfig, rng: np.random.Generator) -> Array:
-    """Independent smooth signals (N,count) within about [-1, 1]."""
-    return np.stack([path_noise(motion.frames, motion.wobble_period, rng) for _ in range(count)], axis=1)
+def _swings(count: int, motion: MotionConfig, clock: Array, rng: np.random.Generator) -> Array:
+    """Independent smooth signals (N,count) within about [-1, 1], read at the clock's times (N,) in frames."""
+    ticks = np.arange(motion.frames)
+    swings = [np.interp(clock, ticks, path_noise(motion.frames, motion.wobble_period, rng)) for _ in range(count)]
+    return np.stack(swings, axis=1)
 
 
-def _keep_off(positions: Array, centre: Array, colon: Colon, caster: RayCaster, wanted_mm: float) -> Array:
+def _keep_off(positions: Array, centre: Array, colon: Colon, caster: RayCaster, wanted_mm: Array) -> Array:
     """Push positions (N,3) off the wall, each push spread over neighbouring frames, until all are clear."""
     for _ in range(PUSH_ROUNDS):
         distance, away = clearance(colon, caster, positions)
-        if distance.min() >= wanted_mm:
+        if (distance >= wanted_mm).all():
             return positions
         outside = distance < 0  # beyond the wall the nearest way off it may lead astray: go for the centre
         home = (centre - positions) / np.maximum(np.linalg.norm(centre - positions, axis=1), 1e-9)[:, None]
         push = np.maximum(wanted_mm + 0.3 - distance, 0.0)[:, None] * np.where(outside[:, None], home, away)
         positions = positions + 1.5 * gaussian_filter1d(push, PUSH_SPREAD, axis=0, mode="nearest")
-    raise ValueError(f"no path with {wanted_mm} mm clearance: the lumen is too narrow, or the clearance too wide")
+    raise PhantomError(
+        f"no path with {wanted_mm.max():g} mm clearance: the lumen is too narrow, or the clearance too wide"
+    )
+
+
+def _touch(
+    positions: Array, centre: Array, colon: Colon, caster: RayCaster, motion: MotionConfig, timeline: Sequence[Slot]
+) -> Array:
+    """Lead the tip to the nearest wall and back, once per "touch" slot, until `touch_mm` is left between them."""
+    for slot in (slot for slot in timeline if slot.kind == "touch"):
+        strength = np.array([slot.strength(tick) for tick in range(motion.frames)])
+        middle = (slot.first + slot.last) // 2
+        distance, away = clearance(colon, caster, positions[middle : middle + 1])
+        closer = positions - strength[:, None] * away * (distance - motion.touch_mm)
+        # Elsewhere along the way a fold may be nearer than the wall that is aimed at: keep the path's own distance.
+        own = clearance(colon, caster, positions)[0]
+        wanted = np.minimum(own - 0.3, motion.clearance_mm) * (1 - strength) + 0.6 * motion.touch_mm * strength
+        positions = _keep_off(closer, centre, colon, caster, np.minimum(wanted, own))
+    return positions
+
+
+def _sudden_turns(motion: MotionConfig, timeline: Sequence[Slot], seed: int) -> Array:
+    """Rotations (N,3,3) in camera axes: quick swings of the view, and bending round to look back."""
+    angles = {"quick_turn": motion.quick_turn_deg, "look_back": motion.look_back_deg}
+    total = Rotation.identity(motion.frames)
+    for slot in (slot for slot in timeline if slot.kind in angles):
+        heading = np.random.default_rng([seed, 5, slot.number]).uniform(0, 2 * np.pi)
+        axis = np.array([np.cos(heading), np.sin(heading), 0.0])
+        strength = np.array([slot.strength(tick) for tick in range(motion.frames)])
+        total = total * Rotation.from_rotvec(np.radians(angles[slot.kind]) * strength[:, None] * axis)
+    return total.as_matrix()
 
 
 def _look_at(forward: Array, down: Array) -> Array:

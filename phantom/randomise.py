@@ -59,6 +59,13 @@ def random_colon(rng: np.random.Generator) -> AnatomyConfig:
         relief_mm=rng.uniform(0.1, 1.1),
         polyps=int(rng.integers(0, 7)),
         polyp_radius_mm=rng.uniform(1.5, 5.0),
+        pedunculated=int(rng.integers(0, 3)),
+        flat=int(rng.integers(0, 3)),
+        diverticula=int(rng.integers(0, 4)) if rng.uniform() < 0.25 else 0,
+        diverticulum_mm=rng.uniform(1.8, 4.0),
+        collapse=_sometimes(rng, 0.2, 0.1, 0.5),
+        closed_start=bool(rng.uniform() < 0.25),
+        closed_end=bool(rng.uniform() < 0.25),
         edge_mm=0.9,
     )
 
@@ -80,8 +87,16 @@ def random_small_intestine(rng: np.random.Generator) -> AnatomyConfig:
         fold_tilt_mm=rng.uniform(0.0, 2.5),
         relief_mm=rng.uniform(0.05, 0.4),
         polyp_radius_mm=rng.uniform(1.0, 3.0),
+        diverticula=0,
+        villi_mm=_sometimes(rng, 0.7, 0.05, 0.4),
         edge_mm=0.7,
     )
+
+
+def _sometimes(rng: np.random.Generator, chance: float, low: float, high: float) -> float:
+    """0, or with this chance a number between low and high. Draws the same count either way."""
+    value = rng.uniform(low, high)
+    return float(value) if rng.uniform() < chance else 0.0
 
 
 def _tissue(rng: np.random.Generator) -> Colour:
@@ -115,8 +130,26 @@ def random_appearance(rng: np.random.Generator) -> AppearanceConfig:
         tree_width_mm=rng.uniform(0.25, 0.9),
         bump_mm=float(np.exp(rng.uniform(np.log(0.002), np.log(0.03)))),
         cavity=rng.uniform(0.0, 0.6),
+        stool=_sometimes(rng, 0.25, 0.02, 0.35),
+        stool_colour=_stool_colour(rng),
+        fluid=_sometimes(rng, 0.25, 0.05, 0.4),
+        fluid_colour=_fluid_colour(rng),
         texel_mm=0.2,
     )
+
+
+def _stool_colour(rng: np.random.Generator) -> Colour:
+    """Ochre to brown, bile makes it greenish."""
+    red = rng.uniform(0.15, 0.6)
+    green = red * rng.uniform(0.5, 1.0)
+    return float(red), float(green), float(green * rng.uniform(0.1, 0.5))
+
+
+def _fluid_colour(rng: np.random.Generator) -> Colour:
+    """What a film leaves of the tissue's colour: clear, yellow, greenish, or bloody."""
+    red = rng.uniform(0.5, 1.0)
+    green = red * rng.choice([rng.uniform(0.7, 1.1), rng.uniform(0.2, 0.5)], p=[0.85, 0.15])
+    return float(red), float(min(green, 1.0)), float(min(green, 1.0) * rng.uniform(0.2, 0.9))
 
 
 def random_imaging(rng: np.random.Generator) -> ImagingConfig:
@@ -140,6 +173,12 @@ def random_imaging(rng: np.random.Generator) -> ImagingConfig:
         noise=rng.uniform(0.0, 0.03),
         blur_px=float(rng.choice([0.0, rng.uniform(0.3, 1.2)], p=[0.2, 0.8])),
         shutter=float(rng.choice([0.0, rng.uniform(0.2, 1.0)], p=[0.8, 0.2])),
+        focus_mm=float(np.exp(rng.uniform(np.log(8.0), np.log(40.0)))),
+        defocus_px=_sometimes(rng, 0.3, 0.2, 1.5),
+        sharpen=_sometimes(rng, 0.4, 0.2, 1.5),
+        chroma_px=2 if rng.uniform() < 0.6 else 1,
+        jpeg_quality=int(rng.integers(40, 96)) if rng.uniform() < 0.5 else 0,
+        text=bool(rng.uniform() < 0.1),
     )
 
 

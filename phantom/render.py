@@ -1,8 +1,11 @@
-"""A phantom that can be filmed: mesh, texture, lens and light put together."""
+"""A phantom that can be filmed: mesh, texture, lens and light put together, and what comes in between."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,10 +17,13 @@ from numpy.typing import NDArray
 from phantom.camera import make_camera
 from phantom.colon import build_colon
 from phantom.config import CameraConfig, ImagingConfig, PhantomConfig
+from phantom.obstacles import OBSTACLES, View, place_foam
+from phantom.peristalsis import MovedWall, Peristalsis
 from phantom.raycaster import Hits, RayCaster
 from phantom.sensor import Sensor, smear
 from phantom.shading import light_positions, shade
 from phantom.texture import SurfaceTexture
+from phantom.timeline import Slot
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -34,14 +40,26 @@ class Frame:
     triangle: NDArray[np.int64]  # (H,W) index of the triangle seen, -1 where none
 
 
+@dataclass(frozen=True)
+class Look:
+    """What reaches the lens, before any sensor."""
+
+    radiance: Floats  # (H,W,3)
+    wall: Floats  # (H,W) z-depth of the wall behind whatever hides it, mm; 0 = none
+    triangle: NDArray[np.int64]  # (H,W), -1 where no wall
+    hidden: NDArray[np.bool_]  # (H,W) something is in between
+
+
 class Phantom:
     """One colon, painted, with a camera. Geometry and texture are built once; frames are cheap."""
 
     def __init__(self, config: PhantomConfig, threads: int = 0) -> None:
+        """`threads` 0 uses every core; the frames do not depend on it."""
         self.config = config
+        self.threads = threads or os.cpu_count() or 1
         self.camera = make_camera(config.camera)
         self.colon = build_colon(config.anatomy, config.seed)
-        self.caster = RayCaster(self.colon.vertices, self.colon.triangles, threads)
+        self.caster = RayCaster(self.colon.vertices, self.colon.triangles, 1)
         self.texture = SurfaceTexture(self.colon, config.appearance, config.seed)
         self.rays = self.camera.rays()
 
@@ -53,42 +71,69 @@ class Phantom:
         other.rays = other.camera.rays()
         return other
 
-    def film(self, poses: Array) -> Iterator[Frame]:
-        """Frames along world_from_camera (N,4,4); the gain adapts from one to the next."""
-        sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height)
-        for index, pose in enumerate(poses):
+    def film(
+        self, poses: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
+    ) -> Iterator[Frame]:
+        """Frames along world_from_camera (N,4,4); the gain adapts from one to the next.
+
+        What reaches the lens is made a few frames ahead on every core; the sensor takes it in order.
+        """
+        sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed)
+        foams = {slot.number: self._foam(poses, slot) for slot in timeline if slot.kind == "bubbles"}
+
+        def look(index: int) -> Look:
+            wall = peristalsis.wall(index) if peristalsis else None
             upcoming = poses[min(index + 1, len(poses) - 1)]
-            yield self.shoot(pose, upcoming, sensor, np.random.default_rng([self.config.seed, 3, index]))
+            seen = self.look(poses[index], upcoming, wall)
+            for slot in timeline:
+                if slot.kind in OBSTACLES and slot.first <= index <= slot.last:
+                    seen = self._obstructed(seen, poses[index], slot, index, foams.get(slot.number))
+            return seen
+
+        for index, seen in enumerate(_ahead(look, len(poses), self.threads)):
+            yield develop(seen, sensor, np.random.default_rng([self.config.seed, 3, index]))
 
     def shoot(self, pose: Array, upcoming: Array, sensor: Sensor, rng: np.random.Generator) -> Frame:
         """One frame from `pose`; `upcoming` is where the camera is one frame later (for motion blur)."""
-        hits = self._cast(pose)
+        return develop(self.look(pose, upcoming), sensor, rng)
+
+    def look(self, pose: Array, upcoming: Array, moved: MovedWall | None = None) -> Look:
+        """Light and truth from `pose`, with the wall at rest or moved."""
+        caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, 1)
+        hits = caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
-        radiance = self._radiance(pose, hits, points)
+        radiance = self._radiance(pose, hits, points, caster, moved)
         shutter = self.config.imaging.shutter
         if shutter:
             radiance = smear(radiance, self._flow(points, hits.valid, pose, upcoming), shutter)
-        shown = hits.valid & sensor.window & (points[..., 2] > 0)
-        depth = np.where(shown, points[..., 2], 0.0).astype(np.float32)
+        shown = hits.valid & (points[..., 2] > 0)
+        wall = np.where(shown, points[..., 2], 0.0).astype(np.float32)
         triangle = np.where(shown, hits.triangle.astype(np.int64), -1)
-        return Frame(sensor.expose(radiance, rng), depth, triangle)
+        return Look(radiance, wall, triangle, np.zeros(shown.shape, bool))
 
-    def _cast(self, pose: Array) -> Hits:
-        return self.caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
-
-    def _radiance(self, pose: Array, hits: Hits, points: Floats) -> Floats:
+    def _radiance(self, pose: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None) -> Floats:
         rotation = pose[:3, :3].astype(np.float32)
         safe = np.where(hits.valid, hits.triangle, 0)
         row, column = self.colon.grid_position(safe, hits.bary)
-        albedo, normals = self.texture.sample(row, column, self._footprint(points))
-        radiance = shade(points, normals @ rotation, albedo, self._lit(pose, points), self.config.imaging)
+        albedo, gloss, normals = self.texture.sample(row, column, self._footprint(points))
+        if moved is not None:
+            normals = normals + self._interpolated(moved.normal_change, safe, hits.bary)
+            normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+        lit = self._lit(pose, points, caster)
+        radiance = shade(points, normals @ rotation, albedo, gloss, lit, self.config.imaging)
         return np.where(hits.valid[..., None], radiance, 0.0).astype(np.float32)
+
+    def _interpolated(self, values: Floats, triangle: NDArray[np.uint32], bary: Floats) -> Floats:
+        """Values on vertices (V,C) at surface points (H,W)."""
+        corners = values[self.colon.triangles[triangle]]
+        weights = np.concatenate([1 - bary.sum(axis=-1, keepdims=True), bary], axis=-1)
+        return np.einsum("hwkc,hwk->hwc", corners, weights)
 
     def _footprint(self, points: Floats) -> Floats:
         """Size of a pixel on the wall (H,W) mm, a compromise between frontal and grazing views."""
         return 1.3 * points[..., 2] / np.float32(self.camera.params[0])
 
-    def _lit(self, pose: Array, points: Floats) -> Floats:
+    def _lit(self, pose: Array, points: Floats, caster: RayCaster) -> Floats:
         """How much of each light every point sees (L,H,W), tested at every second pixel: shadows are soft."""
         lights = light_positions(self.config.imaging)
         height, width = points.shape[:2]
@@ -99,7 +144,7 @@ class Phantom:
         lit = np.empty((len(lights), height, width), np.float32)
         for index, light in enumerate(lights):
             origin = (rotation @ light + pose[:3, 3]).astype(np.float32)
-            blocked = self.caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
+            blocked = caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
             soft = cv2.GaussianBlur(1 - blocked.astype(np.float32), (0, 0), PENUMBRA_PX)
             lit[index] = cv2.resize(soft, (width, height))
         return lit
@@ -110,3 +155,40 @@ class Phantom:
         moved = points @ then_from_now[:3, :3].T + then_from_now[:3, 3]
         flow = self.camera.project(moved) - self.camera.project(points)
         return np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
+
+    def _foam(self, poses: Array, slot: Slot) -> Array:
+        """Where a slot's bubbles sit on the wall: in view in its middle."""
+        pose = poses[(slot.first + slot.last) // 2]
+        hits = self.caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+        points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
+        return place_foam(points, pose, np.random.default_rng([self.config.seed, 6, slot.number]))
+
+    def _obstructed(self, seen: Look, pose: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
+        nothing = np.empty((0, 4)) if foam is None else foam
+        points = self.rays * (seen.wall / np.maximum(self.rays[..., 2], np.float32(1e-6)))[..., None]
+        view = View(self.camera, self.config.imaging, self.rays, pose, points, seen.radiance, nothing)
+        rng = np.random.default_rng([self.config.seed, 7, slot.number])
+        radiance, hidden = OBSTACLES[slot.kind](view, slot, frame, rng)
+        return replace(seen, radiance=radiance.astype(np.float32), hidden=seen.hidden | hidden)
+
+
+def develop(seen: Look, sensor: Sensor, rng: np.random.Generator) -> Frame:
+    """Light to picture; truth only where the picture shows wall."""
+    shown = sensor.window & ~seen.hidden
+    depth, triangle = np.where(shown, seen.wall, np.float32(0)), np.where(shown, seen.triangle, -1)
+    return Frame(sensor.expose(seen.radiance, rng, seen.wall), depth, triangle)
+
+
+def _ahead(make: Callable[[int], Look], count: int, threads: int) -> Iterator[Look]:
+    """make(0), make(1), ... in order, computed on `threads` threads, at most one frame ahead per thread."""
+    if threads == 1:
+        yield from map(make, range(count))
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[Look]] = deque()
+        for index in range(count):
+            waiting.append(pool.submit(make, index))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

@@ -90,7 +90,7 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
         pose = random_pose(view.colon, view.caster, view.rays, rng)
         drift = pose.copy()
         drift[:3, 3] += rng.normal(0.0, 0.5, 3)  # where motion blur points
-        sensor = Sensor(view.config.imaging, plan.size, plan.size)
+        sensor = Sensor(view.config.imaging, plan.size, plan.size, seed=view.config.seed + index)
         frame = view.shoot(pose, drift, sensor, rng)
         arrays["images"][index] = frame.image
         arrays["depths"][index] = frame.depth

@@ -77,6 +77,11 @@ class SheetScale:
         """Area of the whole wall."""
         return float(self._mm.prod(axis=-1).mean() * self.shape[0] * self.shape[1])
 
+    def texel_mm2(self) -> Floats:
+        """Area (rows, columns) of wall under every texel."""
+        area = self._mm.prod(axis=-1).astype(np.float32)
+        return cv2.resize(area, self.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
     def __call__(self, texels: Array) -> Array:
         """(K,2) mm per texel around and along, at (K,2) texels (column, row)."""
         row = np.clip(texels[:, 1] / 4, 0, self._mm.shape[0] - 1).astype(int)

@@ -11,10 +11,11 @@ from typing import Annotated, Any
 import typer
 
 from completion.errors import CompletionError
+from phantom.errors import PhantomError
 from pipeline.errors import HaustraError
 from reconstruction.errors import ReconstructionError
 
-KNOWN_ERRORS = (HaustraError, CompletionError, ReconstructionError)
+KNOWN_ERRORS = (HaustraError, CompletionError, ReconstructionError, PhantomError)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
 
 app = typer.Typer(
@@ -105,6 +106,46 @@ def compare(
     print(result)
     if json_file is not None:
         write_json(json_file, result.to_dict())
+
+
+@app.command()
+def phantom(
+    out: Annotated[Path, typer.Argument(help="folder to write; with --gallery a .png file")],
+    scene: Annotated[str | None, typer.Option(help="colon, small_intestine, ccd or csd")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="of geometry, texture, path and noise")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="length of the film")] = None,
+    size: Annotated[int | None, typer.Option(help="side of the square picture, px")] = None,
+    motion: Annotated[str | None, typer.Option(help="withdrawal, insertion or loop")] = None,
+    events: Annotated[bool, typer.Option("--events", help="red-out, water jet, bubbles, tool, peristalsis")] = False,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings, as in phantom/suite.yaml")] = None,
+    suite: Annotated[bool, typer.Option("--suite", help="the five evaluation sequences instead")] = False,
+    training: Annotated[int | None, typer.Option(min=1, help="this many random training frames instead")] = None,
+    gallery: Annotated[bool, typer.Option("--gallery", help="a picture of all scenes instead")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="processes that render training frames")] = 2,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the phantom in the folder")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")] = False,
+) -> None:
+    """Make a colon that knows its truth and film it: video, depth, path, mesh, lesions."""
+    from pipeline.phantom_command import PhantomOptions, chosen_config, render, render_training, suite_folders
+    from pipeline.progress import SilentProgress, TerminalProgress
+
+    progress = SilentProgress() if quiet else TerminalProgress()
+    options = PhantomOptions(scene, seed, frames, size, motion, events, config)
+    if sum([suite, training is not None, gallery]) > 1:
+        raise HaustraError("give only one of --suite, --training and --gallery")
+    if gallery:
+        from phantom.gallery import write_gallery
+
+        with progress.bar("gallery", None) as advance:
+            print(write_gallery(out, advance))
+    elif training is not None:
+        print(render_training(out, training, options, workers, progress))
+    elif suite:
+        if options != PhantomOptions():
+            raise HaustraError("--suite is fixed: it takes --overwrite and --quiet only")
+        print(*render(suite_folders(out), progress, overwrite), sep="\n")
+    else:
+        print(*render({out: chosen_config(options)}, progress, overwrite))
 
 
 def run_cleanly(command: Callable[[], Any]) -> int:

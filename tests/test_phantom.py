@@ -15,13 +15,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phantom.camera import Camera, make_camera
+from phantom.camera import make_camera
 from phantom.config import (
-    AnatomyConfig,
-    AppearanceConfig,
     CameraConfig,
-    ImagingConfig,
-    MotionConfig,
     PhantomConfig,
 )
 from phantom.demo import DEMO
@@ -30,16 +26,7 @@ from phantom.motion import camera_path, clearance
 from phantom.randomise import randomised
 from phantom.render import Phantom
 from phantom.shards import ShardPlan, write_shards
-
-SIZE = 48
-TINY = PhantomConfig(
-    seed=5,
-    anatomy=AnatomyConfig(length_mm=110.0, radius_mm=14.0, fold_depth_mm=4.0, edge_mm=2.0, polyps=2, flexures=0),
-    appearance=AppearanceConfig(texel_mm=0.4, tree_width_mm=1.0),
-    imaging=ImagingConfig(noise=0.0, specular=0.0, light_offset_mm=0.0, lights=1, exposure_smoothing=0.95),
-    camera=CameraConfig(width=SIZE, height=SIZE),
-    motion=MotionConfig(frames=4, start=0.55, speed_mm=1.0, wobble_mm=1.0),
-)
+from tiny_phantom import SIZE, TINY, corners_of, first_hit, pixel_direction
 
 
 @pytest.fixture(scope="module")
@@ -57,38 +44,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return generate(TINY, tmp_path_factory.mktemp("phantom"), threads=1)
 
 
-def first_hit(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray) -> tuple[float, int]:
-    """Moeller-Trumbore against every triangle (F,3,3): length to the nearest in units of direction, and which."""
-    a, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    p = np.cross(direction, edge2)
-    determinant = np.sum(edge1 * p, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = origin - a
-        u = np.sum(s * p, axis=1) / determinant
-        q = np.cross(s, edge1)
-        v = q @ direction / determinant
-        t = np.sum(edge2 * q, axis=1) / determinant
-    t[~((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0))] = np.inf
-    return float(t.min()), int(t.argmin())
-
-
-def pixel_direction(camera: Camera, row: int, column: int) -> np.ndarray:
-    """Direction with z = 1, so that lengths along it are z-depths. Pixel centres are at half integers."""
-    fx, fy, cx, cy = camera.params
-    return np.array([(column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy, 1.0])
-
-
-def corners_of(phantom: Phantom) -> np.ndarray:
-    return phantom.colon.vertices[phantom.colon.triangles].astype(float)
-
-
 def test_depth_equals_brute_force_ray_casting(phantom: Phantom, poses: np.ndarray) -> None:
     frame = next(phantom.film(poses[:1]))
     corners, rng = corners_of(phantom), np.random.default_rng(0)
     for row, column in rng.integers(0, SIZE, (60, 2)):
         direction = poses[0, :3, :3] @ pixel_direction(phantom.camera, row, column)
         z, triangle = first_hit(poses[0, :3, 3], direction, corners)
-        assert frame.depth[row, column] == pytest.approx(z if np.isfinite(z) else 0.0, rel=1e-4)
+        assert frame.depth[row, column] == pytest.approx(z if np.isfinite(z) else 0.0, abs=1e-3)
         assert frame.triangle[row, column] == (triangle if np.isfinite(z) else -1)
 
 
@@ -138,7 +100,7 @@ def test_same_seed_same_bytes(phantom: Phantom, poses: np.ndarray) -> None:
 def test_same_seed_same_folder(folder: Path, tmp_path: Path) -> None:
     generate(TINY, tmp_path, threads=2)
     files = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file()]
-    assert len(files) == 2 * TINY.motion.frames + 6
+    assert len(files) == 2 * TINY.motion.frames + 8
     for name in files:
         assert (folder / name).read_bytes() == (tmp_path / name).read_bytes(), name
 

@@ -1,0 +1,87 @@
+"""How fast the phantom films, with everything on, beside the bare ray casting that it cannot do without.
+
+    python benchmarks/phantom_speed.py --runs 3 --json phantom_speed.json
+
+Whole frames as `haustra phantom` writes them: geometry, two lights with shadows, texture, defocus, motion blur,
+sharpening, noise, text, mask, 4:2:0, JPEG, PNG of picture and depth, H.264. The colon is built before the clock
+starts (its time is printed too). The peer is Open3D's RaycastingScene casting the same primary rays and nothing
+else, in turn.
+"""
+
+import argparse
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from phantom.config import PhantomConfig
+from phantom.generate import film_into
+from phantom.motion import camera_path
+from phantom.raycaster import RayCaster
+from phantom.render import Phantom
+from phantom.suite import config_from
+from record import spread, write
+
+EVERYTHING = {
+    "scene": "colon",
+    "seed": 1,
+    "appearance": {"stool": 0.03, "fluid": 0.03},
+    "imaging": {
+        "border": "octagon",
+        "text": True,
+        "shutter": 0.4,
+        "defocus_px": 0.8,
+        "sharpen": 0.4,
+        "chroma_px": 2,
+        "jpeg_quality": 90,
+    },
+}
+
+
+def filmed(phantom: Phantom, poses: np.ndarray) -> float:
+    """Frames per second, written to disk."""
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.monotonic()
+        film_into(Path(folder), phantom, poses)
+        return len(poses) / (time.monotonic() - start)
+
+
+def cast_only(caster: RayCaster, phantom: Phantom, poses: np.ndarray) -> float:
+    start = time.monotonic()
+    for pose in poses:
+        caster.cast(pose[:3, 3], phantom.rays @ pose[:3, :3].T.astype(np.float32))
+    return len(poses) / (time.monotonic() - start)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=120)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    config: PhantomConfig = config_from(EVERYTHING)
+    config = replace(config, motion=replace(config.motion, frames=arguments.frames))
+    start = time.monotonic()
+    phantom = Phantom(config)
+    build = time.monotonic() - start
+    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed)
+    every_core = RayCaster(phantom.colon.vertices, phantom.colon.triangles)
+    rates: dict[str, list[float]] = {"phantom": [], "ray casting alone": []}
+    for _ in range(arguments.runs):
+        rates["phantom"].append(filmed(phantom, poses))
+        rates["ray casting alone"].append(cast_only(every_core, phantom, poses))
+    figures = {name: spread(values) for name, values in rates.items()}
+    ratios = [ours / theirs for ours, theirs in zip(*rates.values(), strict=True)]
+    size = f"{config.camera.width}x{config.camera.height}, {len(phantom.colon.triangles)} triangles"
+    for name, values in figures.items():
+        count = f"{arguments.runs} runs of {arguments.frames} frames, {size}"
+        print(f"{name:18} {values['median']:.1f} frames/s [{values['min']:.1f}, {values['max']:.1f}] ({count})")
+    print(f"ratio {np.median(ratios):.2f}; building the colon took {build:.1f} s")
+    figures["ratio"] = spread(ratios)
+    write(arguments.json, {"figures": figures, "build_s": build, "frames": arguments.frames, "size": size})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Named scenes: the four rows of the paper's Table I, each with a stand-in whose truth is known.
+
+colon            photoreal colon, the VR-Caps colon's place
+small_intestine  narrow, little texture, ringed by plicae and covered by villi: the VR-Caps small intestine's place
+ccd              two materials under two lights, taken in turn by the seed (UCL's Colonoscopy CG Dataset)
+csd              poor light, rich vessels (the Colonoscopy Simulator Dataset)
+
+They resemble those data sets in kind; no picture or mesh of them went in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from phantom.config import (
+    AnatomyConfig,
+    AppearanceConfig,
+    ImagingConfig,
+    MotionConfig,
+    PhantomConfig,
+)
+from phantom.errors import PhantomError
+
+COLON = PhantomConfig(
+    anatomy=AnatomyConfig(pedunculated=1, flat=1, diverticula=2),
+    appearance=AppearanceConfig(fluid=0.02),
+    imaging=ImagingConfig(shutter=0.3),
+)
+SMALL_INTESTINE = PhantomConfig(
+    anatomy=AnatomyConfig(
+        scene="small_intestine",
+        length_mm=220.0,
+        radius_mm=13.0,
+        taenia_depth_mm=0.0,
+        sacculation_mm=0.3,
+        fold_spacing_mm=7.5,
+        fold_depth_mm=3.0,
+        fold_width_mm=1.2,
+        fold_tilt_mm=1.5,
+        relief_mm=0.25,
+        villi_mm=0.15,
+        polyps=1,
+        polyp_radius_mm=2.0,
+        edge_mm=0.6,
+    ),
+    motion=MotionConfig(speed_mm=0.3, wobble_mm=2.0, ahead_mm=14.0, clearance_mm=2.5),
+)
+MATERIALS = (
+    AppearanceConfig(),
+    AppearanceConfig(tissue=(0.70, 0.40, 0.30), tissue_other=(0.75, 0.48, 0.36)),
+)
+LIGHTS = (ImagingConfig(), ImagingConfig(lights=1, light_lobe=2.5))
+CSD = PhantomConfig(imaging=ImagingConfig(exposure=0.06))
+SCENES = ("colon", "small_intestine", "ccd", "csd")
+USABLE = 0.5  # part of the gut a film may travel: the view reaches some 100 mm further, and ends are contracted
+MOST_MM = 1200.0  # of gut: an adult's colon is about 1500 mm long
+
+
+def scene_config(name: str, seed: int = 0) -> PhantomConfig:
+    """The config of a named scene. PhantomError if the name is unknown."""
+    if name == "ccd":
+        material, light = divmod(seed % 4, 2)
+        return replace(COLON, seed=seed, appearance=MATERIALS[material], imaging=LIGHTS[light])
+    known = {"colon": COLON, "small_intestine": SMALL_INTESTINE, "csd": CSD}
+    if name not in known:
+        raise PhantomError(f"unknown scene {name!r}; known: {', '.join(SCENES)}")
+    return replace(known[name], seed=seed)
+
+
+def film_of(
+    config: PhantomConfig, frames: int | None = None, size: int | None = None, direction: str | None = None
+) -> PhantomConfig:
+    """The same scene filmed for longer, larger or the other way; the gut is made as long as the way needs.
+
+    Beyond MOST_MM of gut the scope goes slower instead.
+    """
+    camera, motion, anatomy = config.camera, config.motion, config.anatomy
+    if size is not None:
+        camera = replace(camera, width=size, height=size)
+    if frames is not None:
+        motion = replace(motion, frames=frames)
+    if direction is not None:
+        motion = replace(motion, direction=direction)
+    if frames is None and direction is None:
+        return replace(config, camera=camera)
+    there_and_back = 2 if motion.direction == "loop" else 1
+    way_mm = motion.speed_mm * (1 + motion.speed_variation) * motion.frames / there_and_back
+    length_mm = float(np.clip(way_mm / USABLE, anatomy.length_mm, max(MOST_MM, anatomy.length_mm)))
+    slower = min(1.0, USABLE * length_mm / max(way_mm, 1e-9))
+    start = 0.5 + USABLE / 2 if motion.direction == "withdrawal" else 0.5 - USABLE / 2
+    motion = replace(motion, start=start, speed_mm=motion.speed_mm * slower)
+    return replace(config, camera=camera, motion=motion, anatomy=replace(anatomy, length_mm=length_mm))
