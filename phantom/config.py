@@ -84,7 +84,8 @@ class ImagingConfig:
     light_roll_deg: float = 20.0  # where around the tip they sit
     light_lobe: float = 0.2  # exponent of the cosine emission lobe; wide diffusers make it nearly even
     light_colour: Colour = (1.0, 0.96, 0.90)  # xenon, slightly warm after the lens
-    ambient: float = 0.16  # light arriving by other walls, relative to direct light at 25 mm
+    ambient: float = 0.16  # light arriving by other walls, relative to direct light at 25 mm: a mere tint
+    bounce: float = 0.0  # light that visible walls send each other; 1 is one reflection, more stands for further ones
     wrap: float = 0.25  # light that subsurface scattering carries round the terminator
     shadows: bool = True  # cast shadows from the off-axis lights
     specular: float = 0.12  # strength of wet glints

@@ -32,9 +32,9 @@ ROWS: tuple[tuple[str, str, tuple[int, ...]], ...] = (
 
 
 def write_gallery(target: Path, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Render the gallery into a PNG; `progress(done, total)` counts phantoms."""
-    if target.suffix.lower() != ".png":
-        raise PhantomError(f"{target}: the gallery is a .png file")
+    """Render the gallery into a picture; `progress(done, total)` counts phantoms."""
+    if target.suffix.lower() not in (".png", ".jpg"):
+        raise PhantomError(f"{target}: the gallery is a .png or a .jpg file")
     total, done = sum(len(seeds) for _, _, seeds in ROWS) + 1, 0
     sheets: list[Image] = []
     truth: list[Image] = []
@@ -52,7 +52,7 @@ def write_gallery(target: Path, progress: Callable[[int, int], None] | None = No
     if progress:
         progress(total, total)
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_bytes(cv2.imencode(".png", np.vstack(sheets)[..., ::-1])[1].tobytes())
+    target.write_bytes(cv2.imencode(target.suffix.lower(), np.vstack(sheets)[..., ::-1])[1].tobytes())
     return target
 
 

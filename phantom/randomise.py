@@ -141,7 +141,7 @@ def random_appearance(rng: np.random.Generator) -> AppearanceConfig:
 def _stool_colour(rng: np.random.Generator) -> Colour:
     """Ochre to brown, bile makes it greenish."""
     red = rng.uniform(0.15, 0.6)
-    green = red * rng.uniform(0.5, 1.0)
+    green = red * rng.uniform(0.45, 0.85)
     return float(red), float(green), float(green * rng.uniform(0.1, 0.5))
 
 
@@ -162,6 +162,7 @@ def random_imaging(rng: np.random.Generator) -> ImagingConfig:
         light_lobe=rng.uniform(0.0, 1.5),
         light_colour=(1.0, float(rng.uniform(0.9, 1.05)), float(warmth)),
         ambient=float(np.exp(rng.uniform(np.log(0.03), np.log(0.6)))),
+        bounce=rng.uniform(0.5, 3.0) * (rng.uniform() < 0.7),
         wrap=rng.uniform(0.0, 0.3),
         shadows=bool(rng.uniform() < 0.5),
         specular=rng.uniform(0.0, 0.4) * (rng.uniform() < 0.85),

@@ -165,7 +165,7 @@ class Phantom:
 
     def _obstructed(self, seen: Look, pose: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
         nothing = np.empty((0, 4)) if foam is None else foam
-        points = self.rays * (seen.wall / np.maximum(self.rays[..., 2], np.float32(1e-6)))[..., None]
+        points = (self.rays * (seen.wall / np.maximum(self.rays[..., 2], 1e-6))[..., None]).astype(np.float32)
         view = View(self.camera, self.config.imaging, self.rays, pose, points, seen.radiance, nothing)
         rng = np.random.default_rng([self.config.seed, 7, slot.number])
         radiance, hidden = OBSTACLES[slot.kind](view, slot, frame, rng)

@@ -14,19 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from phantom.config import (
-    AnatomyConfig,
-    AppearanceConfig,
-    ImagingConfig,
-    MotionConfig,
-    PhantomConfig,
-)
+from phantom.config import AnatomyConfig, MotionConfig, PhantomConfig
 from phantom.errors import PhantomError
+from phantom.looks import CAPSULE, DIM, ORANGE, PALE, PINK, SCOPE, SPOT, VEINED, VILLOUS, WIDE
 
 COLON = PhantomConfig(
     anatomy=AnatomyConfig(pedunculated=1, flat=1, diverticula=2),
-    appearance=AppearanceConfig(fluid=0.02),
-    imaging=ImagingConfig(shutter=0.3),
+    appearance=PINK,
+    imaging=SCOPE,
 )
 SMALL_INTESTINE = PhantomConfig(
     anatomy=AnatomyConfig(
@@ -40,19 +35,17 @@ SMALL_INTESTINE = PhantomConfig(
         fold_width_mm=1.2,
         fold_tilt_mm=1.5,
         relief_mm=0.25,
-        villi_mm=0.15,
+        villi_mm=0.12,
         polyps=1,
         polyp_radius_mm=2.0,
         edge_mm=0.6,
     ),
+    appearance=VILLOUS,
+    imaging=CAPSULE,
     motion=MotionConfig(speed_mm=0.3, wobble_mm=2.0, ahead_mm=14.0, clearance_mm=2.5),
 )
-MATERIALS = (
-    AppearanceConfig(),
-    AppearanceConfig(tissue=(0.70, 0.40, 0.30), tissue_other=(0.75, 0.48, 0.36)),
-)
-LIGHTS = (ImagingConfig(), ImagingConfig(lights=1, light_lobe=2.5))
-CSD = PhantomConfig(imaging=ImagingConfig(exposure=0.06))
+MATERIALS, LIGHTS = (ORANGE, PALE), (SPOT, WIDE)
+CSD = replace(COLON, appearance=VEINED, imaging=DIM)
 SCENES = ("colon", "small_intestine", "ccd", "csd")
 USABLE = 0.5  # part of the gut a film may travel: the view reaches some 100 mm further, and ends are contracted
 MOST_MM = 1200.0  # of gut: an adult's colon is about 1500 mm long

@@ -151,11 +151,14 @@ def smear(radiance: Floats, flow: Floats, shutter: float, taps: int = 5) -> Floa
     """Motion blur: average (H,W,3) along the pixel flow (H,W,2) while the shutter is open."""
     height, width = radiance.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    total = np.zeros_like(radiance)
-    for part in np.linspace(-0.5, 0.5, taps, dtype=np.float32) * shutter:
-        moved = x + part * flow[..., 0], y + part * flow[..., 1]
-        total += cv2.remap(radiance, *moved, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return (total / taps).astype(np.float32)
+    along, down = cv2.split(flow)
+    packed = cv2.merge([*cv2.split(radiance), x])  # cv2.remap is twice as fast on four channels as on three
+    total = np.zeros_like(packed)
+    for part in np.linspace(-0.5, 0.5, taps, dtype=np.float32) * np.float32(shutter):
+        moved = x + part * along, y + part * down
+        total += cv2.remap(packed, *moved, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    total /= taps
+    return cv2.merge(cv2.split(total)[:3])
 
 
 def border_window(border: str, width: int, height: int) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantom.config import ImagingConfig
+from phantom.interreflection import bounced
 
 Floats = NDArray[np.floating[Any]]  # float32 in practice; numpy's types widen at every scalar
 Planes = Sequence[Floats]  # x, y, z, each (H,W)
@@ -50,16 +51,19 @@ def shade(
     glint *= gloss
     glint /= max(imaging.lights, 1)
     # Light from other walls has bounced off tissue, so it is redder, and falls off more slowly.
-    bounced = imaging.ambient * REFERENCE_MM / (distance + 5.0)
+    tint = imaging.ambient * REFERENCE_MM / (distance + 5.0)
     planes = []
     for paint, colour in zip(cv2.split(albedo), np.asarray(imaging.light_colour, np.float32)):
         radiance = paint * diffuse
         if imaging.ambient:
-            radiance += paint * paint * 2.4 * bounced
+            radiance += paint * paint * 2.4 * tint
         radiance += glint
         radiance *= colour
         planes.append(radiance)
-    return cv2.merge(planes)
+    direct = cv2.merge(planes)
+    if not imaging.bounce:
+        return direct
+    return direct + np.float32(imaging.bounce) * albedo * bounced(points, normals, direct)
 
 
 def _one_light(

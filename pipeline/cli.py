@@ -110,7 +110,7 @@ def compare(
 
 @app.command()
 def phantom(
-    out: Annotated[Path, typer.Argument(help="folder to write; with --gallery a .png file")],
+    out: Annotated[Path, typer.Argument(help="folder to write; with --gallery a .png or .jpg file")],
     scene: Annotated[str | None, typer.Option(help="colon, small_intestine, ccd or csd")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="of geometry, texture, path and noise")] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="length of the film")] = None,

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from phantom.camera import make_camera
 from phantom.coating import GLOSS_FLUID, GLOSS_STOOL, coat, upwards
 from phantom.colon import Colon, build_colon
 from phantom.config import AnatomyConfig, AppearanceConfig, CameraConfig, ImagingConfig, MotionConfig, PhantomConfig
+from phantom.interreflection import bounced
 from phantom.motion import camera_path
 from phantom.randomise import random_appearance, random_imaging, randomised
 from phantom.render import Frame, Phantom
@@ -223,6 +225,8 @@ def test_everything_on_is_deterministic_and_all_off_is_as_before(phantom: Phanto
     np.testing.assert_array_equal(filmed(phantom, everything).image, filmed(phantom, everything).image)
     sensor, light = Sensor(QUIET, 32, 32), np.random.default_rng(0).uniform(0, 1, (32, 32, 3)).astype(np.float32)
     shown = sensor.expose(light.copy(), np.random.default_rng(0), np.full((32, 32), 3.0, np.float32))
+    unaware = Sensor(QUIET, 32, 32).expose(light.copy(), np.random.default_rng(0))
+    np.testing.assert_array_equal(shown, unaware)  # depth means nothing to a lens that is sharp everywhere
     gain = 0.2 / np.minimum(light[::2, ::2] @ LUMA, 9).mean()
     np.testing.assert_allclose(shown, np.clip(light * gain * 255, 0, 255), atol=1.5)
 
@@ -254,3 +258,23 @@ def test_every_term_is_off_in_part_of_the_draws() -> None:
     draws = [randomised(np.random.default_rng(k)) for k in range(200)]
     assert {d.anatomy.villi_mm > 0 for d in draws if d.anatomy.scene == "colon"} == {False}
     assert {d.anatomy.collapse > 0 for d in draws} == {True, False}
+
+
+def test_inside_a_glowing_ball_the_walls_light_each_other_as_the_integral_says() -> None:
+    """Irradiance over pi that a point of a unit-radiance sphere gets from a part of it is that part's share of area."""
+    rays = make_camera(CameraConfig(width=64, height=64, fov_deg=90.0)).rays()
+    points, normals = 20 * rays, -rays
+    got = bounced(points, normals, np.ones_like(points))
+    np.testing.assert_allclose(got, 1 / 6, rtol=0.03)  # a square 90-degree view sees one face of the cube
+
+
+def test_walls_light_each_other_more_the_more_they_reflect_and_not_at_all_when_off() -> None:
+    rays = make_camera(CameraConfig(width=32, height=32, fov_deg=90.0)).rays()
+    points, normals = 20 * rays, -rays
+    albedo, gloss, lit = np.full_like(points, 0.5), np.ones(points.shape[:2], np.float32), np.ones((2, 32, 32))
+    plain, once, twice = (
+        shade(points, normals, albedo, gloss, lit.astype(np.float32), replace(ImagingConfig(), bounce=bounce))
+        for bounce in (0.0, 1.0, 2.0)
+    )
+    np.testing.assert_allclose(twice - plain, 2 * (once - plain), rtol=1e-4)
+    assert (once > plain).all()
