@@ -15,9 +15,21 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from completion.errors import CompletionError
+from completion.gaenet import GAENet, GAENetConfig
+from completion.models import MSCSAModel
 from completion.network import MSCSAConfig, MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.nlspn import NLSPN, NLSPNConfig
+from completion.std import StDConfig, StDNet
 
-Network = MSCSANet | ScaleFreeMSCSANet
+Network = MSCSANet | ScaleFreeMSCSANet | StDNet | NLSPN | GAENet
+_BUILDERS: dict[str, tuple[type[Network], type[Any]]] = {
+    "ScaleFreeMSCSANet": (ScaleFreeMSCSANet, ScaleFreeConfig),
+    "MSCSANet": (MSCSANet, MSCSAConfig),
+    "MSCSAModel": (MSCSAModel, MSCSAConfig),
+    "StDNet": (StDNet, StDConfig),
+    "NLSPN": (NLSPN, NLSPNConfig),
+    "GAENet": (GAENet, GAENetConfig),
+}
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -48,9 +60,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         return {name: file.get_tensor(name) for name in file.keys()}, metadata  # noqa: SIM118
 
 
-def save_network(
-    path: Path, network: MSCSANet | ScaleFreeMSCSANet, weights: dict[str, Tensor], about: dict[str, Any]
-) -> None:
+def save_network(path: Path, network: Network, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
     """Weights in half precision with the network's name and configuration."""
     halved = {n: t.half() if t.is_floating_point() else t for n, t in weights.items()}
     save_tensors(path, halved, {"network": type(network).__name__, "config": network.config.to_dict(), **about})
@@ -70,10 +80,9 @@ def load_network(path: Path) -> Network:
 
 def _build(metadata: dict[str, Any], path: Path) -> Network:
     try:
-        if metadata["network"] == "ScaleFreeMSCSANet":
-            return ScaleFreeMSCSANet(ScaleFreeConfig(**metadata["config"]))
-        if metadata["network"] == "MSCSANet":
-            return MSCSANet(MSCSAConfig(**metadata["config"]))
+        if metadata["network"] in _BUILDERS:
+            network, config = _BUILDERS[metadata["network"]]
+            return network(config(**metadata["config"]))
     except (KeyError, TypeError) as error:
         raise CompletionError(f"{path} describes no network that this version knows: {error}") from error
     raise CompletionError(f"{path} holds a {metadata['network']}, which this version does not know")

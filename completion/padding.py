@@ -1,0 +1,13 @@
+"""Images of any size for networks that halve their sides."""
+
+import torch.nn.functional as F
+from torch import Tensor
+
+
+def pad_to_multiple(x: Tensor, stride: int) -> Tensor:
+    """(B,C,H,W) -> zeros added at the right and at the bottom until `stride` divides both sides.
+
+    There and not all round: the principal point stays where it is.
+    """
+    height, width = x.shape[2:]
+    return F.pad(x, (0, -width % stride, 0, -height % stride))
