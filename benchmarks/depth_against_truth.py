@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from completion.dataset import read_evaluation_frames
+from completion.readers import read_evaluation_frames
 from pipeline.camera import read_camera
 from pipeline.config import Config
 from pipeline.run import reconstruct

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from completion import DepthCompleter
-from completion.dataset import EvaluationFrame, read_evaluation_frames
+from completion.frames import EvaluationFrame
+from completion.readers import read_evaluation_frames
 from record import write
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))

@@ -1,15 +1,12 @@
-"""Training frames from memory-mapped shards, and evaluation frames from folders.
+"""Training frames from memory-mapped shards.
 
 A shard folder holds `images.npy` (N,H,W,3) uint8 RGB, `depths.npy` (N,H,W) float16 mm and `colon.npy` (N) int, the
 mesh that each frame shows. Validation takes whole meshes, never single frames of a mesh that is trained on.
 """
 
-import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -69,49 +66,3 @@ def augment(rgb: Tensor, depth: Tensor, generator: torch.Generator) -> tuple[Ten
     rgb = grey + (rgb - grey) * draw(0.3, 1.5) + draw(0, 0.05)
     rgb = rgb + draw(0, 0.02) * torch.randn(rgb.shape, generator=generator)
     return rgb.clamp(0, 1).contiguous(memory_format=torch.channels_last), depth.contiguous()
-
-
-@dataclass(frozen=True)
-class EvaluationFrame:
-    """One frame with truth: rgb (H,W,3) uint8, depth (H,W) float32 with 0 = none, in `unit`."""
-
-    name: str
-    rgb: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    unit: str
-
-
-def read_evaluation_frames(folder: Path) -> Iterator[EvaluationFrame]:
-    """Frames of an RGB-D folder (`rgb/`, `depth/`, `camera.json`) or of a SimCol3D folder."""
-    if (folder / "camera.json").exists():
-        yield from _read_rgbd_folder(folder)
-    elif any(folder.glob("FrameBuffer_*.png")):
-        yield from _read_simcol(folder)
-    else:
-        raise CompletionError(f"{folder} is neither an RGB-D folder (camera.json) nor SimCol3D (FrameBuffer_*.png)")
-
-
-def _read_rgbd_folder(folder: Path) -> Iterator[EvaluationFrame]:
-    unit_mm = json.loads((folder / "camera.json").read_text())["depth_unit_mm"]
-    for path in sorted((folder / "rgb").glob("*.png")):
-        depth = _imread(folder / "depth" / path.name, cv2.IMREAD_UNCHANGED)
-        yield EvaluationFrame(path.stem, _read_rgb(path), depth.astype(np.float32) * np.float32(unit_mm), "mm")
-
-
-def _read_simcol(folder: Path) -> Iterator[EvaluationFrame]:
-    for path in sorted(folder.glob("FrameBuffer_*.png")):
-        raw = _imread(folder / path.name.replace("FrameBuffer", "Depth"), cv2.IMREAD_UNCHANGED)
-        # 256 * 255, not 65535, and a full scale of 20 cm: SimCol3D's own reader.
-        depth = raw.astype(np.float32) * np.float32(200 / (256 * 255))
-        yield EvaluationFrame(path.stem.split("_")[-1], _read_rgb(path), depth, "mm")
-
-
-def _read_rgb(path: Path) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(_imread(path, cv2.IMREAD_COLOR)[..., ::-1])
-
-
-def _imread(path: Path, flags: int) -> NDArray:
-    image = cv2.imread(str(path), flags)
-    if image is None:
-        raise CompletionError(f"cannot read the image {path}")
-    return image

@@ -41,7 +41,7 @@ class DepthCompleter:
         precision: str = "auto",
         working_side: int = WORKING_SIDE,
     ) -> None:
-        self.device = _choose_device(device)
+        self.device = choose_device(device)
         self.working_side = working_side
         self.network = _fold_batch_norm(network.eval()).to(self.device, memory_format=torch.channels_last)
         self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
@@ -132,7 +132,7 @@ def confidence_from_error(error: NDArray[np.float32]) -> NDArray[np.float32]:
     return (HALF_CONFIDENCE_ERROR**2 / (HALF_CONFIDENCE_ERROR**2 + np.square(error))).astype(np.float32)
 
 
-def _choose_device(device: str) -> torch.device:
+def choose_device(device: str) -> torch.device:
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if device == "cuda" and not torch.cuda.is_available():

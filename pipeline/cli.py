@@ -148,6 +148,37 @@ def phantom(
         print(*render({out: chosen_config(options)}, progress, overwrite))
 
 
+@app.command()
+def evaluate(
+    folders: Annotated[list[Path], typer.Argument(help="folders with true depth; see completion/readers.py")],
+    model: Annotated[
+        list[str] | None, typer.Option(help="shipped name, weight file, nearest, linear, ip_basic")
+    ] = None,
+    sampler: Annotated[str, typer.Option(help="uniform, features or sfm")] = "uniform",
+    points: Annotated[list[int] | None, typer.Option(min=1, help="per frame; repeat it for a sweep")] = None,
+    align: Annotated[str, typer.Option(help="scale: none, points, median or least_squares")] = "none",
+    averaging: Annotated[str, typer.Option(help="per_frame (the paper's lineage) or pooled")] = "per_frame",
+    dataset: Annotated[str | None, typer.Option(help="layout, if it is not recognised")] = None,
+    stride: Annotated[int, typer.Option(min=1, help="every n-th frame")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="of the points")] = 0,
+    csv: Annotated[Path | None, typer.Option(help="errors of each frame")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="everything, with its protocol")] = None,
+    sheet: Annotated[Path | None, typer.Option(help="picture: images, truth, completed, error maps")] = None,
+    sweep: Annotated[Path | None, typer.Option(help="picture: error over the number of points")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
+) -> None:
+    """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
+    from pipeline.evaluate_command import Outputs, protocol_of
+    from pipeline.evaluate_command import evaluate as run
+    from pipeline.progress import SilentProgress, TerminalProgress
+
+    protocols = [protocol_of(sampler, count, align, averaging, seed, stride) for count in points or [100]]
+    progress = SilentProgress() if quiet else TerminalProgress()
+    print(
+        run(folders, model or ["linear", "mscsa"], protocols, Outputs(csv, json_file, sheet, sweep), dataset, progress)
+    )
+
+
 def run_cleanly(command: Callable[[], Any]) -> int:
     """Run a command; known failures become one sentence on standard error and exit code 1."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")

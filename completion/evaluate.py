@@ -1,0 +1,121 @@
+"""Per-frame errors of depth completion: a sampler, a model, a convention, and every number said with its protocol.
+
+Drawn per frame from (seed, frame's place), so that two models, or two runs, see the same points.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from completion.errors import CompletionError
+from completion.frames import EvaluationFrame
+from completion.metrics import Alignment, Averaging, DepthErrors, average, depth_errors
+from completion.predictors import Predictor
+from completion.sparsify import get_sampler
+
+Array = NDArray[np.floating]
+COLUMNS = ("rmse", "abs_rel", "mae", "delta_1", "delta_2", "delta_3", "scale", "pixels", "missing")
+
+
+class Protocol(BaseModel):
+    """What a figure depends on besides the model and the frames."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    sampler: str = "uniform"
+    points: int = Field(100, ge=0)
+    alignment: Alignment = "none"
+    averaging: Averaging = "per_frame"
+    seed: int = Field(0, ge=0)
+    stride: int = Field(1, ge=1)
+
+    def __str__(self) -> str:
+        scaled = {"none": "no scale alignment", "points": "scale from the sparse points"}
+        return (
+            f"{self.points} {self.sampler} points, {scaled.get(self.alignment, self.alignment + ' scale')}, "
+            f"{self.averaging.replace('_', '-')} mean, seed {self.seed}"
+        )
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """One frame: its errors, how many points it really had, and what is needed to look at it."""
+
+    name: str
+    points: int
+    errors: DepthErrors
+    rgb: NDArray[np.uint8]
+    truth: Array
+    sparse: Array
+    prediction: Array  # aligned as the protocol says, in the truth's unit
+    confidence: Array | None
+
+
+def evaluate_frames(
+    frames: Iterable[EvaluationFrame],
+    predict: Predictor,
+    protocol: Protocol,
+    advance: Callable[[int], None] | None = None,
+) -> Iterable[FrameResult]:
+    """Results one by one. Frames in which the sampler finds no point are said as an error, never skipped silently.
+
+    With SfM-like points the frame's unknown factor is divided out of the prediction before it is judged, unless the
+    protocol aligns the scale by other means.
+    """
+    sampler = get_sampler(protocol.sampler)
+    for place, frame in enumerate(frames):
+        if place % protocol.stride:
+            continue
+        rng = np.random.default_rng([protocol.seed, place])
+        sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
+        if not sparse.points:
+            raise CompletionError(f"frame {frame.name}: the sampler {protocol.sampler!r} finds no point with truth")
+        depth, confidence = predict(frame.rgb, sparse.depth, frame.intrinsics)
+        depth = depth / np.float32(sparse.factor)
+        known = sparse.depth / np.float32(sparse.factor)
+        errors = depth_errors(depth, frame.depth, protocol.alignment, known)
+        aligned = depth * np.float32(errors.scale)
+        yield FrameResult(frame.name, sparse.points, errors, frame.rgb, frame.depth, known, aligned, confidence)
+        if advance:
+            advance(place + 1)
+
+
+def mean_errors(results: Sequence[FrameResult], protocol: Protocol) -> DepthErrors:
+    """The figure that a table shows."""
+    return average([result.errors for result in results], protocol.averaging)
+
+
+def write_csv(path: Path, results: Iterable[FrameResult]) -> None:
+    """One line per frame."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "points", *COLUMNS])
+        for result in results:
+            row = result.errors.to_dict()
+            writer.writerow([result.name, result.points, *(f"{row[name]:.6g}" for name in COLUMNS)])
+
+
+def paper_row(errors: DepthErrors, unit: str) -> dict[str, str]:
+    """The paper's five columns as it prints them: abs.REL in percent (its table says cm; the values are percent)."""
+    return {
+        f"RMSE [{unit}]": f"{errors.rmse:.4f}",
+        "abs.REL [%]": f"{100 * errors.abs_rel:.4f}",
+        f"MAE [{unit}]": f"{errors.mae:.4f}",
+        "delta_1": f"{errors.delta_1:.4f}",
+        "delta_2": f"{errors.delta_2:.4f}",
+    }
+
+
+def markdown_table(rows: Sequence[tuple[str, dict[str, str]]], first: str = "method") -> str:
+    """Rows of equal columns as a Markdown table."""
+    columns = list(rows[0][1])
+    lines = [f"| {first} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    lines += [f"| {name} | {' | '.join(cells[column] for column in columns)} |" for name, cells in rows]
+    return "\n".join(lines)
