@@ -22,16 +22,19 @@ class Shard:
     images: NDArray[np.uint8]
     depths: NDArray[np.float16]
     colon: NDArray[np.int32]
+    lenses: NDArray[np.float32] | None = None  # (N,4) fx fy cx cy px, where the folder has them
 
     @classmethod
     def open(cls, folder: Path) -> "Shard":
         try:
             arrays = [np.load(folder / f"{n}.npy", mmap_mode="r") for n in ("images", "depths", "colon")]
+            path = folder / "intrinsics.npy"
+            lenses = np.load(path, mmap_mode="r") if path.exists() else None
         except (OSError, ValueError) as error:
             raise CompletionError(f"{folder} is not a folder of training shards: {error}") from error
-        if not len(arrays[0]) == len(arrays[1]) == len(arrays[2]):
+        if len({len(array) for array in (*arrays, lenses) if array is not None}) != 1:
             raise CompletionError(f"the arrays in {folder} differ in length")
-        return cls(*arrays)
+        return cls(arrays[0], arrays[1], arrays[2], lenses)
 
     def split(self, validation_share: float = 0.05) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(training, validation) frame indices; the last meshes by number are for validation."""
@@ -40,22 +43,47 @@ class Shard:
         validation = np.isin(self.colon, held_out)
         return np.flatnonzero(~validation), np.flatnonzero(validation)
 
-    def batch(self, index: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
-        """rgb (B,3,H,W) float in [0,1] and depth (B,1,H,W) float32 in mm."""
+    def batch(self, index: NDArray[np.int64]) -> "Batch":
+        """Frames of sorted indices."""
         order = np.sort(index)
         rgb = torch.from_numpy(self.images[order]).permute(0, 3, 1, 2).float() / 255
         depth = torch.from_numpy(self.depths[order].astype(np.float32))[:, None]
-        return rgb, depth
+        return Batch(rgb, depth, None if self.lenses is None else torch.from_numpy(self.lenses[order]))
 
 
-def augment(rgb: Tensor, depth: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Flips and transpositions of both; gain, gamma, tint, haze and noise of the image only."""
+@dataclass(frozen=True)
+class Batch:
+    """rgb (B,3,H,W) float in [0,1]; depth (B,1,H,W) float32 mm, 0 = none; lens (B,4) fx fy cx cy px or None."""
+
+    rgb: Tensor
+    depth: Tensor
+    lens: Tensor | None
+
+    def to(self, device: torch.device) -> "Batch":
+        """On a device, channels last."""
+        lens = None if self.lens is None else self.lens.to(device)
+        rgb = self.rgb.to(device).contiguous(memory_format=torch.channels_last)
+        return Batch(rgb, self.depth.to(device).contiguous(), lens)
+
+
+def augment(batch: Batch, generator: torch.Generator) -> Batch:
+    """Flips and transpositions of image, depth and lens; gain, gamma, tint, haze and noise of the image only."""
+    rgb, depth, lens = batch.rgb, batch.depth, batch.lens
+    height, width = rgb.shape[2:]
     flip = torch.rand(3, generator=generator) < 0.5
-    for dim in (2, 3):
+    for dim, centre, side in ((2, 3, height), (3, 2, width)):
         if flip[dim - 2]:
             rgb, depth = rgb.flip(dim), depth.flip(dim)
-    if flip[2] and rgb.shape[2] == rgb.shape[3]:
+            if lens is not None:
+                lens = lens.clone()
+                lens[:, centre] = side - lens[:, centre]
+    if flip[2] and height == width:
         rgb, depth = rgb.transpose(2, 3), depth.transpose(2, 3)
+        lens = None if lens is None else lens[:, [1, 0, 3, 2]]
+    return Batch(_recolour(rgb, generator), depth.contiguous(), lens)
+
+
+def _recolour(rgb: Tensor, generator: torch.Generator) -> Tensor:
     batch = len(rgb)
 
     def draw(low: float, high: float, channels: int = 1) -> Tensor:
@@ -65,4 +93,4 @@ def augment(rgb: Tensor, depth: Tensor, generator: torch.Generator) -> tuple[Ten
     grey = rgb.mean(1, keepdim=True)
     rgb = grey + (rgb - grey) * draw(0.3, 1.5) + draw(0, 0.05)
     rgb = rgb + draw(0, 0.02) * torch.randn(rgb.shape, generator=generator)
-    return rgb.clamp(0, 1).contiguous(memory_format=torch.channels_last), depth.contiguous()
+    return rgb.clamp(0, 1)

@@ -24,20 +24,21 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     if str(model) in CLASSICAL:
         fill = CLASSICAL[str(model)]
         return lambda rgb, sparse, intrinsics: (fill(sparse), None)
-    from completion.checkpoint import load_network
+    from completion.checkpoint import load_network, read_metadata
     from completion.infer import DepthCompleter
     from completion.network import ScaleFreeMSCSANet
     from completion.shipped import resolve_weights
 
-    network = load_network(resolve_weights(model))
+    path = resolve_weights(model)
+    network = load_network(path)
     if isinstance(network, ScaleFreeMSCSANet):
         completer = DepthCompleter(network, device, precision)
         return lambda rgb, sparse, intrinsics: completer(rgb, sparse)
-    return _metric(network, device)
+    return _metric(network, device, float(read_metadata(path).get("unit_mm", 1.0)))
 
 
-def _metric(network: Callable, device: str) -> Predictor:
-    """A network of the paper's kind: metric depth in and out, no confidence."""
+def _metric(network: Callable, device: str, unit: float) -> Predictor:
+    """A network of the paper's kind: metric depth in and out, no confidence; it works in multiples of `unit`."""
     import torch
 
     from completion.infer import choose_device
@@ -49,9 +50,10 @@ def _metric(network: Callable, device: str) -> Predictor:
         if not (sparse > 0).any():
             raise CompletionError("a metric network needs at least one point")
         image = torch.from_numpy(np.ascontiguousarray(rgb)).to(where).permute(2, 0, 1)[None].float() / 255
-        points = torch.from_numpy(np.ascontiguousarray(sparse)).to(where)[None, None]
+        points = torch.from_numpy(np.ascontiguousarray(sparse / np.float32(unit))).to(where)[None, None]
         lens = None if intrinsics is None else torch.tensor(intrinsics, dtype=torch.float32, device=where)[None]
         with torch.inference_mode():
-            return module(image, points, lens)[0, 0].float().cpu().numpy(), None
+            depth = module(image, points, lens)[0, 0].float().cpu().numpy()
+        return depth * np.float32(unit), None
 
     return predict

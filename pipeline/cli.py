@@ -179,6 +179,34 @@ def evaluate(
     )
 
 
+@app.command()
+def train(
+    shards: Annotated[list[Path], typer.Argument(help="folders made by haustra phantom --training")],
+    out: Annotated[Path, typer.Option(help="weights.safetensors; OUT.checkpoint beside it")],
+    model: Annotated[str | None, typer.Option(help="scale-free (ours) or a name of completion/models.py")] = None,
+    preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
+    size: Annotated[str | None, typer.Option(help="paper or small, of the networks of completion/models.py")] = None,
+    steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
+    batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
+    init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="greatest")] = None,
+    seed: Annotated[int | None, typer.Option(help="of weights, order and points")] = None,
+    threads: Annotated[int | None, typer.Option(help="of the CPU")] = None,
+    device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
+) -> None:
+    """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
+    from completion.train import train as run
+    from completion.train_config import make_config
+    from pipeline.progress import TerminalProgress
+
+    given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
+    given |= {"learning_rate": learning_rate, "threads": threads, "device": device}
+    config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
+    progress = TerminalProgress()
+    with progress.bar(f"training {config.model}", config.steps) as advance:
+        print(run(config, advance, progress.say))
+
+
 def run_cleanly(command: Callable[[], Any]) -> int:
     """Run a command; known failures become one sentence on standard error and exit code 1."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")

@@ -5,10 +5,13 @@ import pytest
 import torch
 
 from completion.checkpoint import load_network, load_tensors, save_network, save_tensors
+from completion.dataset import Batch, augment
 from completion.errors import CompletionError
 from completion.infer import DepthCompleter
 from completion.network import MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
-from completion.train import TrainConfig, train
+from completion.predictors import load_predictor
+from completion.train import train
+from completion.train_config import TrainConfig, make_config
 
 
 @pytest.fixture
@@ -45,7 +48,7 @@ def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypa
 
     unbroken = train(config(shards, tmp_path / "a.safetensors", steps=4))
     calls = []
-    original = module.forward_loss
+    original = module.train_step
 
     def stop_at_the_third(*arguments):
         calls.append(1)
@@ -54,7 +57,7 @@ def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypa
         return original(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "forward_loss", stop_at_the_third)
+        patch.setattr(module, "train_step", stop_at_the_third)
         with pytest.raises(KeyboardInterrupt):
             train(config(shards, tmp_path / "b.safetensors", steps=4, checkpoint_seconds=0))
     resumed = train(config(shards, tmp_path / "b.safetensors", steps=4, checkpoint_seconds=0))
@@ -90,3 +93,62 @@ def test_the_shipped_weights_load_and_beat_the_median():
     depth, confidence = completer(rgb, sparse)
     assert (np.abs(depth - truth) / truth).mean() < 0.05
     assert 0.05 < confidence.mean() <= 1
+
+
+@pytest.mark.parametrize("model", ["mscsa", "std18", "gaenet", "nlspn"])
+def test_every_network_trains_by_the_paper_preset_and_is_evaluated_in_its_unit(shards, tmp_path, model):
+    np.save(shards / "intrinsics.npy", np.tile(np.float32([40, 40, 32, 32]), (12, 1)))
+    settings = make_config(
+        "paper", shards=(shards,), out=tmp_path / "w.safetensors", model=model, size="small", steps=2
+    )
+    assert (settings.batch, settings.optimizer, settings.learning_rate) == (10, "adam", 1e-3)
+    path = train(settings.model_copy(update={"threads": 1}))
+    rgb = np.load(shards / "images.npy")[0]
+    sparse = np.zeros((64, 64), np.float32)
+    sparse[::8, ::8] = 30
+    depth, confidence = load_predictor(path)(rgb, sparse, np.array([40.0, 40, 32, 32]))
+    assert depth.shape == (64, 64)
+    assert confidence is None
+    assert np.isfinite(depth).all()
+    network = load_network(path)
+    with torch.inference_mode():
+        image = torch.from_numpy(rgb).permute(2, 0, 1)[None].float() / 255
+        lens = torch.tensor([[40.0, 40, 32, 32]])
+        direct = network(image, torch.from_numpy(sparse)[None, None] / 25, lens)[0, 0].numpy() * 25
+    np.testing.assert_allclose(depth, direct, rtol=1e-4, atol=1e-3)
+
+
+def test_a_flipped_lens_still_projects_the_flipped_frame():
+    rays = torch.rand(3, 1, 5, 7, generator=torch.Generator().manual_seed(0))
+    depth = torch.arange(35.0).view(1, 1, 5, 7) + 1
+    lens = torch.tensor([[4.0, 5.0, 3.1, 2.2]])
+    for seed in range(8):
+        out = augment(Batch(rays.permute(1, 0, 2, 3), depth, lens), torch.Generator().manual_seed(seed))
+        r, c = [int(v[0]) for v in torch.where(out.depth[0, 0] == 12)]  # pixel (1, 4) of the original
+        x = (c + 0.5 - out.lens[0, 2]) / out.lens[0, 0]
+        y = (r + 0.5 - out.lens[0, 3]) / out.lens[0, 1]
+        before = torch.tensor([abs(4.5 - 3.1) / 4, abs(1.5 - 2.2) / 5])
+        torch.testing.assert_close(torch.stack([x.abs(), y.abs()]), before)
+
+
+def test_training_starts_from_given_weights_and_refuses_others(shards, tmp_path):
+    first = train(config(shards, tmp_path / "a.safetensors", steps=2))
+    again = config(shards, tmp_path / "b.safetensors", steps=1, init=first, learning_rate=1e-12)
+    start, end = load_network(first), load_network(train(again))
+    for name, tensor in end.named_parameters():
+        torch.testing.assert_close(tensor, dict(start.named_parameters())[name], atol=2e-3, rtol=2e-3)
+    with pytest.raises(CompletionError, match="do not fit"):
+        train(config(shards, tmp_path / "c.safetensors", steps=1, init=first).model_copy(update={"width": 8}))
+    with pytest.raises(CompletionError, match="holds a ScaleFree"):
+        train(config(shards, tmp_path / "d.safetensors", steps=1, init=first, model="unet", size="small"))
+
+
+def test_wrong_settings_are_one_sentence(shards, tmp_path):
+    with pytest.raises(CompletionError, match="training setting steps"):
+        make_config(shards=(shards,), out=tmp_path / "w", steps=0)
+    with pytest.raises(CompletionError, match="no preset"):
+        make_config("fast", shards=(shards,), out=tmp_path / "w")
+    with pytest.raises(CompletionError, match="fewer than a batch"):
+        train(make_config(shards=(shards,), out=tmp_path / "w", batch=400, steps=1))
+    with pytest.raises(CompletionError, match="gaenet needs"):
+        train(make_config(shards=(shards,), out=tmp_path / "w", batch=2, steps=1, model="gaenet", size="small"))
