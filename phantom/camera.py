@@ -43,7 +43,11 @@ class Camera:
     def rays(self) -> NDArray[np.float32]:
         """Unit direction of every pixel's centre, camera axes, (H,W,3)."""
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
-        return self.unproject(np.stack([x, y], axis=-1)).astype(np.float32)
+        pixels = np.stack([x, y], axis=-1)
+        rays = self.unproject(pixels)
+        if not np.allclose(self.project(rays), pixels, atol=1e-3):
+            raise PhantomError(f"distortion {self.params[4:]} folds over inside the image: no inverse there")
+        return rays.astype(np.float32)
 
     def unproject(self, pixels: Array) -> Array:
         """Pixels (...,2) to unit directions (...,3)."""
@@ -111,9 +115,22 @@ def make_camera(config: CameraConfig) -> Camera:
         focal = config.width / 2 / _distort(np.array([np.tan(half), 0.0]), config.distortion)[0]
     else:
         focal = config.width / 2 / np.tan(half)
+    if not np.isfinite(focal) or focal <= 0 or not _grows(config, half):
+        raise PhantomError(f"distortion {config.distortion} folds over within {config.fov_deg:g} degrees: no such lens")
     lens = (float(focal), float(focal), config.width / 2, config.height / 2)
     params = lens if config.model == "PINHOLE" else lens + config.distortion
     return Camera(config.model, config.width, config.height, params)
+
+
+def _grows(config: CameraConfig, half: float) -> bool:
+    """True if the image radius grows with the angle all the way to the horizontal edge."""
+    angle = np.linspace(0, half, 200)
+    if config.model == "OPENCV_FISHEYE":
+        return bool((np.diff(_fisheye_radius(angle, config.distortion)) > 0).all())
+    if config.model == "OPENCV":
+        plane = np.stack([np.tan(angle), np.zeros_like(angle)], axis=-1)
+        return bool((np.diff(_distort(plane, config.distortion)[:, 0]) > 0).all())
+    return True
 
 
 def _fisheye_radius(angle: Array, k: tuple[float, ...]) -> Array:

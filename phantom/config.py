@@ -85,13 +85,13 @@ class ImagingConfig:
     light_lobe: float = 0.2  # exponent of the cosine emission lobe; wide diffusers make it nearly even
     light_colour: Colour = (1.0, 0.96, 0.90)  # xenon, slightly warm after the lens
     ambient: float = 0.16  # light arriving by other walls, relative to direct light at 25 mm: a mere tint
-    bounce: float = 0.0  # light that visible walls send each other; 1 is one reflection, more stands for further ones
+    bounce: float = 0.0  # light that visible walls send each other; 1 as physics has it, further reflections included
     wrap: float = 0.25  # light that subsurface scattering carries round the terminator
     shadows: bool = True  # cast shadows from the off-axis lights
     specular: float = 0.12  # strength of wet glints
     shininess: float = 90.0  # Blinn-Phong exponent of the mucus film
     exposure: float = 0.17  # mean brightness (linear, clipped) the automatic gain aims at
-    exposure_smoothing: float = 0.8  # part of the old gain kept each frame (a scope adapts in about 0.2 s)
+    exposure_smoothing: float = 0.8  # part of the old gain kept each frame (0.8: about 0.2 s at 30 fps)
     gamma: float = 2.2  # display encoding
     vignette: float = 0.12  # loss of brightness in the corners
     border: str = "none"  # "none", "circle" or "octagon": what the endoscope's processor masks off
@@ -140,7 +140,7 @@ class MotionConfig:
     quick_turn_deg: float = 35.0
     look_backs: int = 0  # times the tip bends round to look behind a fold, and returns
     look_back_deg: float = 110.0
-    manoeuvre_s: float = 1.0  # length of each of these
+    manoeuvre_s: float = 1.0  # length of each of these; a look-back takes three
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,7 +47,7 @@ def draw_forceps(
     albedo = np.repeat((STEEL * coil)[..., None], 3, axis=-1).astype(np.float32)
     gloss = np.full(hit.shape, SHEEN, np.float32)
     lit = np.ones((imaging.lights, *hit.shape), np.float32)
-    steel = shade(surface, normal.astype(np.float32), albedo, gloss, lit, imaging)
+    steel = shade(surface, normal.astype(np.float32), albedo, gloss, lit, replace(imaging, bounce=0.0))
     return np.where(hit[..., None], steel, radiance).astype(np.float32), hit
 
 

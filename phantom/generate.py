@@ -17,6 +17,7 @@ mesh.ply is written last: a folder without it is unfinished.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -114,7 +115,8 @@ def clear(folder: Path) -> None:
 
 def _write_frame(folder: Path, index: int, frame: Frame) -> None:
     _write_png(folder / "rgb" / f"{index:05d}.png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
-    stored = np.clip(np.round(frame.depth / DEPTH_UNIT_MM), 0, 65535).astype(np.uint16)
+    steps = np.round(frame.depth / DEPTH_UNIT_MM)
+    stored = np.where(steps <= 65535, steps, 0).astype(np.uint16)  # what is farther than 655 mm has no depth
     _write_png(folder / "depth" / f"{index:05d}.png", stored)
 
 
@@ -173,7 +175,9 @@ def write_ply(
     faces["count"], faces["corners"] = 3, triangles
     faces["seen"], faces["nearest_mm"] = np.isfinite(nearest_mm), nearest_mm
     table = np.column_stack([vertices, *more.values()]).astype("<f4")
-    path.write_bytes(header.encode() + table.tobytes() + faces.tobytes())
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(header.encode() + table.tobytes() + faces.tobytes())
+    os.replace(partial, path)  # a full disk must not leave half a mesh, which is the sign of a whole film
 
 
 def _write_records(folder: Path, phantom: Phantom) -> None:

@@ -94,15 +94,17 @@ OBSTACLES: dict[str, Obstacle] = {"red_out": red_out, "water_jet": water_jet, "b
 
 
 def place_foam(points: Floats, pose: Array, rng: np.random.Generator) -> Array:
-    """Bubbles (K,4) around one place of the wall that a frame sees: world x y z and radius, mm."""
-    wall = points[points[..., 2] > 3.0].reshape(-1, 3).astype(float)
+    """Bubbles (K,4) around one place of the wall in the middle of a frame: world x y z and radius, mm."""
+    rows, columns = points.shape[0] // 5, points.shape[1] // 5
+    middle = points[rows:-rows, columns:-columns]
+    wall = middle[middle[..., 2] > 3.0].reshape(-1, 3).astype(float)
     if not len(wall):
         return np.empty((0, 4))
     wall = wall[(wall[:, 2] < 45.0) | (wall[:, 2] <= np.quantile(wall[:, 2], 0.3))]
-    middle = wall[rng.integers(len(wall))]
-    near = wall[np.linalg.norm(wall - middle, axis=1) < 0.35 * middle[2]]
+    seat = wall[rng.integers(len(wall))]
+    near = wall[np.linalg.norm(wall - seat, axis=1) < 0.35 * seat[2]]
     seats = near[rng.integers(len(near), size=FOAM)]
-    radii = np.exp(rng.uniform(np.log(0.3), np.log(0.05 * middle[2] + 0.6), FOAM))
+    radii = np.exp(rng.uniform(np.log(0.3), np.log(0.05 * seat[2] + 0.6), FOAM))
     lifted = seats - 0.6 * radii[:, None] * seats / np.linalg.norm(seats, axis=1, keepdims=True)
     return np.concatenate([lifted @ pose[:3, :3].T + pose[:3, 3], radii[:, None]], axis=1)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from phantom.camera import make_camera
 from phantom.config import (
     AnatomyConfig,
     AppearanceConfig,
@@ -18,6 +19,7 @@ from phantom.config import (
     MotionConfig,
     PhantomConfig,
 )
+from phantom.errors import PhantomError
 
 
 def randomised(rng: np.random.Generator, size: int = 320, scene: str | None = None) -> PhantomConfig:
@@ -162,7 +164,7 @@ def random_imaging(rng: np.random.Generator) -> ImagingConfig:
         light_lobe=rng.uniform(0.0, 1.5),
         light_colour=(1.0, float(rng.uniform(0.9, 1.05)), float(warmth)),
         ambient=float(np.exp(rng.uniform(np.log(0.03), np.log(0.6)))),
-        bounce=rng.uniform(0.5, 3.0) * (rng.uniform() < 0.7),
+        bounce=rng.uniform(0.3, 2.0) * (rng.uniform() < 0.7),
         wrap=rng.uniform(0.0, 0.3),
         shadows=bool(rng.uniform() < 0.5),
         specular=rng.uniform(0.0, 0.4) * (rng.uniform() < 0.85),
@@ -184,7 +186,17 @@ def random_imaging(rng: np.random.Generator) -> ImagingConfig:
 
 
 def random_camera(rng: np.random.Generator, size: int) -> CameraConfig:
-    """80 to 140 degrees; mostly rectified images, some with barrel distortion or a fisheye."""
+    """80 to 140 degrees; mostly rectified images, some with barrel distortion or a fisheye. Never folds over."""
+    while True:
+        config = _any_camera(rng, size)
+        try:
+            make_camera(config).rays()
+        except PhantomError:
+            continue
+        return config
+
+
+def _any_camera(rng: np.random.Generator, size: int) -> CameraConfig:
     kind = rng.choice(["PINHOLE", "OPENCV", "OPENCV_FISHEYE"], p=[0.75, 0.15, 0.10])
     fov = rng.uniform(80.0, 115.0) if kind != "OPENCV_FISHEYE" else rng.uniform(90.0, 140.0)
     distortion = (0.0, 0.0, 0.0, 0.0)

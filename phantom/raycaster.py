@@ -64,6 +64,13 @@ class RayCaster:
         rays = self._pack(origins, directions)
         return self._scene.test_occlusions(rays, tfar=reach, nthreads=self._threads).numpy()
 
+    def crossings(self, origins: NDArray[Any], targets: NDArray[Any]) -> NDArray[np.int64]:
+        """How many triangles lie across each straight way from origins to targets (...,3)."""
+        rays = self._pack(origins, targets - origins)
+        beyond = self._pack(targets, targets - origins)
+        all_along, behind = (self._scene.count_intersections(r, nthreads=self._threads).numpy() for r in (rays, beyond))
+        return all_along.astype(np.int64) - behind
+
     def nearest(self, points: NDArray[Any]) -> tuple[Floats, NDArray[np.uint32]]:
         """Closest surface point (N,3) mm to each of points (N,3), and its triangle (N,)."""
         query = self._tensor(np.ascontiguousarray(points, np.float32))

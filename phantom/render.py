@@ -29,6 +29,7 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 PENUMBRA_PX = 1.2  # light guides are not points
 SHADOW_REACH = 0.99  # shadow rays stop short of the wall they end on
+WIDEST_DEG = 85.0  # off axis: beyond, z-depth shrinks to nothing whatever the distance, and truth is not given
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class Look:
     """What reaches the lens, before any sensor."""
 
     radiance: Floats  # (H,W,3)
-    wall: Floats  # (H,W) z-depth of the wall behind whatever hides it, mm; 0 = none
+    wall: Floats  # (H,W) z-depth of the wall behind whatever hides it, mm; 0 = none, or seen too far off axis
+    points: Floats  # (H,W,3) wall in camera axes, mm; zero where the ray leaves through an open end
     triangle: NDArray[np.int64]  # (H,W), -1 where no wall
     hidden: NDArray[np.bool_]  # (H,W) something is in between
 
@@ -78,13 +80,13 @@ class Phantom:
 
         What reaches the lens is made a few frames ahead on every core; the sensor takes it in order.
         """
-        sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed)
+        fps = self.config.motion.fps
+        sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed, fps)
         foams = {slot.number: self._foam(poses, slot) for slot in timeline if slot.kind == "bubbles"}
 
         def look(index: int) -> Look:
-            wall = peristalsis.wall(index) if peristalsis else None
-            upcoming = poses[min(index + 1, len(poses) - 1)]
-            seen = self.look(poses[index], upcoming, wall)
+            walls = [peristalsis.wall(frame) if peristalsis else None for frame in (index, index + 1)]
+            seen = self.look(poses[index], _upcoming(poses, index), *walls)
             for slot in timeline:
                 if slot.kind in OBSTACLES and slot.first <= index <= slot.last:
                     seen = self._obstructed(seen, poses[index], slot, index, foams.get(slot.number))
@@ -97,19 +99,26 @@ class Phantom:
         """One frame from `pose`; `upcoming` is where the camera is one frame later (for motion blur)."""
         return develop(self.look(pose, upcoming), sensor, rng)
 
-    def look(self, pose: Array, upcoming: Array, moved: MovedWall | None = None) -> Look:
-        """Light and truth from `pose`, with the wall at rest or moved."""
+    def look(
+        self, pose: Array, upcoming: Array, moved: MovedWall | None = None, next_moved: MovedWall | None = None
+    ) -> Look:
+        """Light and truth from `pose`, with the wall at rest or moved, and moving on to `next_moved`.
+
+        The shutter is open from half its time before `pose` to half its time after: truth is that of mid-exposure.
+        """
         caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, 1)
         hits = caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
         radiance = self._radiance(pose, hits, points, caster, moved)
         shutter = self.config.imaging.shutter
         if shutter:
-            radiance = smear(radiance, self._flow(points, hits.valid, pose, upcoming), shutter)
-        shown = hits.valid & (points[..., 2] > 0)
+            moving = moved is not None or next_moved is not None
+            then = self._wall_points(hits, next_moved) if moving else None
+            radiance = smear(radiance, self._flow(points, hits.valid, pose, upcoming, then), shutter)
+        shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(WIDEST_DEG)))
         wall = np.where(shown, points[..., 2], 0.0).astype(np.float32)
         triangle = np.where(shown, hits.triangle.astype(np.int64), -1)
-        return Look(radiance, wall, triangle, np.zeros(shown.shape, bool))
+        return Look(radiance, wall, points, triangle, np.zeros(shown.shape, bool))
 
     def _radiance(self, pose: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None) -> Floats:
         rotation = pose[:3, :3].astype(np.float32)
@@ -131,7 +140,7 @@ class Phantom:
 
     def _footprint(self, points: Floats) -> Floats:
         """Size of a pixel on the wall (H,W) mm, a compromise between frontal and grazing views."""
-        return 1.3 * points[..., 2] / np.float32(self.camera.params[0])
+        return 1.3 * _distance_ahead(points) / np.float32(self.camera.params[0])
 
     def _lit(self, pose: Array, points: Floats, caster: RayCaster) -> Floats:
         """How much of each light every point sees (L,H,W), tested at every second pixel: shadows are soft."""
@@ -149,10 +158,20 @@ class Phantom:
             lit[index] = cv2.resize(soft, (width, height))
         return lit
 
-    def _flow(self, points: NDArray[Any], valid: NDArray[np.bool_], pose: Array, upcoming: Array) -> Floats:
-        """Where each pixel's wall point goes by the next frame (H,W,2) px; 0 where unknown."""
-        then_from_now = np.linalg.inv(upcoming) @ pose
-        moved = points @ then_from_now[:3, :3].T + then_from_now[:3, 3]
+    def _wall_points(self, hits: Hits, moved: MovedWall | None) -> NDArray[Any]:
+        """Where the surface points that were hit are (H,W,3) mm, world, on the wall at rest or moved."""
+        vertices = self.colon.vertices if moved is None else moved.vertices
+        return self._interpolated(vertices, np.where(hits.valid, hits.triangle, 0), hits.bary)
+
+    def _flow(
+        self, points: NDArray[Any], valid: NDArray[np.bool_], pose: Array, upcoming: Array, then: NDArray[Any] | None
+    ) -> Floats:
+        """Where each pixel's wall point goes by the next frame (H,W,2) px; 0 where unknown.
+
+        `then` (H,W,3) is where in the world it is by that time; None if the wall rests.
+        """
+        world = points @ pose[:3, :3].T + pose[:3, 3] if then is None else then
+        moved = (world - upcoming[:3, 3]) @ upcoming[:3, :3]
         flow = self.camera.project(moved) - self.camera.project(points)
         return np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
 
@@ -161,13 +180,12 @@ class Phantom:
         pose = poses[(slot.first + slot.last) // 2]
         hits = self.caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
-        return place_foam(points, pose, np.random.default_rng([self.config.seed, 6, slot.number]))
+        return place_foam(points, pose, np.random.default_rng([self.config.seed, 9, slot.number + 1]))
 
     def _obstructed(self, seen: Look, pose: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
         nothing = np.empty((0, 4)) if foam is None else foam
-        points = (self.rays * (seen.wall / np.maximum(self.rays[..., 2], 1e-6))[..., None]).astype(np.float32)
-        view = View(self.camera, self.config.imaging, self.rays, pose, points, seen.radiance, nothing)
-        rng = np.random.default_rng([self.config.seed, 7, slot.number])
+        view = View(self.camera, self.config.imaging, self.rays, pose, seen.points, seen.radiance, nothing)
+        rng = np.random.default_rng([self.config.seed, 7, slot.number + 1])
         radiance, hidden = OBSTACLES[slot.kind](view, slot, frame, rng)
         return replace(seen, radiance=radiance.astype(np.float32), hidden=seen.hidden | hidden)
 
@@ -176,7 +194,19 @@ def develop(seen: Look, sensor: Sensor, rng: np.random.Generator) -> Frame:
     """Light to picture; truth only where the picture shows wall."""
     shown = sensor.window & ~seen.hidden
     depth, triangle = np.where(shown, seen.wall, np.float32(0)), np.where(shown, seen.triangle, -1)
-    return Frame(sensor.expose(seen.radiance, rng, seen.wall), depth, triangle)
+    return Frame(sensor.expose(seen.radiance, rng, _distance_ahead(seen.points)), depth, triangle)
+
+
+def _distance_ahead(points: Floats) -> Floats:
+    """z-depth (H,W) mm, which footprint and focus depend on, kept positive beyond 84 degrees off axis."""
+    return np.maximum(points[..., 2], np.float32(0.1) * np.sqrt(np.einsum("hwc,hwc->hw", points, points)))
+
+
+def _upcoming(poses: Array, index: int) -> Array:
+    """The next pose; after the last one the motion goes on."""
+    if index + 1 < len(poses):
+        return poses[index + 1]
+    return poses[-1] if len(poses) == 1 else poses[-1] @ np.linalg.inv(poses[-2]) @ poses[-1]
 
 
 def _ahead(make: Callable[[int], Look], count: int, threads: int) -> Iterator[Look]:

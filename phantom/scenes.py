@@ -48,26 +48,28 @@ MATERIALS, LIGHTS = (ORANGE, PALE), (SPOT, WIDE)
 CSD = replace(COLON, appearance=VEINED, imaging=DIM)
 SCENES = ("colon", "small_intestine", "ccd", "csd")
 USABLE = 0.5  # part of the gut a film may travel: the view reaches some 100 mm further, and ends are contracted
+MARGIN = 0.12  # part of the gut at either end that a film keeps out of
 MOST_MM = 1200.0  # of gut: an adult's colon is about 1500 mm long
 
 
 def scene_config(name: str, seed: int = 0) -> PhantomConfig:
     """The config of a named scene. PhantomError if the name is unknown."""
+    if not isinstance(name, str) or name not in SCENES:
+        raise PhantomError(f"unknown scene {name!r}; known: {', '.join(SCENES)}")
     if name == "ccd":
         material, light = divmod(seed % 4, 2)
         return replace(COLON, seed=seed, appearance=MATERIALS[material], imaging=LIGHTS[light])
     known = {"colon": COLON, "small_intestine": SMALL_INTESTINE, "csd": CSD}
-    if name not in known:
-        raise PhantomError(f"unknown scene {name!r}; known: {', '.join(SCENES)}")
     return replace(known[name], seed=seed)
 
 
 def film_of(
     config: PhantomConfig, frames: int | None = None, size: int | None = None, direction: str | None = None
 ) -> PhantomConfig:
-    """The same scene filmed for longer, larger or the other way; the gut is made as long as the way needs.
+    """The same scene filmed for longer, larger or the other way.
 
-    Beyond MOST_MM of gut the scope goes slower instead.
+    A way that no longer fits the lumen begins elsewhere, in a gut as long as it needs; beyond MOST_MM of gut the scope
+    goes slower instead. A way that fits is left as it is.
     """
     camera, motion, anatomy = config.camera, config.motion, config.anatomy
     if size is not None:
@@ -78,10 +80,28 @@ def film_of(
         motion = replace(motion, direction=direction)
     if frames is None and direction is None:
         return replace(config, camera=camera)
+    if not fits(motion, anatomy.length_mm):
+        motion, anatomy = _room_for(motion, anatomy)
+    return replace(config, camera=camera, motion=motion, anatomy=anatomy)
+
+
+def _way_mm(motion: MotionConfig) -> float:
+    """The farthest that a film may get from its start."""
     there_and_back = 2 if motion.direction == "loop" else 1
-    way_mm = motion.speed_mm * (1 + motion.speed_variation) * motion.frames / there_and_back
+    return motion.speed_mm * (1 + motion.speed_variation) * motion.frames / there_and_back
+
+
+def fits(motion: MotionConfig, length_mm: float) -> bool:
+    """True if the way stays clear of both contracted ends."""
+    sign = -1 if motion.direction == "withdrawal" else 1
+    end = motion.start + sign * _way_mm(motion) / length_mm
+    return min(motion.start, end) >= MARGIN and max(motion.start, end) <= 1 - MARGIN
+
+
+def _room_for(motion: MotionConfig, anatomy: AnatomyConfig) -> tuple[MotionConfig, AnatomyConfig]:
+    way_mm = _way_mm(motion)
     length_mm = float(np.clip(way_mm / USABLE, anatomy.length_mm, max(MOST_MM, anatomy.length_mm)))
     slower = min(1.0, USABLE * length_mm / max(way_mm, 1e-9))
     start = 0.5 + USABLE / 2 if motion.direction == "withdrawal" else 0.5 - USABLE / 2
     motion = replace(motion, start=start, speed_mm=motion.speed_mm * slower)
-    return replace(config, camera=camera, motion=motion, anatomy=replace(anatomy, length_mm=length_mm))
+    return motion, replace(anatomy, length_mm=length_mm)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantom.config import ImagingConfig
+from phantom.errors import PhantomError
 from phantom.overlay import Overlay
 
 Floats = NDArray[np.float32]
@@ -26,13 +27,13 @@ HALO_PX = 1.3  # reach of edge enhancement at REFERENCE_PX, standard deviation
 class Sensor:
     """Holds what the processor remembers from frame to frame: the gain and the counter."""
 
-    def __init__(self, imaging: ImagingConfig, width: int, height: int, seed: int = 0) -> None:
+    def __init__(self, imaging: ImagingConfig, width: int, height: int, seed: int = 0, fps: float = 30.0) -> None:
         """`window` (H,W) is True where the picture shows the wall: inside the mask and beside the text."""
         self._imaging = imaging
         self._scale = width / REFERENCE_PX
         self._falloff = _vignette(imaging.vignette, width, height)[..., None]
         self._mask = border_window(imaging.border, width, height)
-        self._overlay = Overlay(width, height, seed) if imaging.text else None
+        self._overlay = Overlay(width, height, seed, fps) if imaging.text else None
         self._written = self._overlay.area() if self._overlay else np.zeros_like(self._mask)
         self.window = self._mask & ~self._written
         self._gain: float | None = None
@@ -171,7 +172,7 @@ def border_window(border: str, width: int, height: int) -> NDArray[np.bool_]:
         return x + y < 1.45
     if border == "none":
         return np.ones((height, width), bool)
-    raise ValueError(f"unknown border {border!r}; known: none, circle, octagon")
+    raise PhantomError(f"unknown border {border!r}; known: none, circle, octagon")
 
 
 def _vignette(strength: float, width: int, height: int) -> Floats:

@@ -18,6 +18,7 @@ from phantom.interreflection import bounced
 Floats = NDArray[np.floating[Any]]  # float32 in practice; numpy's types widen at every scalar
 Planes = Sequence[Floats]  # x, y, z, each (H,W)
 REFERENCE_MM = 25.0  # a frontal white wall at this distance has radiance 1
+LANDS_AGAIN = 0.6  # part of the light leaving a wall of the tube that meets wall again, not the open ways
 SPECULAR_EXPONENT_NORM = 60.0  # glint energy is shared over its lobe: sharper glints are brighter
 FAINTEST = 1e-16  # part of a glint's peak: far below a 255th of the picture's brightest
 
@@ -52,18 +53,22 @@ def shade(
     glint /= max(imaging.lights, 1)
     # Light from other walls has bounced off tissue, so it is redder, and falls off more slowly.
     tint = imaging.ambient * REFERENCE_MM / (distance + 5.0)
-    planes = []
+    planes, matt = [], []
     for paint, colour in zip(cv2.split(albedo), np.asarray(imaging.light_colour, np.float32)):
         radiance = paint * diffuse
         if imaging.ambient:
             radiance += paint * paint * 2.4 * tint
+        if imaging.bounce:
+            matt.append(radiance * colour)
         radiance += glint
         radiance *= colour
         planes.append(radiance)
     direct = cv2.merge(planes)
     if not imaging.bounce:
         return direct
-    return direct + np.float32(imaging.bounce) * albedo * bounced(points, normals, direct)
+    # Glints are mirrors, no lamps. Reflections of reflections: a geometric series in albedo, channel by channel.
+    further = albedo / (1 - np.float32(LANDS_AGAIN) * albedo)
+    return direct + np.float32(imaging.bounce) * further * bounced(points, normals, cv2.merge(matt))
 
 
 def _one_light(

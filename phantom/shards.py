@@ -2,10 +2,16 @@
 
     python -m phantom.shards OUT --frames 3000 --size 192 --seed 0 --workers 2
 
-writes images.npy uint8 (N,H,W,3) RGB; depths.npy float16 (N,H,W) z-depth mm, 0 = none; intrinsics.npy float32
-(N,4) fx fy cx cy with pixel centres at half integers (the paraxial ones where the lens is distorted); colon.npy
-int32 (N) which colon, to split by mesh; shards.json the arguments. Colon k depends on the seed and k alone, so
-the bytes do not depend on the number of workers.
+writes shards.json, the arguments, and
+
+images.npy      uint8 (N,H,W,3) RGB
+depths.npy      float16 (N,H,W) z-depth mm, 0 = none; in steps of 0.06 mm from 64 mm on
+intrinsics.npy  float32 (N,4) fx fy cx cy, pixel centres at half integers; paraxial where the lens is distorted
+lens.npy        uint8 (N): 0 PINHOLE, 1 OPENCV, 2 OPENCV_FISHEYE
+distortion.npy  float32 (N,4), the lens' further parameters
+colon.npy       int32 (N) which colon, to split by mesh
+
+Colon k depends on the seed and k alone, so the bytes do not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -21,6 +27,7 @@ import cv2
 import numpy as np
 from numpy.lib.format import open_memmap
 
+from phantom.camera import MODELS
 from phantom.randomise import random_camera, random_imaging, randomised
 from phantom.render import Phantom
 from phantom.sensor import Sensor
@@ -49,6 +56,8 @@ class ShardPlan:
             "images": (np.uint8, (count, size, size, 3)),
             "depths": (np.float16, (count, size, size)),
             "intrinsics": (np.float32, (count, 4)),
+            "lens": (np.uint8, (count,)),
+            "distortion": (np.float32, (count, 4)),
             "colon": (np.int32, (count,)),
         }
 
@@ -95,6 +104,8 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
         arrays["images"][index] = frame.image
         arrays["depths"][index] = frame.depth
         arrays["intrinsics"][index] = view.camera.params[:4]
+        arrays["lens"][index] = MODELS.index(view.camera.model)
+        arrays["distortion"][index] = (*view.camera.params[4:], 0, 0, 0, 0)[:4]
         arrays["colon"][index] = colon
     return last - first
 

@@ -35,6 +35,8 @@ def read_settings(path: Path) -> dict[str, Any]:
         raise PhantomError(f"{path}: {error.strerror}") from None
     except (UnicodeDecodeError, yaml.YAMLError) as error:
         raise PhantomError(f"{path}: not a YAML file ({str(error).splitlines()[0]})") from None
+    if values is None:
+        raise PhantomError(f"{path}: the file is empty")
     if not isinstance(values, dict):
         raise PhantomError(f"{path}: expected a mapping of settings")
     return values

@@ -49,7 +49,7 @@ def plan_timeline(motion: MotionConfig, events: EventsConfig, seed: int) -> list
     rng = np.random.default_rng([seed, 5])
     kinds = _kinds(motion, events)
     lengths = {kind: _length(kind, motion, events) for kind in set(kinds)}
-    needed = sum(lengths[kind] * (1 + LEAST_GAP) for kind in kinds)
+    needed = frames_needed(motion, events)
     if needed > motion.frames:
         raise PhantomError(
             f"{len(kinds)} manoeuvres and events need {needed:.0f} frames with the gaps between them; "
@@ -64,6 +64,11 @@ def plan_timeline(motion: MotionConfig, events: EventsConfig, seed: int) -> list
         place += lengths[kind]
         slots.append(Slot(kind, first, min(int(place), motion.frames - 1), number))
     return slots
+
+
+def frames_needed(motion: MotionConfig, events: EventsConfig) -> float:
+    """Length of the shortest film that all slots fit into."""
+    return sum(_length(kind, motion, events) * (1 + LEAST_GAP) for kind in _kinds(motion, events))
 
 
 def _kinds(motion: MotionConfig, events: EventsConfig) -> list[str]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from phantom.colon import Colon
+from phantom.errors import PhantomError
 from phantom.motion import clearance
 from phantom.raycaster import RayCaster
 
@@ -29,7 +30,7 @@ def random_pose(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng:
     kind = names[rng.choice(len(names), p=[KINDS[name][0] for name in names])]
     _, tilts, distances = KINDS[kind]
     probe = rays[:: max(1, rays.shape[0] // 24), :: max(1, rays.shape[1] // 24)].reshape(-1, 3)
-    best, fewest = np.eye(4), np.inf
+    best, fewest = None, np.inf
     for _ in range(TRIES):
         pose = _draw(colon, tilts, rng)
         if not distances[0] < clearance(colon, caster, pose[None, :3, 3])[0][0] < distances[1]:
@@ -40,6 +41,8 @@ def random_pose(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng:
             return pose
         if misses < fewest:
             best, fewest = pose, misses
+    if best is None:
+        raise PhantomError(f"no view of kind {kind!r} in {TRIES} tries: the lumen is too narrow")
     return best
 
 

@@ -16,6 +16,7 @@ from pipeline.errors import HaustraError
 from reconstruction.errors import ReconstructionError
 
 KNOWN_ERRORS = (HaustraError, CompletionError, ReconstructionError, PhantomError)
+FILE_SYSTEM_SAYS_NO = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.ENOENT, errno.ENOTDIR)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
 
 app = typer.Typer(
@@ -117,7 +118,7 @@ def phantom(
     size: Annotated[int | None, typer.Option(help="side of the square picture, px")] = None,
     motion: Annotated[str | None, typer.Option(help="withdrawal, insertion or loop")] = None,
     events: Annotated[bool, typer.Option("--events", help="red-out, water jet, bubbles, tool, peristalsis")] = False,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings, as in phantom/suite.yaml")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings; with --suite, of sequences")] = None,
     suite: Annotated[bool, typer.Option("--suite", help="the five evaluation sequences instead")] = False,
     training: Annotated[int | None, typer.Option(min=1, help="this many random training frames instead")] = None,
     gallery: Annotated[bool, typer.Option("--gallery", help="a picture of all scenes instead")] = False,
@@ -141,9 +142,9 @@ def phantom(
     elif training is not None:
         print(render_training(out, training, options, workers, progress))
     elif suite:
-        if options != PhantomOptions():
-            raise HaustraError("--suite is fixed: it takes --overwrite and --quiet only")
-        print(*render(suite_folders(out), progress, overwrite), sep="\n")
+        if options != PhantomOptions(config=config):
+            raise HaustraError("--suite is fixed: it takes --config FILE, --overwrite and --quiet only")
+        print(*render(suite_folders(out, config), progress, overwrite), sep="\n")
     else:
         print(*render({out: chosen_config(options)}, progress, overwrite))
 
@@ -216,14 +217,14 @@ def run_cleanly(command: Callable[[], Any]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("stopped; what was finished is kept, and --resume goes on from it", file=sys.stderr)
+        print("stopped; what was finished is kept: the same command goes on (reconstruct: --resume)", file=sys.stderr)
         return INTERRUPTED
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
+        if error.errno not in FILE_SYSTEM_SAYS_NO:
             raise
         where = f" ({error.filename})" if error.filename else ""
         print(
-            f"error: {os.strerror(error.errno)}{where}; what was finished is kept, see --resume",
+            f"error: {os.strerror(error.errno)}{where}; what was finished is kept",
             file=sys.stderr,
         )
         return 1

@@ -1,15 +1,21 @@
 """`haustra phantom`: from options to folders of RGB-D video with truth, training frames or a gallery."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from phantom.checks import check
 from phantom.config import EventsConfig, PhantomConfig
-from phantom.generate import clear, generate, is_finished
+from phantom.generate import FILES, RECORDS, clear, generate, is_finished
 from phantom.scenes import film_of
 from phantom.suite import config_from, load_suite, read_settings
+from phantom.timeline import frames_needed
 from pipeline.errors import HaustraError
 from pipeline.progress import Progress
+
+OURS = {*FILES, *RECORDS, "rgb", "depth", "mesh.ply.partial"}  # what a film's folder holds
+EVENT_ROOM = 1.4  # a film with --events is at least this much longer than its events
 
 
 @dataclass(frozen=True)
@@ -31,30 +37,34 @@ def chosen_config(options: PhantomOptions) -> PhantomConfig:
     for name in ("scene", "seed"):
         if getattr(options, name) is not None:
             values[name] = getattr(options, name)
-    config = film_of(config_from(values), options.frames, options.size, options.motion)
+    config, frames = config_from(values), options.frames
     if options.events:
         config = replace(config, events=EventsConfig(1, 1, 1, 1, 1))
-    return config
+        if frames is None:
+            frames = max(config.motion.frames, math.ceil(EVENT_ROOM * frames_needed(config.motion, config.events)))
+    return film_of(config, frames, options.size, options.motion)
 
 
 def render(sequences: Mapping[Path, PhantomConfig], progress: Progress, overwrite: bool = False) -> list[Path]:
     """Film each config into its folder; finished ones are left as they are. Returns the folders in order."""
     for folder, config in sequences.items():
-        if not overwrite and not is_finished(folder, config):
-            _refuse_strangers(folder, config)
+        check(config)
+        if not is_finished(folder, config):
+            _refuse_strangers(folder, config, overwrite)
     for folder, config in sequences.items():
         if is_finished(folder, config) and not overwrite:
             progress.say(f"{folder}: already there, left as it is")
             continue
         clear(folder)
+        progress.say(f"{folder.name}: growing {config.anatomy.length_mm:.0f} mm of gut, seed {config.seed}")
         with progress.bar(folder.name, config.motion.frames) as advance:
             generate(config, folder, progress=advance)
     return list(sequences)
 
 
-def suite_folders(out: Path) -> dict[Path, PhantomConfig]:
-    """The five evaluation sequences, each in a folder of its own."""
-    return {out / name: config for name, config in load_suite().items()}
+def suite_folders(out: Path, file: Path | None = None) -> dict[Path, PhantomConfig]:
+    """The five evaluation sequences, or those of a file like suite.yaml, each in a folder of its own."""
+    return {out / name: config for name, config in (load_suite(file) if file else load_suite()).items()}
 
 
 def render_training(out: Path, frames: int, options: PhantomOptions, workers: int, progress: Progress) -> Path:
@@ -63,6 +73,10 @@ def render_training(out: Path, frames: int, options: PhantomOptions, workers: in
 
     if options.frames or options.motion or options.events or options.config:
         raise HaustraError("--training takes --scene, --seed, --size and --workers only: its phantoms are random")
+    if options.scene not in (None, "colon", "small_intestine"):
+        raise HaustraError(f"--training draws colon or small_intestine, not {options.scene!r}; looks are random")
+    if out.exists() and any(out.iterdir()) and not (out / "images.npy").exists():
+        raise HaustraError(f"{out} holds something else; give another folder")
     if (out / "shards.json").exists():
         raise HaustraError(f"{out} already holds training frames; give another folder")
     plan = ShardPlan(out, frames, options.size or 192, options.seed or 0, options.scene)
@@ -71,14 +85,17 @@ def render_training(out: Path, frames: int, options: PhantomOptions, workers: in
     return out
 
 
-def _refuse_strangers(folder: Path, config: PhantomConfig) -> None:
-    """An unfinished film of the same phantom is begun anew; anything else is not ours to replace."""
-    if not folder.exists():
+def _refuse_strangers(folder: Path, config: PhantomConfig, overwrite: bool) -> None:
+    """An unfinished film of the same phantom is begun anew; another film goes with --overwrite; the rest never."""
+    standing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    if not standing.is_dir():
+        raise HaustraError(f"{standing} is a file; give a folder")
+    if not folder.exists() or not any(folder.iterdir()) or _same_phantom(folder, config):
         return
-    if not folder.is_dir():
-        raise HaustraError(f"{folder} is a file; give a folder")
-    if any(folder.iterdir()) and not _same_phantom(folder, config):
-        raise HaustraError(f"{folder} holds something else; give another folder, or --overwrite")
+    if foreign := [path.name for path in sorted(folder.iterdir()) if path.name not in OURS]:
+        raise HaustraError(f"{folder} holds something else ({foreign[0]}); give another folder")
+    if not overwrite:
+        raise HaustraError(f"{folder} holds another film; give another folder, or --overwrite")
 
 
 def _same_phantom(folder: Path, config: PhantomConfig) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,15 @@ import yaml
 from typer.testing import CliRunner
 
 import pipeline.phantom_command as command
+from phantom.checks import CHOICES, RANGES, check
 from phantom.config import PhantomConfig
 from phantom.errors import PhantomError
-from phantom.generate import generate
+from phantom.generate import generate, is_finished
+from phantom.randomise import randomised
+from phantom.scenes import SCENES, scene_config
 from phantom.shards import ShardPlan
 from phantom.suite import load_suite
+from phantom.timeline import EVENTS, plan_timeline
 from pipeline.cli import app
 from pipeline.errors import HaustraError
 from pipeline.phantom_command import PhantomOptions, chosen_config, render, render_training, suite_folders
@@ -42,12 +46,14 @@ def test_a_film_is_made_once_kept_and_replaced_when_asked(tmp_path: Path, monkey
     (folder / "mesh.ply").unlink()  # stopped half-way: begun anew
     render({folder: TINY}, QUIET)
     assert len(films) == 2
-    (folder / "notes.txt").write_text("mine")
     shorter = replace(TINY, motion=replace(TINY.motion, frames=2))
     with pytest.raises(HaustraError, match="--overwrite"):
         render({folder: shorter}, QUIET)
     render({folder: shorter}, QUIET, overwrite=True)
     assert sorted(path.name for path in (folder / "rgb").iterdir()) == ["00000.png", "00001.png"]
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(HaustraError, match=r"something else \(notes\.txt\)"):
+        render({folder: TINY}, QUIET, overwrite=True)
     assert (folder / "notes.txt").read_text() == "mine"
 
 
@@ -88,7 +94,17 @@ def test_options_go_on_top_of_the_file(tmp_path: Path) -> None:
         ("camera: {width: 321}", "even width"),
         ("motion: {frames: 0}", "motion.frames: 0 is not within"),
         ("imaging: {gamma: .nan}", "finite"),
-        ("anatomy: {polyps: -1}", "expected a count"),
+        ("anatomy: {polyps: -1}", "anatomy.polyps: -1 is not within"),
+        ("imaging: {border: hexagon}", "imaging.border: unknown 'hexagon'"),
+        ("imaging: {blur_px: -1}", "imaging.blur_px"),
+        ("anatomy: {scene: stomach}", "anatomy.scene: unknown"),
+        ("appearance: {tissue: [0.2, 5, 0.1]}", "appearance.tissue: 5 is not"),
+        ("camera: {model: OPENCV_FISHEYE, fov_deg: 150, distortion: [-0.1, 0, 0, 0]}", "folds over"),
+        ("camera: {model: OPENCV, fov_deg: 110, distortion: [-0.6, 0, 0, 0]}", "folds over"),
+        ("camera: {distortion: [0.1, 0, 0, 0]}", "PINHOLE has no distortion"),
+        ("scene: [a]", "unknown scene"),
+        ("motion: {direction: sideways}", "motion.direction: unknown"),
+        ("", "is empty"),
         ("appearance: {tissue: [1, 2]}", "expected 3 numbers"),
         ("seed: -4", "whole number"),
         ("- a list", "expected a mapping"),
@@ -102,6 +118,49 @@ def test_bad_settings_are_one_sentence_and_leave_nothing(tmp_path: Path, values:
         render({tmp_path / "out": chosen_config(PhantomOptions(config=file))}, QUIET)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out" / "rgb").exists()
+
+
+def test_every_setting_has_a_range_or_its_choices() -> None:
+    config = PhantomConfig()
+    for section in ("anatomy", "appearance", "imaging", "camera", "motion", "events"):
+        for field in fields(getattr(config, section)):
+            value, name = getattr(getattr(config, section), field.name), f"{section}.{field.name}"
+            assert isinstance(value, bool) or name in (CHOICES if isinstance(value, str) else RANGES), name
+    for scene in SCENES:
+        check(scene_config(scene))
+    for seed in range(20):
+        check(randomised(np.random.default_rng(seed)))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [PhantomOptions(motion="loop", events=True), PhantomOptions(events=True), PhantomOptions(scene="csd", seed=3)],
+)
+def test_documented_films_have_room_for_what_happens_in_them(options: PhantomOptions) -> None:
+    config = chosen_config(options)
+    check(config)
+    kinds = {slot.kind for slot in plan_timeline(config.motion, config.events, config.seed)}
+    assert kinds == (set(EVENTS) if options.events else set())
+
+
+def test_a_file_that_was_cut_off_is_not_a_finished_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full_disk(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("phantom.generate.os.replace", full_disk)
+        with pytest.raises(OSError, match="No space"):
+            generate(TINY, tmp_path, threads=1)
+    assert not is_finished(tmp_path, TINY)
+    generate(TINY, tmp_path, threads=1)
+    assert is_finished(tmp_path, TINY)
+
+
+def test_the_file_keeps_its_own_way_when_the_film_gets_longer(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(yaml.safe_dump({"motion": {"start": 0.4, "speed_mm": 0.2}, "anatomy": {"length_mm": 250.0}}))
+    config = chosen_config(PhantomOptions(config=file, frames=100))
+    assert (config.motion.start, config.motion.speed_mm, config.anatomy.length_mm) == (0.4, 0.2, 250.0)
 
 
 def test_training_frames_have_their_contract_and_are_not_replaced(tmp_path: Path) -> None:
