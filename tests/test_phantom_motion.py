@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from phantom.colon import build_colon
 from phantom.config import EventsConfig, MotionConfig
 from phantom.errors import PhantomError
-from phantom.motion import camera_path, clearance
+from phantom.motion import camera_path, clearance, inside
+from phantom.raycaster import RayCaster
 from phantom.render import Phantom
 from phantom.scenes import SCENES, film_of, scene_config
 from phantom.timeline import plan_timeline
@@ -96,6 +98,43 @@ def test_turns_reach_their_angle_and_come_back(phantom: Phantom, kind: str, fiel
     wanted = {"quick_turn": motion.quick_turn_deg, "look_back": motion.look_back_deg}[kind]
     assert angle[slots[kind]].max() == pytest.approx(wanted, abs=usual)
     assert max(angle[0], angle[-1]) <= usual + 1e-6
+
+
+def winding(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Solid angle of all triangles (F,3,3) over 4 pi, seen from each point (van Oosterom & Strackee 1983)."""
+    a, b, c = (corners[None, :, i] - points[:, None] for i in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    above = np.einsum("pfi,pfi->pf", a, np.cross(b, c))
+    below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    return np.abs(np.arctan2(above, below).sum(axis=1) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_which_side_of_the_wall_agrees_with_the_winding_number(seed: int) -> None:
+    """Sharp, leaning folds: the nearest point is often on a rim, where a triangle's normal tells nothing."""
+    anatomy = replace(
+        TINY.anatomy,
+        fold_depth_mm=6.0,
+        fold_width_mm=1.5,
+        fold_edge_mm=0.3,
+        fold_lean=0.5,
+        pedunculated=1,
+        diverticula=1,
+    )
+    colon = build_colon(anatomy, seed)
+    caster = RayCaster(colon.vertices, colon.triangles, 1)
+    rng = np.random.default_rng(seed)
+    arc = rng.uniform(30, 80, 100)
+    centre, frames = colon.line.at(arc)
+    out = rng.uniform(0, 1.3 * anatomy.radius_mm, 100)
+    around = rng.uniform(0, 2 * np.pi, 100)
+    points = centre + out[:, None] * (
+        np.cos(around)[:, None] * frames[..., 0] + np.sin(around)[:, None] * frames[..., 1]
+    )
+    turns = winding(points, colon.vertices[colon.triangles].astype(float))
+    sure = np.abs(turns - 0.5) > 0.1  # open ends take a little from inside
+    assert sure.mean() > 0.95
+    np.testing.assert_array_equal(inside(colon, caster, points)[sure], turns[sure] > 0.5)
 
 
 def test_a_loop_ends_where_it_began_by_another_way(phantom: Phantom) -> None:
