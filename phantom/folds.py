@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from phantom.config import AnatomyConfig
 
 Array = NDArray[np.float64]
+LEAST_GAP = 0.2  # of the way between two places of equal height that leaning may leave; 0 lets folds touch
+STRAIGHTEN = 0.8  # factor on the lean of a fold that comes too near its neighbour, as often as it takes
+LEVELS = 40  # heights at which gaps are measured: half a millimetre to a millimetre apart
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def fold_relief(folds: list[Fold], arc: Array, angle: Array, anatomy: AnatomyCon
     shape = np.broadcast_shapes(arc.shape, angle.shape)
     power, shift, bulge = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for fold in folds:
-        reached = np.abs(arc - fold.arc_mm) < abs(fold.tilt_mm) + 9 * fold.width_mm
+        reached = np.abs(arc - fold.arc_mm) < _reach(fold)
         near = np.flatnonzero(reached.any(axis=1))
         if len(near) == 0:
             continue
@@ -81,6 +84,11 @@ def fold_relief(folds: list[Fold], arc: Array, angle: Array, anatomy: AnatomyCon
     return power**0.25 - anatomy.sacculation_mm * (0.5 - np.minimum(bulge, 1.0)), shift
 
 
+def _reach(fold: Fold) -> float:
+    """Beyond this distance (mm) along the gut a fold is not seen."""
+    return abs(fold.tilt_mm) + 9 * fold.width_mm
+
+
 def _one_fold(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> tuple[Array, Array]:
     """Height (mm) of a single crescent, and how near its rim is (0 to 1): the wall bulges out in between."""
     edge, reach = anatomy.fold_edge_mm, 0.3 * anatomy.fold_spacing_mm
@@ -89,3 +97,74 @@ def _one_fold(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> t
     offset = arc - fold.arc_mm - fold.tilt_mm * np.cos(angle - fold.tilt_phase_rad)
     flank = np.exp(-(np.hypot(offset, edge) - edge) / fold.width_mm)  # |offset| with a rounded rim
     return fold.depth_mm * window * flank, window * np.exp(-((offset / reach) ** 2))
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Places (K,) that follow each other at one angle with equal radius, and what leaning leaves between them."""
+
+    before_mm: Array  # arc length
+    behind_mm: Array
+    column: NDArray[np.int_]  # index of the angle
+    left: Array  # distance along the lumen per distance in arc length; at 0 the wall meets itself
+
+    def narrow(self) -> Gaps:
+        """Those that are too narrow; what is lost in rounding does not count."""
+        short = (LEAST_GAP - self.left) * (self.behind_mm - self.before_mm) > 1e-6
+        return Gaps(self.before_mm[short], self.behind_mm[short], self.column[short], self.left[short])
+
+
+def measure_gaps(arc: Array, along: Array, radius: Array) -> Gaps:
+    """Between all places on the wall at the heights looked at; arc (M,) mm, along and radius (M,N) mm.
+
+    In the half plane of one angle the wall is the curve (along, radius). Where equal radii follow each other along the
+    lumen as they do in arc length, no two of its points can coincide, however far it overhangs.
+    """
+    parts = [_between(*_crossings(arc, along, radius, level)) for level in _levels(radius)]
+    row, column = np.nonzero(np.abs(np.diff(radius, axis=0)) < 1e-9)  # a plateau lies between the levels
+    left = (along[row + 1, column] - along[row, column]) / (arc[row + 1] - arc[row])
+    before, behind, columns, lefts = zip(*parts, (arc[row], arc[row + 1], column, left))
+    return Gaps(*(np.concatenate(part) for part in (before, behind, columns, lefts)))
+
+
+def _levels(radius: Array) -> Array:
+    return np.linspace(radius.min(), radius.max(), LEVELS + 2)[1:-1]
+
+
+def _crossings(arc: Array, along: Array, radius: Array, level: float) -> tuple[Array, Array, NDArray[np.int_]]:
+    """Arc length (K,), place along the lumen (K,) and column (K,) where the radius passes a level; by column, arc."""
+    above = (radius > level).T
+    column, row = np.nonzero(above[:, 1:] != above[:, :-1])
+    part = (level - radius[row, column]) / (radius[row + 1, column] - radius[row, column])
+    there = along[row, column] + part * (along[row + 1, column] - along[row, column])
+    return arc[row] + part * (arc[row + 1] - arc[row]), there, column
+
+
+def _between(arc: Array, along: Array, column: NDArray[np.int_]) -> tuple[Array, Array, NDArray[np.int_], Array]:
+    """The columns of `Gaps` for successive crossings of one level."""
+    pair = np.flatnonzero((column[1:] == column[:-1]) & (np.diff(arc) > 0))
+    return arc[pair], arc[pair + 1], column[pair], np.diff(along)[pair] / np.diff(arc)[pair]
+
+
+def straightened(
+    folds: list[Fold], before: Array, behind: Array, weights: tuple[Array, Array], angle: Array, anatomy: AnatomyConfig
+) -> list[Fold]:
+    """Folds of which those lean less that do most to close the gaps between arcs `before` and `behind` (K,) mm.
+
+    `weights` (K,) is the part of its shift that the wall takes there, `angle` (K,) is in rad.
+    """
+    ends = list(zip((before, behind), weights))
+    shifts = [
+        fold.lean * np.array([weight * _height_near(fold, arc, angle, anatomy) for arc, weight in ends])
+        for fold in folds
+    ]
+    closing = np.array([ahead - further for ahead, further in shifts])
+    blamed = set(closing.argmax(axis=0).tolist())
+    return [replace(fold, lean=fold.lean * STRAIGHTEN) if i in blamed else fold for i, fold in enumerate(folds)]
+
+
+def _height_near(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> Array:
+    """Height (K,) of one crescent at places (K,); there are many folds, and most places are far from most of them."""
+    height, near = np.zeros(len(arc)), np.abs(arc - fold.arc_mm) < _reach(fold)
+    height[near] = _one_fold(fold, arc[near], angle[near], anatomy)[0]
+    return height

@@ -28,8 +28,10 @@ import numpy as np
 from numpy.lib.format import open_memmap
 
 from phantom.camera import MODELS
+from phantom.config import PhantomConfig
 from phantom.randomise import random_camera, random_imaging, randomised
 from phantom.render import Phantom
+from phantom.scenes import SCENES, film_of, scene_config
 from phantom.sensor import Sensor
 from phantom.viewpoints import random_pose
 
@@ -44,7 +46,9 @@ class ShardPlan:
     frames: int
     size: int  # px, square
     seed: int
-    scene: str | None = None  # None mixes colon and small intestine
+    scene: str | None = (
+        None  # a named scene, of which only the seed varies; None draws anatomy, looks and lens at random
+    )
 
     @property
     def colons(self) -> int:
@@ -90,12 +94,13 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
     plan, colon = task
     cv2.setNumThreads(1)
     rng = np.random.default_rng([plan.seed, colon])
-    phantom = Phantom(randomised(rng, plan.size, plan.scene), threads=1)
+    phantom = Phantom(_config(plan, rng), threads=1)
     arrays = {name: np.load(plan.folder / f"{name}.npy", mmap_mode="r+") for name in plan.arrays()}
     first = colon * FRAMES_PER_COLON
     last = min(first + FRAMES_PER_COLON, plan.frames)
     for index in range(first, last):
-        view = phantom.seen_through(random_imaging(rng), random_camera(rng, plan.size))
+        # Each frame of a random phantom has a light and a lens of its own.
+        view = phantom if plan.scene else phantom.seen_through(random_imaging(rng), random_camera(rng, plan.size))
         pose = random_pose(view.colon, view.caster, view.rays, rng)
         drift = pose.copy()
         drift[:3, 3] += rng.normal(0.0, 0.5, 3)  # where motion blur points
@@ -110,6 +115,12 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
     return last - first
 
 
+def _config(plan: ShardPlan, rng: np.random.Generator) -> PhantomConfig:
+    if plan.scene is None:
+        return randomised(rng, plan.size)
+    return film_of(scene_config(plan.scene, int(rng.integers(2**31))), size=plan.size)
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Render training frames of random phantoms into .npy arrays.")
@@ -118,7 +129,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=192, help="side of the square image, px")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--scene", choices=["colon", "small_intestine"], help="default: a mixture")
+    parser.add_argument("--scene", choices=SCENES, help="default: everything at random")
     args = parser.parse_args()
     plan = ShardPlan(args.folder, args.frames, args.size, args.seed, args.scene)
     write_shards(plan, args.workers, lambda done, total: print(f"{done}/{total} frames", flush=True))

@@ -9,7 +9,7 @@ from phantom.bulb import ease
 from phantom.centreline import LONG_AXIS, Centreline
 from phantom.config import AnatomyConfig
 from phantom.errors import PhantomError
-from phantom.folds import Fold, fold_relief
+from phantom.folds import Fold, fold_relief, measure_gaps, straightened
 from phantom.lesions import Polyp
 from phantom.noise import SolidNoise, path_noise
 
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 END_OPENING = 0.04  # of the radius that stays open at the ends
 CAP_ROUND = np.pi / 2 - 1  # a quarter circle is longer than its radius by this many radii
+GAP_STEP_MM = 0.5  # along the wall, finer than a mesh edge
+GAP_ANGLES = 72  # at which gaps between folds are measured: folds change over 50 degrees and more
 VILLI_MM = (3.0, 1.5)  # wavelengths; shorter ones fall between the vertices and belong to the texture's bump
 VILLI_STD = 0.5  # 0.35 is a wave's standard deviation per height; looking up between voxels flattens waves this short
 
@@ -38,6 +40,7 @@ class Wall:
         self._widening = 1 + anatomy.radius_variation * path_noise(len(self._knots), 80.0, rng)
         self._relief = _Relief(anatomy, rng, own_rng)
         self._collapse = _Collapse(self._knots, anatomy, own_rng) if anatomy.collapse else None
+        self._part_folds()
 
     def __call__(self, arc: Array, angle: Array) -> tuple[Array, Array]:
         """Points (...,3) mm and polyp cover (...) in [0,1], broadcast over two-dimensional arc and angle."""
@@ -48,6 +51,19 @@ class Wall:
         if self.anatomy.closed_start or self.anatomy.closed_end:
             along = along + relief * _cap_slope(arc, self.anatomy)  # on a cap outwards is along the gut
         return self._wrap(arc, along, angle, radius), cover
+
+    def _part_folds(self) -> None:
+        """Take lean from folds until none comes too near another; most guts are left as they were drawn."""
+        arc = arc_at(np.arange(0.0, unrolled_length(self.anatomy), GAP_STEP_MM), self.anatomy)
+        angle = np.linspace(0, 2 * np.pi, GAP_ANGLES, endpoint=False)
+        while True:
+            radius, shift, _ = self.evaluate(arc[:, None], angle[None, :])
+            gaps = measure_gaps(arc, arc[:, None] + shift, radius).narrow()
+            if len(gaps.left) == 0:
+                return
+            ends = gaps.before_mm, gaps.behind_mm
+            weights = _cap(ends[0], self.anatomy), _cap(ends[1], self.anatomy)
+            self.folds = straightened(self.folds, *ends, weights, angle[gaps.column], self.anatomy)
 
     def points(self, arc: Array, angle: Array) -> Array:
         """Points alone."""
@@ -74,7 +90,7 @@ class Wall:
         centre, frame = line.at(np.clip(along, 0, line.arc[-1]))
         x, y = np.cos(angle), np.sin(angle)
         if self._collapse:
-            x, y = self._collapse(arc, x, y)
+            x, y = self._collapse(along, x, y)  # as one: rims lean over wall that was drawn at another arc length
         outward = x[..., None] * frame[..., 0] + y[..., None] * frame[..., 1]
         beyond = along - np.clip(along, 0, line.arc[-1])  # leaning folds at an open end keep their shape
         return centre + radius[..., None] * outward + beyond[..., None] * frame[..., 2]

@@ -8,7 +8,7 @@ from pathlib import Path
 from phantom.checks import check
 from phantom.config import EventsConfig, PhantomConfig
 from phantom.generate import FILES, RECORDS, clear, generate, is_finished
-from phantom.scenes import film_of
+from phantom.scenes import film_of, scene_config
 from phantom.suite import config_from, load_suite, read_settings
 from phantom.timeline import frames_needed
 from pipeline.errors import HaustraError
@@ -72,9 +72,9 @@ def render_training(out: Path, frames: int, options: PhantomOptions, workers: in
     from phantom.shards import ShardPlan, write_shards
 
     if options.frames or options.motion or options.events or options.config:
-        raise HaustraError("--training takes --scene, --seed, --size and --workers only: its phantoms are random")
-    if options.scene not in (None, "colon", "small_intestine"):
-        raise HaustraError(f"--training draws colon or small_intestine, not {options.scene!r}; looks are random")
+        raise HaustraError("--training takes --scene, --seed, --size and --workers only: its phantoms are drawn")
+    if options.scene is not None:
+        scene_config(options.scene)
     if out.exists() and any(out.iterdir()) and not (out / "images.npy").exists():
         raise HaustraError(f"{out} holds something else; give another folder")
     if (out / "shards.json").exists():

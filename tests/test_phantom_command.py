@@ -169,7 +169,7 @@ def test_training_frames_have_their_contract_and_are_not_replaced(tmp_path: Path
     assert set(ShardPlan(tmp_path, 3, 32, 1).arrays()) == {p.stem for p in (tmp_path / "t").glob("*.npy")}
     with pytest.raises(HaustraError, match="already holds"):
         render_training(tmp_path / "t", 3, PhantomOptions(), 1, QUIET)
-    with pytest.raises(HaustraError, match="random"):
+    with pytest.raises(HaustraError, match="drawn"):
         render_training(tmp_path / "u", 3, PhantomOptions(frames=4), 1, QUIET)
 
 
