@@ -150,12 +150,13 @@ class Phantom:
             return np.ones((len(lights), height, width), np.float32)
         rotation = pose[:3, :3].astype(np.float32)
         tested = points[::2, ::2]
+        x, y = np.meshgrid(np.arange(width, dtype=np.float32) / 2, np.arange(height, dtype=np.float32) / 2)
         lit = np.empty((len(lights), height, width), np.float32)
         for index, light in enumerate(lights):
             origin = (rotation @ light + pose[:3, 3]).astype(np.float32)
             blocked = caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
             soft = cv2.GaussianBlur(1 - blocked.astype(np.float32), (0, 0), PENUMBRA_PX)
-            lit[index] = cv2.resize(soft, (width, height))
+            lit[index] = cv2.remap(soft, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return lit
 
     def _wall_points(self, hits: Hits, moved: MovedWall | None) -> NDArray[Any]:

@@ -155,7 +155,8 @@ def smear(radiance: Floats, flow: Floats, shutter: float, taps: int = 5) -> Floa
     along, down = cv2.split(flow)
     packed = cv2.merge([*cv2.split(radiance), x])  # cv2.remap is twice as fast on four channels as on three
     total = np.zeros_like(packed)
-    for part in np.linspace(-0.5, 0.5, taps, dtype=np.float32) * np.float32(shutter):
+    # The middles of equal parts of the exposure: its very ends would make the blur a fifth too long.
+    for part in ((np.arange(taps, dtype=np.float32) + np.float32(0.5)) / taps - np.float32(0.5)) * np.float32(shutter):
         moved = x + part * along, y + part * down
         total += cv2.remap(packed, *moved, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     total /= taps
