@@ -4,9 +4,10 @@
     python benchmarks/paper_tables.py 2 DATA/colon DATA/small_intestine --out RUNS --steps 3000 --seeds 2
     python benchmarks/paper_tables.py 1 DATA/colon DATA/small_intestine DATA/ccd DATA/csd --out RUNS --steps 3000
 
-Paper's preset: Adam 1e-3, L1, batch 10, 100 uniform points; each network of `--size small` (completion/models.py says what
-that cuts) or `paper`. Judged on meshes that were never trained on, 100 uniform points, each frame on its own, then the
-mean over frames (the paper's lineage); then mean and spread over seeds. A stopped run goes on where it was.
+Paper's preset: Adam 1e-3, L1, batch 10, 100 uniform points; each network of `--size small` (what that cuts is in
+completion/models.py) or `paper`. Judged on meshes that were never trained on, 100 uniform points, each frame on its
+own, then the mean over frames (the paper's lineage); then mean and spread over seeds. A stopped run goes on where it
+was.
 """
 
 import argparse
