@@ -121,9 +121,7 @@ def measure_gaps(arc: Array, along: Array, radius: Array) -> Gaps:
     lumen as they do in arc length, no two of its points can coincide, however far it overhangs.
     """
     parts = [_between(*_crossings(arc, along, radius, level)) for level in _levels(radius)]
-    row, column = np.nonzero(np.abs(np.diff(radius, axis=0)) < 1e-9)  # a plateau lies between the levels
-    left = (along[row + 1, column] - along[row, column]) / (arc[row + 1] - arc[row])
-    before, behind, columns, lefts = zip(*parts, (arc[row], arc[row + 1], column, left))
+    before, behind, columns, lefts = zip(*parts, _turns(arc, along, radius))
     return Gaps(*(np.concatenate(part) for part in (before, behind, columns, lefts)))
 
 
@@ -138,6 +136,14 @@ def _crossings(arc: Array, along: Array, radius: Array, level: float) -> tuple[A
     part = (level - radius[row, column]) / (radius[row + 1, column] - radius[row, column])
     there = along[row, column] + part * (along[row + 1, column] - along[row, column])
     return arc[row] + part * (arc[row + 1] - arc[row]), there, column
+
+
+def _turns(arc: Array, along: Array, radius: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
+    """The columns of `Gaps` for rims, bottoms and plateaus, which lie between the levels."""
+    slope = np.diff(radius, axis=0)
+    row, column = np.nonzero(slope[1:] * slope[:-1] < 1e-9)
+    left = (along[row + 2, column] - along[row, column]) / (arc[row + 2] - arc[row])
+    return arc[row], arc[row + 2], column, left
 
 
 def _between(arc: Array, along: Array, column: NDArray[np.int_]) -> tuple[Array, Array, NDArray[np.int_], Array]:
