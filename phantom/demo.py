@@ -37,7 +37,7 @@ DEMO_CRF = 18  # a third of a megabyte; feature tracks do not suffer
 
 def write_demo(out_folder: Path, progress: Progress | None = None) -> Path:
     """Film the demo clip into `out_folder` as an RGB-D folder; the clip itself is `video.mp4`."""
-    return generate(DEMO, out_folder, progress, crf=DEMO_CRF)
+    return generate(DEMO, out_folder, progress, crf=DEMO_CRF, preset="slow")
 
 
 def pack_demo(folder: Path, package: Path) -> None:

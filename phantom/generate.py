@@ -47,11 +47,17 @@ Progress = Callable[[int, int], None]
 
 
 def generate(
-    config: PhantomConfig, folder: Path, progress: Progress | None = None, crf: int = 18, threads: int = 0
+    config: PhantomConfig,
+    folder: Path,
+    progress: Progress | None = None,
+    crf: int = 18,
+    threads: int = 0,
+    preset: str = "veryfast",
 ) -> Path:
     """Film one phantom into `folder` (made if missing); `progress(done, total)` counts frames.
 
-    `crf` is x264's constant rate factor: 18 looks lossless, +6 halves the file. A few frames are in memory at a time.
+    `crf` is x264's constant rate factor: 18 looks lossless, +6 halves the file; `preset` is x264's, too. A few frames
+    are in memory at a time.
     Raises PhantomError where the config cannot be built or filmed.
     """
     folder = Path(folder)
@@ -64,7 +70,7 @@ def generate(
     _write_records(folder, phantom)
     _write_trajectory(folder / "trajectory.txt", poses, config.motion.fps)
     _write_events(folder / "events.json", timeline, peristalsis, config.motion.fps)
-    nearest_mm = film_into(folder, phantom, poses, timeline, peristalsis, progress, crf)
+    nearest_mm = film_into(folder, phantom, poses, timeline, peristalsis, progress, crf, preset)
     motion = peristalsis.vertex_properties() if config.events.peristalsis else {}
     write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, nearest_mm, motion)
     return folder
@@ -78,12 +84,13 @@ def film_into(
     peristalsis: Peristalsis | None = None,
     progress: Progress | None = None,
     crf: int = 18,
+    preset: str = "veryfast",
 ) -> NDArray[np.float32]:
     """Write video, pictures and depth; returns the smallest depth (F,) mm at which each face was seen, or infinity."""
     for name in ("rgb", "depth"):
         (folder / name).mkdir(exist_ok=True)
     nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
-    with _video(folder / "video.mp4", phantom.config, crf) as add_to_video:
+    with _video(folder / "video.mp4", phantom.config, crf, preset) as add_to_video:
         for index, frame in enumerate(phantom.film(poses, timeline, peristalsis)):
             _write_frame(folder, index, frame)
             add_to_video(frame.image)
@@ -126,13 +133,13 @@ def _write_png(path: Path, image: NDArray[Any]) -> None:
 
 
 @contextmanager
-def _video(path: Path, config: PhantomConfig, crf: int) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+def _video(path: Path, config: PhantomConfig, crf: int, preset: str) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     """Open an H.264 file; the value is a function that appends an RGB image (H,W,3)."""
     with av.open(str(path), "w") as container:
         stream: Any = container.add_stream("libx264", rate=Fraction(config.motion.fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = config.camera.width, config.camera.height, "yuv420p"
         # Same bytes each time: one thread, and no macroblock tree, whose lookahead reads uninitialised memory.
-        stream.options = {"crf": str(crf), "preset": "slow", "threads": "1", "x264-params": "mbtree=0"}
+        stream.options = {"crf": str(crf), "preset": preset, "threads": "1", "x264-params": "mbtree=0"}
 
         def add(image: NDArray[np.uint8]) -> None:
             planes = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420)  # swscale's rounding depends on memory alignment

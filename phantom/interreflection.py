@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.floating[Any]]
-SOURCES, RECEIVERS = 16, 32  # per side; walls light each other smoothly
+SOURCES, RECEIVERS = 16, 24  # per side; walls light each other smoothly
 NEAREST_MM = 4.0  # closer, a patch is no point
 STEEPEST = 0.15  # cosine; at grazing view a patch's area is anyone's guess
 

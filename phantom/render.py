@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -106,7 +107,7 @@ class Phantom:
 
         The shutter is open from half its time before `pose` to half its time after: truth is that of mid-exposure.
         """
-        caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, 1)
+        caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, self.threads)
         hits = caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
         radiance = self._radiance(pose, hits, points, caster, moved)
@@ -150,13 +151,12 @@ class Phantom:
             return np.ones((len(lights), height, width), np.float32)
         rotation = pose[:3, :3].astype(np.float32)
         tested = points[::2, ::2]
-        x, y = np.meshgrid(np.arange(width, dtype=np.float32) / 2, np.arange(height, dtype=np.float32) / 2)
         lit = np.empty((len(lights), height, width), np.float32)
         for index, light in enumerate(lights):
             origin = (rotation @ light + pose[:3, 3]).astype(np.float32)
             blocked = caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
             soft = cv2.GaussianBlur(1 - blocked.astype(np.float32), (0, 0), PENUMBRA_PX)
-            lit[index] = cv2.remap(soft, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            lit[index] = _doubled(soft, width, height)
         return lit
 
     def _wall_points(self, hits: Hits, moved: MovedWall | None) -> NDArray[Any]:
@@ -171,10 +171,13 @@ class Phantom:
 
         `then` (H,W,3) is where in the world it is by that time; None if the wall rests.
         """
-        world = points @ pose[:3, :3].T + pose[:3, 3] if then is None else then
+        height, width = valid.shape
+        points, valid = points[::2, ::2], valid[::2, ::2]  # motion is smooth: every second pixel tells enough
+        world = points @ pose[:3, :3].T + pose[:3, 3] if then is None else then[::2, ::2]
         moved = (world - upcoming[:3, 3]) @ upcoming[:3, :3]
         flow = self.camera.project(moved) - self.camera.project(points)
-        return np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
+        known = np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
+        return _doubled(known, width, height)
 
     def _foam(self, poses: Array, slot: Slot) -> Array:
         """Where a slot's bubbles sit on the wall: in view in its middle."""
@@ -198,6 +201,12 @@ def develop(seen: Look, sensor: Sensor, rng: np.random.Generator) -> Frame:
     return Frame(sensor.expose(seen.radiance, rng, _distance_ahead(seen.points)), depth, triangle)
 
 
+def _doubled(field: Floats, width: int, height: int) -> Floats:
+    """Values at every second pixel, the first among them, interpolated to all (H,W,...)."""
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32) / 2, np.arange(height, dtype=np.float32) / 2)
+    return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
 def _distance_ahead(points: Floats) -> Floats:
     """z-depth (H,W) mm, which footprint and focus depend on, kept positive beyond 84 degrees off axis."""
     return np.maximum(points[..., 2], np.float32(0.1) * np.sqrt(np.einsum("hwc,hwc->hw", points, points)))
@@ -210,12 +219,23 @@ def _upcoming(poses: Array, index: int) -> Array:
     return poses[-1] if len(poses) == 1 else poses[-1] @ np.linalg.inv(poses[-2]) @ poses[-1]
 
 
+@contextmanager
+def _opencv_on_one_thread() -> Iterator[None]:
+    """OpenCV's own threads and ours would wait for each other: a fifth slower on two cores."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
 def _ahead(make: Callable[[int], Look], count: int, threads: int) -> Iterator[Look]:
     """make(0), make(1), ... in order, computed on `threads` threads, at most one frame ahead per thread."""
     if threads == 1:
         yield from map(make, range(count))
         return
-    with ThreadPoolExecutor(threads) as pool:
+    with _opencv_on_one_thread(), ThreadPoolExecutor(threads) as pool:
         waiting: deque[Future[Look]] = deque()
         for index in range(count):
             waiting.append(pool.submit(make, index))
