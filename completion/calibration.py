@@ -29,6 +29,15 @@ class Calibration:
         return asdict(self)
 
 
+def relative_errors(
+    prediction: Array, truth: Array, predicted_error: Array, every: int = 7
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(predicted, actual) relative error of every n-th valid pixel of one frame, for `calibrate`."""
+    valid = ((truth > 0) & (prediction > 0) & np.isfinite(predicted_error)).ravel().nonzero()[0][::every]
+    g = truth.ravel()[valid].astype(float)
+    return predicted_error.ravel()[valid].astype(float), np.abs(prediction.ravel()[valid] - g) / g
+
+
 def calibrate(pairs: Iterable[tuple[Array, Array]]) -> Calibration:
     """From (predicted relative error, actual relative error) of each frame's valid pixels, 1-D arrays."""
     predicted, actual = (np.concatenate(side) for side in zip(*pairs, strict=True))

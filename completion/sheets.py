@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from completion.calibration import Calibration
 from completion.evaluate import FrameResult
 
 ERROR_SHOWN = 0.15  # relative error at which the colour saturates
@@ -53,6 +54,24 @@ def sweep_plot(path: Path, curves: Mapping[str, Mapping[int, float]], title: str
     axis.grid(True, which="both", alpha=0.3)
     axis.legend(fontsize=8)
     axis.set_title(title, fontsize=9)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return path
+
+
+def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Path:
+    """Median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal."""
+    plt = _pyplot()
+    figure, axis = plt.subplots(figsize=(5, 5), layout="constrained")
+    for name, found in calibrations.items():
+        predicted, actual = 100 * np.array(found.predicted), 100 * np.array(found.actual)
+        axis.plot(predicted, actual, marker="o", label=f"{name}: Spearman {found.spearman:.2f}, {found.pixels} px")
+    low, high = axis.get_xlim()
+    line = np.geomspace(max(low, 0.05), high, 50)
+    axis.plot(line, np.log(2) * line, "k--", linewidth=1, label="Laplace, calibrated: median error = ln 2 x predicted")
+    axis.set(xscale="log", yscale="log", xlabel="predicted relative error [%]", ylabel="actual relative error [%]")
+    axis.grid(True, which="both", alpha=0.3)
+    axis.legend(fontsize=7)
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return path

@@ -166,6 +166,7 @@ def evaluate(
     json_file: Annotated[Path | None, typer.Option("--json", help="everything, with its protocol")] = None,
     sheet: Annotated[Path | None, typer.Option(help="picture: images, truth, completed, error maps")] = None,
     sweep: Annotated[Path | None, typer.Option(help="picture: error over the number of points")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="picture: actual over predicted error")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
 ) -> None:
     """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
@@ -176,7 +177,14 @@ def evaluate(
     protocols = [protocol_of(sampler, count, align, averaging, seed, stride) for count in points or [100]]
     progress = SilentProgress() if quiet else TerminalProgress()
     print(
-        run(folders, model or ["linear", "mscsa"], protocols, Outputs(csv, json_file, sheet, sweep), dataset, progress)
+        run(
+            folders,
+            model or ["linear", "mscsa"],
+            protocols,
+            Outputs(csv, json_file, sheet, sweep, calibration),
+            dataset,
+            progress,
+        )
     )
 
 

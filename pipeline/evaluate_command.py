@@ -7,6 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, get_args
 
+from completion.calibration import Calibration, calibrate, relative_errors
 from completion.errors import CompletionError
 from completion.evaluate import (
     FrameResult,
@@ -17,10 +18,11 @@ from completion.evaluate import (
     paper_row,
     write_csv,
 )
+from completion.infer import error_from_confidence
 from completion.metrics import Alignment, Averaging, simcol3d_errors
 from completion.predictors import load_predictor
 from completion.readers import read_evaluation_frames
-from completion.sheets import contact_sheet, sweep_plot
+from completion.sheets import calibration_plot, contact_sheet, sweep_plot
 from completion.sparsify import SAMPLERS
 from pipeline.progress import Progress
 
@@ -33,6 +35,7 @@ class Outputs:
     json: Path | None = None
     sheet: Path | None = None
     sweep: Path | None = None
+    calibration: Path | None = None
 
 
 def protocol_of(sampler: str, points: int, align: str, averaging: str, seed: int, stride: int) -> Protocol:
@@ -74,6 +77,11 @@ def evaluate(
                 rows.append((model, paper_row(mean_errors(results, protocol), frames[0].unit)))
                 _write_pictures(outputs, results, record, len(folders) * len(models) * len(protocols) > 1)
             tables.append(f"**{folder.name}**: {len(results)} frames, {protocol}\n\n{markdown_table(rows)}")
+    if outputs.calibration:
+        found = {_label(r): Calibration(**r["calibration"]) for r in records if r["calibration"]}
+        if not found:
+            raise CompletionError("none of these models predicts its own error: nothing to calibrate")
+        calibration_plot(outputs.calibration, found)
     if outputs.json:
         outputs.json.write_text(json.dumps(records, indent=1) + "\n")
     if outputs.sweep:
@@ -85,6 +93,8 @@ def evaluate(
 
 def _record(folder: str, model: str, protocol: Protocol, results: Sequence[FrameResult], unit: str) -> dict[str, Any]:
     """Everything about one figure, for JSON."""
+    sure = [r for r in results if r.confidence is not None]
+    pairs = (relative_errors(r.prediction, r.truth, error_from_confidence(r.confidence)) for r in sure)
     simcol = simcol3d_errors((result.prediction, result.truth) for result in results)
     return {
         "folder": folder,
@@ -93,6 +103,7 @@ def _record(folder: str, model: str, protocol: Protocol, results: Sequence[Frame
         "protocol": protocol.model_dump(),
         "mean": mean_errors(results, protocol).to_dict(),
         "simcol3d": simcol.__dict__,
+        "calibration": calibrate(pairs).to_dict() if sure else None,
         "points": {"least": min(r.points for r in results), "most": max(r.points for r in results)},
         "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in results],
     }
@@ -101,12 +112,18 @@ def _record(folder: str, model: str, protocol: Protocol, results: Sequence[Frame
 def _write_pictures(outputs: Outputs, results: Sequence[FrameResult], record: dict[str, Any], several: bool) -> None:
     """CSV and contact sheet; with several figures each file's name says which it is."""
     protocol = record["protocol"]
-    label = f"{record['folder']}_{record['model']}_{protocol['sampler']}{protocol['points']}".replace("/", "-")
+    label = _label(record)
     if outputs.csv:
         write_csv(_named(outputs.csv, label, several), results)
     if outputs.sheet:
         title = f"{record['folder']}, {record['model']}: {Protocol(**protocol)}"
         contact_sheet(_named(outputs.sheet, label, several), results, title, record["unit"])
+
+
+def _label(record: dict[str, Any]) -> str:
+    protocol = record["protocol"]
+    model = Path(record["model"]).name
+    return f"{record['folder']}_{model}_{protocol['sampler']}{protocol['points']}"
 
 
 def _named(path: Path, label: str, several: bool) -> Path:
