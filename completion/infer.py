@@ -132,7 +132,7 @@ def confidence_from_error(error: NDArray[np.float32]) -> NDArray[np.float32]:
     return (HALF_CONFIDENCE_ERROR**2 / (HALF_CONFIDENCE_ERROR**2 + np.square(error))).astype(np.float32)
 
 
-def error_from_confidence(confidence: NDArray[np.float32]) -> NDArray[np.float32]:
+def error_from_confidence(confidence: NDArray[np.floating]) -> NDArray[np.float32]:
     """The inverse of `confidence_from_error`: predicted relative error; infinite where confidence is 0."""
     with np.errstate(divide="ignore"):
         return (HALF_CONFIDENCE_ERROR * np.sqrt(1 / confidence - 1)).astype(np.float32)

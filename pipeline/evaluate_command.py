@@ -93,8 +93,8 @@ def evaluate(
 
 def _record(folder: str, model: str, protocol: Protocol, results: Sequence[FrameResult], unit: str) -> dict[str, Any]:
     """Everything about one figure, for JSON."""
-    sure = [r for r in results if r.confidence is not None]
-    pairs = (relative_errors(r.prediction, r.truth, error_from_confidence(r.confidence)) for r in sure)
+    sure = [(r, r.confidence) for r in results if r.confidence is not None]
+    pairs = (relative_errors(r.prediction, r.truth, error_from_confidence(c)) for r, c in sure)
     simcol = simcol3d_errors((result.prediction, result.truth) for result in results)
     return {
         "folder": folder,
