@@ -47,7 +47,7 @@ def write_gallery(target: Path, progress: Callable[[int, int], None] | None = No
                 progress(done, total)
         sheets.append(_labelled(label, [frame.image for frame in frames]))
         truth = truth or [_coloured(frame.depth) for frame in frames]
-    sheets.insert(1, _labelled("the first row's depth, 5 to 100 mm (black: no wall)", truth))
+    sheets.insert(1, _labelled("the first row's depth, 5 to 100 mm (darkest: farther, or no wall)", truth))
     sheets.append(_labelled("red-out, water jet, bubbles, tool, peristalsis, then all is well again", _events()))
     if progress:
         progress(total, total)
