@@ -23,6 +23,9 @@ WITNESSES_MM = (-8.0, -4.0, 0.0, 4.0, 8.0)  # along the centreline: one way may 
 PUSH_SPREAD = 5.0  # frames: a push off the wall starts before the wall is reached
 DIRECTIONS = {"insertion": 1.0, "withdrawal": -1.0, "loop": 1.0}
 STANDSTILL = {"pause": 1.0, "look_back": 1.0, "touch": 0.85}  # part of the speed that a manoeuvre takes away
+SUDDEN = ("quick_turn", "look_back")
+BENDING_MM = 20.0  # radius of the bending section when it is bent hard
+MOST_SIDEWAYS = 0.4  # of the lumen's radius
 TURNING_POINT = 0.06  # of the frames: how gently a loop's way out becomes its way back
 
 
@@ -49,6 +52,9 @@ def camera_path(
     turns = _look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
     poses = np.tile(np.eye(4), (motion.frames, 1, 1))
     poses[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
+    if any(slot.kind in SUDDEN for slot in timeline):
+        positions = positions + np.einsum("nij,nj->ni", turns, _bending(colon, motion, timeline, seed))
+        positions = _keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
     poses[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
     return poses
 
@@ -144,14 +150,32 @@ def _touch(
 
 def _sudden_turns(motion: MotionConfig, timeline: Sequence[Slot], seed: int) -> Array:
     """Rotations (N,3,3) in camera axes: quick swings of the view, and bending round to look back."""
-    angles = {"quick_turn": motion.quick_turn_deg, "look_back": motion.look_back_deg}
     total = Rotation.identity(motion.frames)
-    for slot in (slot for slot in timeline if slot.kind in angles):
-        heading = np.random.default_rng([seed, 8, slot.number + 1]).uniform(0, 2 * np.pi)
+    for slot in (slot for slot in timeline if slot.kind in SUDDEN):
+        heading, angle = _turn_of(slot, motion, seed)
         axis = np.array([np.cos(heading), np.sin(heading), 0.0])
-        strength = np.array([slot.strength(tick) for tick in range(motion.frames)])
-        total = total * Rotation.from_rotvec(np.radians(angles[slot.kind]) * strength[:, None] * axis)
+        total = total * Rotation.from_rotvec(angle[:, None] * axis)
     return total.as_matrix()
+
+
+def _bending(colon: Colon, motion: MotionConfig, timeline: Sequence[Slot], seed: int) -> Array:
+    """Sideways way of the tip (N,3) mm in camera axes: it sits on a bending section, and never turns on the spot.
+
+    An arc of radius r bent by an angle carries its end sideways by r (1 - cos angle); the lumen's wall ends that early.
+    """
+    way = np.zeros((motion.frames, 3))
+    for slot in (slot for slot in timeline if slot.kind in SUDDEN):
+        heading, angle = _turn_of(slot, motion, seed)
+        sideways = np.minimum(BENDING_MM * (1 - np.cos(angle)), MOST_SIDEWAYS * colon.anatomy.radius_mm)
+        way += sideways[:, None] * np.array([np.sin(heading), -np.cos(heading), 0.0])  # where the view turns to
+    return way
+
+
+def _turn_of(slot: Slot, motion: MotionConfig, seed: int) -> tuple[float, Array]:
+    """Direction of the axis in the image plane, and the angle (N,) about it, both rad."""
+    heading = float(np.random.default_rng([seed, 8, slot.number + 1]).uniform(0, 2 * np.pi))
+    most = {"quick_turn": motion.quick_turn_deg, "look_back": motion.look_back_deg}[slot.kind]
+    return heading, np.radians(most) * np.array([slot.strength(tick) for tick in range(motion.frames)])
 
 
 def _look_at(forward: Array, down: Array) -> Array:

@@ -137,6 +137,18 @@ def test_which_side_of_the_wall_agrees_with_the_winding_number(seed: int) -> Non
     np.testing.assert_array_equal(inside(colon, caster, points)[sure], turns[sure] > 0.5)
 
 
+def test_the_tip_moves_sideways_when_it_bends_round(phantom: Phantom) -> None:
+    """In the direction that the view turns to; a camera that turned on the spot would show no parallax."""
+    motion = replace(BASE, look_backs=1, look_deg=0.0, roll_deg=0.0, wobble_mm=0.0, speed_mm=0.0)
+    poses, slots = filmed(phantom, motion)
+    way = poses[slots["look_back"].start, :3, 3] - poses[0, :3, 3]
+    turned = poses[slots["look_back"].start, :3, 2]
+    across = turned - (turned @ poses[0, :3, 2]) * poses[0, :3, 2]
+    assert 0.2 * TINY.anatomy.radius_mm < np.linalg.norm(way) < 0.5 * TINY.anatomy.radius_mm
+    assert way @ across / np.linalg.norm(way) / np.linalg.norm(across) > 0.8
+    np.testing.assert_allclose(poses[-1], poses[0], atol=1e-6)
+
+
 def test_a_loop_ends_where_it_began_by_another_way(phantom: Phantom) -> None:
     motion = replace(BASE, direction="loop", start=0.35, speed_mm=0.5, wobble_mm=2.0)
     poses, _ = filmed(phantom, motion)
