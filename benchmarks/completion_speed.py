@@ -1,0 +1,96 @@
+"""Milliseconds per frame of depth completion: the default model beside the rivals and interpolation, in turn.
+
+    python benchmarks/completion_speed.py --runs 20 --json completion_speed.json
+
+One 320x320 frame, 100 points, every core; then the default model over image sizes and over points. Rivals have random
+weights, which cost the same; theirs is the network alone, the default's is the whole of `DepthCompleter` (exposure,
+normalisation, confidence). Each run measures all of them once, in a new order.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from completion import DepthCompleter
+from completion.classical import CLASSICAL
+from completion.models import build_model
+from record import spread, write
+
+RIVALS = ("std18", "std50", "nlspn", "gaenet")
+SIZES, POINTS = (160, 240, 320, 480), (10, 100, 1000)
+
+
+def scene(size: int, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """A tube-like depth, shaded by its distance, with random points."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:size, :size] / size - 0.5
+    depth = (8 / np.maximum(np.hypot(x, y), 0.05)).astype(np.float32)
+    rgb = np.clip(4e4 / depth**2 + rng.normal(0, 4, depth.shape), 0, 255).astype(np.uint8)[..., None].repeat(3, axis=2)
+    sparse = np.zeros_like(depth)
+    chosen = rng.choice(size * size, points, replace=False)
+    sparse.ravel()[chosen] = depth.ravel()[chosen]
+    return rgb, sparse
+
+
+def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> Callable[[], object]:
+    network = build_model(name, size).eval()  # type: ignore[arg-type]
+    image = torch.from_numpy(rgb).permute(2, 0, 1)[None].float() / 255
+    image = image.contiguous(memory_format=torch.channels_last)
+    points = torch.from_numpy(sparse)[None, None]
+    lens = torch.tensor([[160.0, 160.0, rgb.shape[1] / 2, rgb.shape[0] / 2]])
+
+    def call() -> object:
+        with torch.inference_mode():
+            return network(image, points / 25, lens)
+
+    return call
+
+
+def contenders() -> dict[str, Callable[[], object]]:
+    completer = DepthCompleter.load("mscsa")
+    rgb, sparse = scene(320, 100)
+    calls: dict[str, Callable[[], object]] = {"mscsa (default), 320 px, 100 points": lambda: completer(rgb, sparse)}
+    for size in SIZES:
+        calls[f"mscsa, {size} px"] = partial(completer, *scene(size, 100))
+    for points in POINTS:
+        calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
+    calls["linear"] = lambda: CLASSICAL["linear"](sparse)
+    for name in RIVALS:
+        for size in ("small", "paper"):
+            if (name, size) != ("nlspn", "paper"):  # seconds a frame
+                calls[f"{name} {size}"] = network_call(name, size, rgb, sparse)
+    return calls
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    calls = contenders()
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()  # once for caches and lazy set-up
+    order = np.random.default_rng(0)
+    for _ in range(arguments.runs):
+        for name in order.permutation(list(calls)):
+            start = time.perf_counter()
+            calls[name]()
+            times[name].append(1000 * (time.perf_counter() - start))
+    for name, values in times.items():
+        shown = spread(values)
+        print(f"{name:36} {shown['median']:7.1f} ms [{shown['min']:.1f}, {shown['max']:.1f}] ({arguments.runs} runs)")
+    figures = {name: spread(values) for name, values in times.items()}
+    first = next(iter(times))
+    ratio = float(np.median(np.array(times["linear"]) / np.array(times[first])))
+    print(f"linear takes {ratio:.2f} of the default's time")
+    write(arguments.json, {"figures": figures, "linear_over_default": ratio, "threads": torch.get_num_threads()})
+
+
+if __name__ == "__main__":
+    main()
