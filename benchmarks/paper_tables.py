@@ -41,7 +41,7 @@ def held_out_frames(folder: Path, most_mm: float) -> Iterator[EvaluationFrame]:
         depth = shard.depths[index].astype(np.float32)
         lens = None if shard.lenses is None else shard.lenses[index].astype(float)
         yield EvaluationFrame(
-            str(index), np.ascontiguousarray(shard.images[index]), np.where(depth < most_mm, depth, 0), "mm", lens
+            str(index), np.array(shard.images[index]), np.where(depth < most_mm, depth, 0), "mm", lens
         )
 
 
