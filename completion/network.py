@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from completion.attention import StructureAwareness
 from completion.nconv import MultiScaleConfidence
+from completion.padding import pad_to_multiple
 
 
 class DoubleConv(nn.Sequential):
@@ -67,11 +68,6 @@ def _widths(base: int) -> tuple[int, ...]:
 STRIDE = 32
 
 
-def _pad_to_stride(x: Tensor) -> Tensor:
-    height, width = x.shape[2:]
-    return F.pad(x, (0, -width % STRIDE, 0, -height % STRIDE))
-
-
 @dataclass(frozen=True)
 class MSCSAConfig:
     """Size and switches of `MSCSANet`; the paper states neither width nor depth of its U-Net."""
@@ -101,7 +97,7 @@ class MSCSANet(nn.Module):
     def forward(self, rgb: Tensor, sparse_depth: Tensor) -> Tensor:
         """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit."""
         height, width = rgb.shape[2:]
-        rgb, sparse_depth = _pad_to_stride(rgb), _pad_to_stride(sparse_depth)
+        rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
         channels = [rgb, sparse_depth]
         if self.msc is not None:
             with torch.autocast(rgb.device.type, enabled=False):
@@ -142,7 +138,7 @@ class ScaleFreeMSCSANet(nn.Module):
         """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
         in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32."""
         height, width = rgb.shape[2:]
-        rgb, log_sparse, trust = (_pad_to_stride(x.float()) for x in (rgb, log_sparse, trust))
+        rgb, log_sparse, trust = (pad_to_multiple(x.float(), STRIDE) for x in (rgb, log_sparse, trust))
         with torch.autocast(rgb.device.type, enabled=False):
             spread, confidence = self.msc(log_sparse, trust)
             # MSC's confidence spans eight decades; the U-Net sees its logarithm, about [0, 1].

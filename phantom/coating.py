@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,7 +64,7 @@ def coat(points: Floats, normals: Floats, appearance: AppearanceConfig, seed: in
         height = STOOL_MM * np.tanh(np.maximum(above + 0.5 * STOOL_RIM, 0) / 0.4)
     if appearance.fluid:
         lowness = normals @ upwards(seed)  # normals point into the lumen: up on the floor
-        field = FLUID_LEVEL * lowness + 0.35 * _coarsely(SolidNoise(30.0, 6.0, rng), points)
+        field = FLUID_LEVEL * lowness + 0.35 * SolidNoise(30.0, 6.0, rng).coarsely(points, 4)
         above = field - _cut(field, weight, appearance.fluid)
         fluid = np.clip(above / FLUID_RIM + 0.5, 0, 1) * np.clip(0.5 + 0.5 * above / FLUID_DEPTH, 0.5, 1)
     return Coating(stool, fluid, height)
@@ -73,14 +72,9 @@ def coat(points: Floats, normals: Floats, appearance: AppearanceConfig, seed: in
 
 def _patches(points: Floats, rng: np.random.Generator) -> Floats:
     """Noise (rows, columns) whose level sets are ragged at three scales: puddles, clumps and crumbs."""
-    field = _coarsely(SolidNoise(40.0, 7.0, rng), points)
-    field += 0.5 * _coarsely(SolidNoise(7.0, 2.0, rng), points)
+    field = SolidNoise(40.0, 7.0, rng).coarsely(points, 4)
+    field += 0.5 * SolidNoise(7.0, 2.0, rng).coarsely(points, 4)
     return field + 0.2 * SolidNoise(2.0, 0.4, rng, slope=0.3)(points)
-
-
-def _coarsely(noise: SolidNoise, points: Floats, step: int = 4) -> Floats:
-    coarse = noise(points[step // 2 :: step, step // 2 :: step])
-    return cv2.resize(coarse, (points.shape[1], points.shape[0]), interpolation=cv2.INTER_LINEAR)
 
 
 def _cut(field: Floats, weight: Floats, part: float) -> float:

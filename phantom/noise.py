@@ -6,6 +6,7 @@ rims and stretched between them, and has a seam; space has neither.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -41,6 +42,11 @@ class SolidNoise:
         places = self._turn @ (points.reshape(-1, 3).T.astype(np.float32) / np.float32(self._voxel_mm))
         values = map_coordinates(self._volume, places, output=np.float32, order=1, mode="grid-wrap")
         return values.reshape(points.shape[:-1])
+
+    def coarsely(self, points: Floats, step: int) -> Floats:
+        """Values (R,C) on a sheet of points (R,C,3): the slow look-up at every `step`-th only, interpolated between."""
+        coarse = self(points[step // 2 :: step, step // 2 :: step])
+        return cv2.resize(coarse, (points.shape[1], points.shape[0]), interpolation=cv2.INTER_LINEAR)
 
 
 def path_noise(count: int, period: float, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -111,19 +111,13 @@ def _box(needed: NDArray[np.bool_]) -> tuple[slice, slice]:
     return slice(top, top + height), slice(left, left + width)
 
 
-def _coarsely(noise: SolidNoise, points: Floats, step: int) -> Floats:
-    """A smooth field at every `step`-th texel, interpolated in between: looking noise up is the slow part."""
-    coarse = noise(points[step // 2 :: step, step // 2 :: step])
-    return cv2.resize(coarse, (points.shape[1], points.shape[0]), interpolation=cv2.INTER_LINEAR)
-
-
 def _vessel_opacity(points: Floats, cover: Floats, appearance: AppearanceConfig, rng: np.random.Generator) -> Floats:
     """Both kinds of vessels as one opacity (rows, columns) in [0,1]; polyps hide the deep network."""
     opacity = np.zeros(cover.shape, np.float32)
     if appearance.mesh_vessels:
         deep = polygon_network(points[::2, ::2], appearance.mesh_cell_mm, appearance.mesh_width_mm, rng)
         deep = cv2.resize(deep, cover.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        spread = _coarsely(SolidNoise(60.0, 15.0, rng), points, 8)  # the vascular pattern comes and goes
+        spread = SolidNoise(60.0, 15.0, rng).coarsely(points, 8)  # the vascular pattern comes and goes
         opacity = appearance.mesh_vessels * deep * np.clip(0.65 + 0.35 * spread, 0, 1) * (1 - 0.8 * cover)
     if appearance.tree_vessels and appearance.trees_per_cm2:
         trees = vessel_trees(points, appearance.trees_per_cm2, appearance.tree_width_mm, rng)
@@ -135,11 +129,11 @@ def _paint(
     points: Floats, cover: Floats, vessels: Floats, appearance: AppearanceConfig, rng: np.random.Generator
 ) -> Floats:
     """Reflectance (rows, columns, 3) from base colours, mottling, red patches, vessels and polyps."""
-    drift = _coarsely(SolidNoise(3 * appearance.blotch_mm, 0.4 * appearance.blotch_mm, rng), points, 8)
+    drift = SolidNoise(3 * appearance.blotch_mm, 0.4 * appearance.blotch_mm, rng).coarsely(points, 8)
     drift = 1 / (1 + np.exp(-1.5 * drift))
-    patches = _coarsely(SolidNoise(20.0, 3.0, rng), points, 4)
+    patches = SolidNoise(20.0, 3.0, rng).coarsely(points, 4)
     red = np.clip(patches - 0.7, 0, 1) * appearance.erythema + 0.35 * cover
-    mottle = appearance.mottle * _coarsely(SolidNoise(8.0, 1.2, rng), points, 2)
+    mottle = appearance.mottle * SolidNoise(8.0, 1.2, rng).coarsely(points, 2)
     mottle += appearance.grain * SolidNoise(1.5, 0.25, rng)(points)
     sheet = np.empty((*cover.shape, 3), np.float32)
     for channel, (redness, response) in enumerate([(0.08, 0.6), (0.75, 1.0), (0.65, 1.0)]):
