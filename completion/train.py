@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from completion.checkpoint import (
@@ -129,12 +130,14 @@ def validate(run: Run, shards: list[Shard], frames: int = 64) -> float:
     return float(np.mean(errors))
 
 
-def draw_batch(config: TrainConfig, step: int, shards: list[Shard]) -> tuple[Batch, torch.Generator]:
-    """The batch of a step, and its generator: one per step, so that a resumed run draws what an unbroken one would.
+def draw_batch(
+    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]]
+) -> tuple[Batch, torch.Generator]:
+    """The batch of a step from the training frames `splits`, and the step's own generator: so a resumed run draws what
+    an unbroken one would.
 
     The order depends on the seed and the shards alone: every network of a comparison sees the same.
     """
-    splits = [shard.split()[0] for shard in shards]
     share = np.array([len(split) for split in splits]) / sum(len(split) for split in splits)
     rng = np.random.default_rng((config.seed, step))
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
@@ -143,9 +146,9 @@ def draw_batch(config: TrainConfig, step: int, shards: list[Shard]) -> tuple[Bat
     return (augment(batch, generator) if config.augmentation else batch), generator
 
 
-def train_step(run: Run, shards: list[Shard]) -> float:
+def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
     """One step of the optimizer; returns the loss."""
-    batch, generator = draw_batch(run.config, run.step, shards)
+    batch, generator = draw_batch(run.config, run.step, shards, splits)
     batch = batch.to(run.device)
     for group in run.optimizer.param_groups:
         group["lr"] = learning_rate(run.step, run.config)
@@ -166,10 +169,11 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
     _check(shards, config)
     run = Run(config)
     run.resume()
+    splits = [shard.split()[0] for shard in shards]
     saved, losses = time.monotonic(), []
     config.out.parent.mkdir(parents=True, exist_ok=True)
     while run.step < config.steps:
-        losses.append(train_step(run, shards))
+        losses.append(train_step(run, shards, splits))
         if advance:
             advance(run.step, config.steps)
         if run.step % LOG_EVERY == 0:
