@@ -17,9 +17,9 @@ import numpy as np
 from scipy.stats import spearmanr, wasserstein_distance
 
 from phantom.config import PhantomConfig
-from phantom.motion import camera_path
 from phantom.render import Phantom
 from phantom.scenes import SCENES, scene_config
+from phantom.script import write_script
 from record import spread, write
 
 SIZE = 320  # px
@@ -83,7 +83,7 @@ def film(config: PhantomConfig, frames: int) -> list[Picture]:
     imaging = replace(config.imaging, exposure_smoothing=0.0, shutter=0.0)
     camera = replace(config.camera, width=SIZE, height=SIZE)
     phantom = Phantom(replace(config, imaging=imaging, camera=camera), threads=1)
-    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed)
+    poses = write_script(phantom).poses
     chosen = poses[np.linspace(0, len(poses) - 1, frames).round().astype(int)]
     return [Picture(frame.image, frame.depth) for frame in phantom.film(chosen)]
 

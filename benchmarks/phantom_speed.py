@@ -19,13 +19,11 @@ import numpy as np
 
 from phantom.config import PhantomConfig
 from phantom.generate import film_into
-from phantom.motion import camera_path
-from phantom.peristalsis import Peristalsis
 from phantom.raycaster import RayCaster
 from phantom.render import Phantom
 from phantom.scenes import film_of
+from phantom.script import Script, write_script
 from phantom.suite import config_from
-from phantom.timeline import Slot, plan_timeline
 from record import spread, write
 
 EVERYTHING = {
@@ -45,12 +43,12 @@ EVERYTHING = {
 }
 
 
-def filmed(phantom: Phantom, poses: np.ndarray, timeline: list[Slot], peristalsis: Peristalsis) -> float:
+def filmed(phantom: Phantom, script: Script) -> float:
     """Frames per second, written to disk."""
     with tempfile.TemporaryDirectory() as folder:
         start = time.monotonic()
-        film_into(Path(folder), phantom, poses, timeline, peristalsis)
-        return len(poses) / (time.monotonic() - start)
+        film_into(Path(folder), phantom, script)
+        return len(script.poses) / (time.monotonic() - start)
 
 
 def cast_only(caster: RayCaster, phantom: Phantom, poses: np.ndarray) -> float:
@@ -66,14 +64,12 @@ def measure(label: str, settings: dict[str, Any], runs: int, frames: int) -> dic
     start = time.monotonic()
     phantom = Phantom(config)
     build = time.monotonic() - start
-    timeline = plan_timeline(config.motion, config.events, config.seed)
-    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed, timeline)
-    peristalsis = Peristalsis(phantom.colon, config.events, timeline, poses[:, :3, 3])
+    script = write_script(phantom)
     every_core = RayCaster(phantom.colon.vertices, phantom.colon.triangles)
     rates: dict[str, list[float]] = {label: [], "ray casting alone": []}
     for _ in range(runs):
-        rates[label].append(filmed(phantom, poses, timeline, peristalsis))
-        rates["ray casting alone"].append(cast_only(every_core, phantom, poses))
+        rates[label].append(filmed(phantom, script))
+        rates["ray casting alone"].append(cast_only(every_core, phantom, script.poses))
     ratios = [ours / theirs for ours, theirs in zip(*rates.values(), strict=True)]
     size = f"{config.camera.width}x{config.camera.height}, {len(phantom.colon.triangles)} triangles"
     for name, values in rates.items():

@@ -10,6 +10,7 @@ from phantom.camera import MODELS, make_camera
 from phantom.config import PhantomConfig
 from phantom.errors import PhantomError
 from phantom.motion import DIRECTIONS
+from phantom.timeline import plan_timeline
 
 CHOICES = {
     "anatomy.scene": ("colon", "small_intestine"),
@@ -124,7 +125,8 @@ LEAST_TEXT_PX = 128  # narrower, the burned-in lines cover most of the picture
 
 
 def check(config: PhantomConfig) -> None:
-    """Raise PhantomError for the first value that is unknown, not finite or out of range, or a lens that folds over."""
+    """Raise PhantomError for the first value that is unknown, not finite or out of range, a lens that folds
+    over, or a film too short for what is to happen in it."""
     for section in ("anatomy", "appearance", "imaging", "camera", "motion", "events"):
         part = getattr(config, section)
         for field in fields(part):
@@ -137,6 +139,7 @@ def check(config: PhantomConfig) -> None:
     if camera.model == "PINHOLE" and any(camera.distortion):
         raise PhantomError("camera: PINHOLE has no distortion; take OPENCV or OPENCV_FISHEYE")
     make_camera(camera).rays()
+    plan_timeline(config.motion, config.events, config.seed)
 
 
 def _check_one(name: str, value: Any) -> None:

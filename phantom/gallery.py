@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from phantom.config import CameraConfig, EventsConfig, PhantomConfig
 from phantom.errors import PhantomError
-from phantom.motion import camera_path
-from phantom.peristalsis import Peristalsis
 from phantom.render import Frame, Phantom
 from phantom.scenes import scene_config
-from phantom.timeline import EVENTS, plan_timeline
+from phantom.script import write_script
+from phantom.timeline import EVENTS
 
 Image = NDArray[np.uint8]
 SIDE = 224  # px of one picture
@@ -67,7 +66,7 @@ def _shares(total: int, parts: int) -> list[int]:
 def _views(config: PhantomConfig, count: int) -> Iterator[Frame]:
     """Frames spread over one film."""
     phantom = Phantom(config)
-    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed)
+    poses = write_script(phantom).poses
     for place in np.linspace(0.1, 0.9, count):
         index = int(place * (len(poses) - 1))
         yield next(phantom.film(poses[index : index + 1]))
@@ -80,11 +79,10 @@ def _events() -> list[Image]:
     imaging = replace(config.imaging, border="octagon", text=True)
     motion = replace(config.motion, frames=200, speed_mm=0.3)
     config = replace(config, camera=lens, imaging=imaging, motion=motion, events=EventsConfig(1, 1, 1, 1, 1))
-    timeline = plan_timeline(config.motion, config.events, config.seed)
     phantom = Phantom(config)
-    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed, timeline)
-    film = list(phantom.film(poses, timeline, Peristalsis(phantom.colon, config.events, timeline, poses[:, :3, 3])))
-    middles = {slot.kind: (slot.first + slot.last) // 2 for slot in timeline}
+    script = write_script(phantom)
+    film = list(phantom.film(script.poses, script.timeline, script.peristalsis))
+    middles = {slot.kind: (slot.first + slot.last) // 2 for slot in script.timeline}
     return [film[middles[kind]].image for kind in EVENTS] + [film[-1].image]
 
 

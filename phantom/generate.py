@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from fractions import Fraction
@@ -35,10 +35,9 @@ from scipy.spatial.transform import Rotation
 from phantom.checks import check
 from phantom.config import PhantomConfig
 from phantom.errors import PhantomError
-from phantom.motion import camera_path
-from phantom.peristalsis import WIDTH_MM, Peristalsis
+from phantom.peristalsis import WIDTH_MM
 from phantom.render import Frame, Phantom
-from phantom.timeline import Slot, plan_timeline
+from phantom.script import Script, write_script
 
 FILES = ("video.mp4", "trajectory.txt", "mesh.ply", "events.json", "camera.json", "config.yaml")
 RECORDS = ("polyps.json", "diverticula.json")  # what is where on the wall
@@ -62,16 +61,14 @@ def generate(
     """
     folder = Path(folder)
     check(config)
-    timeline = plan_timeline(config.motion, config.events, config.seed)
     phantom = Phantom(config, threads)
-    poses = camera_path(phantom.colon, phantom.caster, config.motion, config.seed, timeline)
-    peristalsis = Peristalsis(phantom.colon, config.events, timeline, poses[:, :3, 3])
+    script = write_script(phantom)
     folder.mkdir(parents=True, exist_ok=True)
     _write_records(folder, phantom)
-    _write_trajectory(folder / "trajectory.txt", poses, config.motion.fps)
-    _write_events(folder / "events.json", timeline, peristalsis, config.motion.fps)
-    nearest_mm = film_into(folder, phantom, poses, timeline, peristalsis, progress, crf, preset)
-    motion = peristalsis.vertex_properties() if config.events.peristalsis else {}
+    _write_trajectory(folder / "trajectory.txt", script.poses, config.motion.fps)
+    _write_events(folder / "events.json", script, config.motion.fps)
+    nearest_mm = film_into(folder, phantom, script, progress, crf, preset)
+    motion = script.peristalsis.vertex_properties() if config.events.peristalsis else {}
     write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, nearest_mm, motion)
     return folder
 
@@ -79,9 +76,7 @@ def generate(
 def film_into(
     folder: Path,
     phantom: Phantom,
-    poses: NDArray[np.float64],
-    timeline: Sequence[Slot] = (),
-    peristalsis: Peristalsis | None = None,
+    script: Script,
     progress: Progress | None = None,
     crf: int = 18,
     preset: str = "veryfast",
@@ -91,20 +86,25 @@ def film_into(
         (folder / name).mkdir(exist_ok=True)
     nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
     with _video(folder / "video.mp4", phantom.config, crf, preset) as add_to_video:
-        for index, frame in enumerate(phantom.film(poses, timeline, peristalsis)):
+        for index, frame in enumerate(phantom.film(script.poses, script.timeline, script.peristalsis)):
             _write_frame(folder, index, frame)
             add_to_video(frame.image)
             hit = frame.triangle >= 0
             np.minimum.at(nearest_mm, frame.triangle[hit], frame.depth[hit])
             if progress:
-                progress(index + 1, len(poses))
+                progress(index + 1, len(script.poses))
     return nearest_mm
 
 
 def is_finished(folder: Path, config: PhantomConfig) -> bool:
-    """True if `folder` already holds exactly this phantom."""
+    """True if `folder` already holds exactly this phantom, and all of it."""
+    return (Path(folder) / "mesh.ply").exists() and is_begun(folder, config)
+
+
+def is_begun(folder: Path, config: PhantomConfig) -> bool:
+    """True if what `folder` holds, whole or not, is of exactly this phantom."""
     record = Path(folder) / "config.yaml"
-    if not (record.exists() and (Path(folder) / "mesh.ply").exists()):
+    if not record.exists():
         return False
     try:
         return PhantomConfig.from_dict(yaml.safe_load(record.read_text())) == config
@@ -197,7 +197,7 @@ def _write_records(folder: Path, phantom: Phantom) -> None:
     (folder / "config.yaml").write_text(yaml.safe_dump(phantom.config.to_dict(), sort_keys=False))
 
 
-def _write_events(path: Path, timeline: Sequence[Slot], peristalsis: Peristalsis, fps: float) -> None:
+def _write_events(path: Path, script: Script, fps: float) -> None:
     """{"slots": [{kind, first_frame, last_frame, first_s, last_s}], "contractions": [{frame, centre_mm, ...}]}."""
     slots = [
         {
@@ -207,7 +207,7 @@ def _write_events(path: Path, timeline: Sequence[Slot], peristalsis: Peristalsis
             "first_s": round(slot.first / fps, 6),
             "last_s": round(slot.last / fps, 6),
         }
-        for slot in timeline
+        for slot in script.timeline
     ]
-    contractions = [asdict(wave) | {"width_mm": WIDTH_MM} for wave in peristalsis.waves.values()]
+    contractions = [asdict(wave) | {"width_mm": WIDTH_MM} for wave in script.peristalsis.waves.values()]
     path.write_text(json.dumps({"slots": slots, "contractions": contractions}, indent=1) + "\n")

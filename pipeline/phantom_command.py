@@ -7,7 +7,7 @@ from pathlib import Path
 
 from phantom.checks import check
 from phantom.config import EventsConfig, PhantomConfig
-from phantom.generate import FILES, RECORDS, clear, generate, is_finished
+from phantom.generate import FILES, RECORDS, clear, generate, is_begun, is_finished
 from phantom.scenes import film_of, scene_config
 from phantom.suite import config_from, load_suite, read_settings
 from phantom.timeline import frames_needed
@@ -90,14 +90,9 @@ def _refuse_strangers(folder: Path, config: PhantomConfig, overwrite: bool) -> N
     standing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
     if not standing.is_dir():
         raise HaustraError(f"{standing} is a file; give a folder")
-    if not folder.exists() or not any(folder.iterdir()) or _same_phantom(folder, config):
+    if not folder.exists() or not any(folder.iterdir()) or is_begun(folder, config):
         return
     if foreign := [path.name for path in sorted(folder.iterdir()) if path.name not in OURS]:
         raise HaustraError(f"{folder} holds something else ({foreign[0]}); give another folder")
     if not overwrite:
         raise HaustraError(f"{folder} holds another film; give another folder, or --overwrite")
-
-
-def _same_phantom(folder: Path, config: PhantomConfig) -> bool:
-    record = folder / "config.yaml"
-    return record.exists() and PhantomConfig.from_dict(read_settings(record)) == config
