@@ -11,54 +11,20 @@ factor; then the mean over frames. Linear interpolation fills outside the hull w
 import argparse
 from pathlib import Path
 
-import cv2
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from completion import DepthCompleter
-from completion.frames import EvaluationFrame
+from completion.classical import linear
+from completion.metrics import depth_errors
 from completion.readers import read_evaluation_frames
+from completion.sparsify import get_sampler
 from record import write
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))
 
 
-def sample(frame: EvaluationFrame, sampler: str, count: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Sparse depth (H,W) and the factor that it was multiplied by."""
-    height, width = frame.depth.shape
-    if sampler == "uniform":
-        rows, columns = np.unravel_index(rng.permutation(height * width), (height, width))
-    else:
-        grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
-        points = np.array([k.pt for k in cv2.SIFT_create(contrastThreshold=0.005).detect(grey)])
-        columns, rows = rng.permutation(points).round().astype(int).T
-    keep = frame.depth[rows.clip(0, height - 1), columns.clip(0, width - 1)] > 0
-    rows, columns = rows[keep][:count], columns[keep][:count]
-    values, factor = frame.depth[rows, columns].copy(), 1.0
-    if sampler == "sfm":
-        values *= 1 + 0.03 * rng.standard_normal(len(values))
-        wrong = rng.random(len(values)) < 0.03
-        values[wrong] *= rng.uniform(0.5, 2, wrong.sum())
-        factor = float(np.exp(rng.uniform(-2, 2)))
-    sparse = np.zeros((height, width), np.float32)
-    sparse[rows, columns] = values * factor
-    return sparse, factor
-
-
-def linear(sparse: np.ndarray) -> np.ndarray:
-    """Delaunay-linear interpolation, nearest outside the hull."""
-    points = np.argwhere(sparse > 0)
-    values = sparse[sparse > 0]
-    grid = np.indices(sparse.shape).reshape(2, -1).T
-    dense = LinearNDInterpolator(points, values)(grid)
-    outside = np.isnan(dense)
-    dense[outside] = NearestNDInterpolator(points, values)(grid[outside])
-    return dense.reshape(sparse.shape)
-
-
 def absolute_relative(depth: np.ndarray, truth: np.ndarray) -> float:
-    valid = truth > 0
-    return float(100 * (np.abs(depth - truth)[valid] / truth[valid]).mean())
+    return 100 * depth_errors(depth, truth).abs_rel
 
 
 def main() -> None:
@@ -77,7 +43,8 @@ def main() -> None:
             rng = np.random.default_rng(0)
             errors = {"linear": [], arguments.model: []}
             for frame in frames:
-                sparse, factor = sample(frame, sampler, points, rng)
+                points_of = get_sampler(sampler)(frame.rgb, frame.depth, points, rng)
+                sparse, factor = points_of.depth, points_of.factor
                 errors["linear"].append(absolute_relative(linear(sparse) / factor, frame.depth))
                 errors[arguments.model].append(absolute_relative(completer(frame.rgb, sparse)[0] / factor, frame.depth))
             row = {"folder": folder.name, "sampler": sampler, "points": points, "frames": len(frames)}

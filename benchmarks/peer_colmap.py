@@ -14,34 +14,15 @@ import numpy as np
 import pycolmap
 from scipy.interpolate import LinearNDInterpolator
 
+from colmap_features import extract_and_match
 from pipeline.camera import read_camera
 from reconstruction.fusion import choose_voxel_size
 from reconstruction.open3d_import import import_open3d
 
-OVERLAP, PEAK_THRESHOLD, MAX_FEATURES = 8, 0.002, 2048
-
 
 def map_frames(folder: Path, out: Path) -> pycolmap.Reconstruction:
-    camera = read_camera(folder / "camera.json")
     database = out / "database.db"
-    extraction = pycolmap.FeatureExtractionOptions()
-    extraction.use_gpu = False
-    extraction.sift.peak_threshold, extraction.sift.max_num_features = PEAK_THRESHOLD, MAX_FEATURES
-    reader = pycolmap.ImageReaderOptions()
-    reader.camera_model, reader.camera_params = camera.model, ",".join(map(str, camera.params))
-    pycolmap.extract_features(
-        database,
-        folder / "rgb",
-        camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=reader,
-        extraction_options=extraction,
-        device=pycolmap.Device.cpu,
-    )
-    pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap, pairing.quadratic_overlap = OVERLAP, False
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu = False
-    pycolmap.match_sequential(database, matching, pairing, device=pycolmap.Device.cpu)
+    extract_and_match(folder, database)
     options = pycolmap.IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     models = pycolmap.incremental_mapping(database, folder / "rgb", out, options)

@@ -20,11 +20,10 @@ import cv2  # before pycolmap: see pipeline/colmap_worker.py
 import numpy as np
 import pycolmap
 
-from pipeline.camera import read_camera
+from colmap_features import extract_and_match
 from reconstruction.trajectory import read_tum, trajectory_errors
 from record import write
 
-OVERLAP, PEAK_THRESHOLD, MAX_FEATURES = 8, 0.002, 2048
 DARKEST = 12  # of 255: pixels that never get brighter lie outside the border mask
 
 
@@ -39,26 +38,7 @@ def border_mask(images: list[Path], target: Path) -> Path:
 
 def match(folder: Path, database: Path, mask: Path) -> dict[str, float]:
     """Features and sequential matches; returns the median number of keypoints per frame."""
-    camera = read_camera(folder / "camera.json")
-    extraction = pycolmap.FeatureExtractionOptions()
-    extraction.use_gpu = False
-    extraction.sift.peak_threshold, extraction.sift.max_num_features = PEAK_THRESHOLD, MAX_FEATURES
-    reader = pycolmap.ImageReaderOptions()
-    reader.camera_model, reader.camera_params = camera.model, ",".join(map(str, camera.params))
-    reader.camera_mask_path = mask
-    pycolmap.extract_features(
-        database,
-        folder / "rgb",
-        camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=reader,
-        extraction_options=extraction,
-        device=pycolmap.Device.cpu,
-    )
-    pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap, pairing.quadratic_overlap = OVERLAP, False
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu = False
-    pycolmap.match_sequential(database, matching, pairing, device=pycolmap.Device.cpu)
+    extract_and_match(folder, database, mask)
     with pycolmap.Database.open(database) as db:
         images = sorted(db.read_all_images(), key=lambda image: image.name)
         keypoints = [np.asarray(db.read_keypoints(image.image_id))[:, :2] for image in images]
