@@ -4,10 +4,12 @@
 
 One 320x320 frame, 100 points, every core; then the default model over image sizes and over points. Rivals have random
 weights, which cost the same; theirs is the network alone, the default's is the whole of `DepthCompleter` (exposure,
-normalisation, confidence). Each run measures all of them once, in a new order.
+normalisation, confidence), and beside it the same network by onnxruntime. Each run measures all of them once, in a new
+order.
 """
 
 import argparse
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -18,7 +20,9 @@ import torch
 
 from completion import DepthCompleter
 from completion.classical import CLASSICAL
+from completion.infer import load_scale_free
 from completion.models import build_model
+from completion.onnx_export import export_onnx
 from record import spread, write
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
@@ -51,6 +55,19 @@ def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> C
     return call
 
 
+def by_onnxruntime(rgb: np.ndarray, sparse: np.ndarray) -> Callable[[], object]:
+    """The default network alone, float32, as onnxruntime runs its exported graph."""
+    import onnxruntime
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = export_onnx(load_scale_free("mscsa"), Path(folder) / "m.onnx", rgb.shape[0])
+        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    trust = (sparse > 0).astype(np.float32)[None, None]
+    log_sparse = np.log(np.where(sparse > 0, sparse / np.median(sparse[sparse > 0]), 1))[None, None]
+    inputs = {"rgb": rgb.transpose(2, 0, 1)[None].astype(np.float32) / 255, "log_sparse": log_sparse, "trust": trust}
+    return lambda: session.run(None, inputs)
+
+
 def contenders() -> dict[str, Callable[[], object]]:
     completer = DepthCompleter.load("mscsa")
     rgb, sparse = scene(320, 100)
@@ -59,6 +76,7 @@ def contenders() -> dict[str, Callable[[], object]]:
         calls[f"mscsa, {size} px"] = partial(completer, *scene(size, 100))
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
+    calls["mscsa, network alone, onnxruntime"] = by_onnxruntime(rgb, sparse)
     calls["linear"] = lambda: CLASSICAL["linear"](sparse)
     for name in RIVALS:
         for size in ("small", "paper"):

@@ -2,18 +2,20 @@
 
     haustra phantom DATA/colon --training 4000 --scene colon --size 160           # likewise small_intestine, ccd, csd
     python benchmarks/paper_tables.py 2 DATA/colon DATA/small_intestine --out RUNS --steps 3000 --seeds 2
-    python benchmarks/paper_tables.py 1 DATA/colon DATA/small_intestine DATA/ccd DATA/csd --out RUNS --steps 3000
+    python benchmarks/paper_tables.py 1 DATA/* --joint --out RUNS --steps 3000
 
 Paper's preset: Adam 1e-3, L1, batch 10, 100 uniform points; each network of `--size small` (what that cuts is in
-completion/models.py) or `paper`. Judged on meshes that were never trained on, 100 uniform points, each frame on its
-own, then the mean over frames (the paper's lineage); then mean and spread over seeds. A stopped run goes on where it
-was.
+completion/models.py) or `paper`. Each scene is trained for itself, as in the paper, or with `--joint` one network for
+all of them. Judged on meshes that were never trained on, 100 uniform points, each frame on its own, then the mean over
+frames (the paper's lineage); then mean and spread over seeds. `linear` interpolation, which needs no training, is the
+floor. A stopped run goes on where it was.
 """
 
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +24,10 @@ import numpy as np
 from completion.dataset import Shard
 from completion.evaluate import Protocol, evaluate_frames, markdown_table, mean_errors
 from completion.frames import EvaluationFrame
-from completion.predictors import load_predictor
+from completion.predictors import Predictor, load_predictor
+from completion.tally import Tally
 from completion.train import train
-from completion.train_config import make_config
+from completion.train_config import TrainConfig, make_config
 from record import environment
 
 ROWS = {
@@ -45,15 +48,16 @@ def held_out_frames(folder: Path, most_mm: float) -> Iterator[EvaluationFrame]:
         )
 
 
-def one_figure(folder: Path, model: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Train and judge one network; the record is kept beside its weights."""
-    name = f"{folder.name}_{model}_{arguments.size}_{arguments.steps}_{seed}".replace("+", "_")
+def trained(folders: Sequence[Path], model: str, seed: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Train one network on these scenes and judge it on each; the record is kept beside its weights."""
+    scenes = "_".join(folder.name for folder in folders)
+    name = f"{scenes}_{model}_{arguments.size}_{arguments.steps}_{seed}".replace("+", "_")
     record = arguments.out / f"{name}.json"
     if record.exists():
         return json.loads(record.read_text())
     config = make_config(
         "paper",
-        shards=(folder,),
+        shards=tuple(folders),
         out=arguments.out / f"{name}.safetensors",
         model=model,
         size=arguments.size,
@@ -63,13 +67,21 @@ def one_figure(folder: Path, model: str, seed: int, arguments: argparse.Namespac
     )
     start = time.monotonic()
     weights = train(config, say=lambda text: print(f"{name}: {text}", flush=True))
-    frames = list(held_out_frames(folder, config.max_depth_mm))
-    results = list(evaluate_frames(frames, load_predictor(weights), Protocol(points=config.points)))
-    mean = mean_errors(results, Protocol(points=config.points)).to_dict()
-    figure = {"folder": folder.name, "model": model, "seed": seed, "frames": len(frames), "steps": config.steps}
-    figure |= {"minutes": (time.monotonic() - start) / 60, **{key: mean[key] for key in FIGURES}}
-    record.write_text(json.dumps(figure, indent=1) + "\n")
-    return figure
+    predictor, minutes = load_predictor(weights), (time.monotonic() - start) / 60
+    figures = [
+        {**judged(folder, predictor, config), "model": model, "seed": seed, "minutes": minutes / len(folders)}
+        for folder in folders
+    ]
+    record.write_text(json.dumps(figures, indent=1) + "\n")
+    return figures
+
+
+def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str, Any]:
+    """Mean errors on the scene's held-out meshes."""
+    protocol = Protocol(points=config.points)
+    tally = Tally().add_all(evaluate_frames(held_out_frames(folder, config.max_depth_mm), predictor, protocol))
+    mean = mean_errors(tally.scores, protocol).to_dict()
+    return {"folder": folder.name, "frames": len(tally.scores), **{key: mean[key] for key in FIGURES}}
 
 
 def cell(figures: list[dict[str, Any]], key: str) -> str:
@@ -80,11 +92,15 @@ def cell(figures: list[dict[str, Any]], key: str) -> str:
     return f"{values.mean():.4f}{spread}"
 
 
-def table(folder: Path, rows: dict[str, str], figures: dict[str, list[dict[str, Any]]]) -> str:
+def table(scene: str, rows: dict[str, str], figures: list[dict[str, Any]]) -> str:
+    """One scene's rows as the paper lays them out."""
     heads = {"rmse": "RMSE [mm]", "abs_rel": "abs.REL [%]", "mae": "MAE [mm]"}
-    cells = [(label, {heads.get(k, k): cell(figures[model], k) for k in FIGURES}) for label, model in rows.items()]
-    held_out = next(iter(figures.values()))[0]["frames"]
-    return f"**{folder.name}** ({held_out} frames of meshes never trained on)\n\n{markdown_table(cells)}"
+    here = [figure for figure in figures if figure["folder"] == scene]
+    cells = []
+    for label, model in rows.items():
+        of_model = [figure for figure in here if figure["model"] == model]
+        cells.append((label, {heads.get(key, key): cell(of_model, key) for key in FIGURES}))
+    return f"**{scene}** ({here[0]['frames']} frames of meshes never trained on)\n\n{markdown_table(cells)}"
 
 
 def main() -> None:
@@ -92,23 +108,30 @@ def main() -> None:
     parser.add_argument("table", type=int, choices=ROWS)
     parser.add_argument("folders", type=Path, nargs="+", help="training frames of one scene each")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--joint", action="store_true", help="one network for all scenes instead of one for each")
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--size", choices=["paper", "small"], default="small")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    rows, tables, everything = ROWS[arguments.table], [], []
-    for folder in arguments.folders:
-        figures = {m: [one_figure(folder, m, s, arguments) for s in range(arguments.seeds)] for m in rows.values()}
-        everything += [figure for several in figures.values() for figure in several]
-        tables.append(table(folder, rows, figures))
-        print(tables[-1], flush=True)
-    budget = f"{arguments.steps} steps of 10 frames, {arguments.seeds} seeds, size {arguments.size}"
-    minutes = sum(figure["minutes"] for figure in everything)
+    rows = ROWS[arguments.table]
+    groups = [arguments.folders] if arguments.joint else [[folder] for folder in arguments.folders]
+    figures: list[dict[str, Any]] = []
+    for folders in groups:
+        floor, config = load_predictor("linear"), make_config("paper", shards=tuple(folders), out=arguments.out)
+        figures += [{**judged(f, floor, config), "model": "linear", "seed": None, "minutes": 0.0} for f in folders]
+    for seed, folders, model in product(range(arguments.seeds), groups, rows.values()):
+        figures += trained(folders, model, seed, arguments)
+    shown = {**rows, "(linear)": "linear"}
+    minutes = sum(figure["minutes"] for figure in figures)
+    budget = f"{arguments.steps} steps of 10 frames, {arguments.seeds} seeds, size {arguments.size}, "
+    budget += f"{'all scenes together' if arguments.joint else 'each scene alone'}, {arguments.threads} threads"
+    tables = [table(folder.name, shown, figures) for folder in arguments.folders]
     text = f"Table {arguments.table}: {budget}, {minutes:.0f} minutes in all\n\n" + "\n\n".join(tables) + "\n"
+    print(text)
     (arguments.out / f"table{arguments.table}.md").write_text(text)
-    record = {"environment": environment(), "budget": budget, "minutes": minutes, "figures": everything}
+    record = {"environment": environment(), "budget": budget, "minutes": minutes, "figures": figures}
     (arguments.out / f"table{arguments.table}.json").write_text(json.dumps(record, indent=1) + "\n")
 
 

@@ -6,6 +6,7 @@ E = X X^T over the N = H*W positions, A = softmax(max(E) - E), output = A X + X.
 way round, hence the `sign` option.
 """
 
+from collections.abc import Callable
 from typing import Literal
 
 import torch
@@ -45,3 +46,24 @@ class StructureAwareness(nn.Module):
         if self.gain is not None:
             gathered = self.gain * gathered
         return features + gathered.to(features.dtype)
+
+
+def attention_features(network: nn.Module, run: Callable[[], object]) -> tuple[Tensor, Tensor] | None:
+    """Features (C,h,w) before and after the network's structure awareness while `run()` runs it (paper Fig. 6).
+
+    The first frame of its last call; None for a network without the module.
+    """
+    seen: dict[str, Tensor] = {}
+    found = next((module for module in network.modules() if isinstance(module, StructureAwareness)), None)
+    if found is None:
+        return None
+
+    def remember(module: nn.Module, given: tuple[Tensor], result: Tensor) -> None:
+        seen.update(before=given[0][0].float().cpu(), after=result[0].float().cpu())
+
+    handle = found.register_forward_hook(remember)
+    try:
+        run()
+    finally:
+        handle.remove()
+    return seen["before"], seen["after"]

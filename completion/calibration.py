@@ -13,6 +13,7 @@ from completion.errors import CompletionError
 
 Array = NDArray[np.floating]
 DECILES = 10
+PIXELS_PER_FRAME = 2000  # keeps an evaluation of ten thousand frames in memory
 
 
 @dataclass(frozen=True)
@@ -30,10 +31,11 @@ class Calibration:
 
 
 def relative_errors(
-    prediction: Array, truth: Array, predicted_error: Array, every: int = 7
+    prediction: Array, truth: Array, predicted_error: Array
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(predicted, actual) relative error of every n-th valid pixel of one frame, for `calibrate`."""
-    valid = ((truth > 0) & (prediction > 0) & np.isfinite(predicted_error)).ravel().nonzero()[0][::every]
+    """(predicted, actual) relative error at evenly spread valid pixels of one frame, for `calibrate`."""
+    valid = ((truth > 0) & (prediction > 0) & np.isfinite(predicted_error)).ravel().nonzero()[0]
+    valid = valid[:: max(1, len(valid) // PIXELS_PER_FRAME)]
     g = truth.ravel()[valid].astype(float)
     return predicted_error.ravel()[valid].astype(float), np.abs(prediction.ravel()[valid] - g) / g
 

@@ -17,8 +17,9 @@ from torch import Tensor
 from completion.errors import CompletionError
 from completion.gaenet import GAENet, GAENetConfig
 from completion.models import MSCSAModel
-from completion.network import MSCSAConfig, MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.network import MSCSAConfig, MSCSANet
 from completion.nlspn import NLSPN, NLSPNConfig
+from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.std import StDConfig, StDNet
 
 Network = MSCSANet | ScaleFreeMSCSANet | StDNet | NLSPN | GAENet

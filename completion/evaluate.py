@@ -45,12 +45,18 @@ class Protocol(BaseModel):
 
 
 @dataclass(frozen=True)
-class FrameResult:
-    """One frame: its errors, how many points it really had, and what is needed to look at it."""
+class Score:
+    """One frame's errors, and how many points it really had."""
 
     name: str
     points: int
     errors: DepthErrors
+
+
+@dataclass(frozen=True)
+class FrameResult(Score):
+    """A score with what is needed to look at it."""
+
     rgb: NDArray[np.uint8]
     truth: Array
     sparse: Array
@@ -87,12 +93,12 @@ def evaluate_frames(
             advance(place + 1)
 
 
-def mean_errors(results: Sequence[FrameResult], protocol: Protocol) -> DepthErrors:
+def mean_errors(results: Sequence[Score], protocol: Protocol) -> DepthErrors:
     """The figure that a table shows."""
     return average([result.errors for result in results], protocol.averaging)
 
 
-def write_csv(path: Path, results: Iterable[FrameResult]) -> None:
+def write_csv(path: Path, results: Iterable[Score]) -> None:
     """One line per frame."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)

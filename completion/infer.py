@@ -7,18 +7,16 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from completion.checkpoint import load_network
+from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
-from completion.network import DoubleConv, ScaleFreeMSCSANet
+from completion.network import DoubleConv
 from completion.sampling import normalise_log
+from completion.scale_free import ScaleFreeMSCSANet
 from completion.shipped import resolve_weights
-
-# Confidence is e0^2 / (e0^2 + e^2) of the predicted relative error e: one half at 3 %, the depth error at which a
-# wall 25 mm away is 0.75 mm off. Fusion weights by inverse variance, to which this is proportional for large e.
-HALF_CONFIDENCE_ERROR = 0.03
 
 # The shipped weights were trained on images of 192 and 320 px, and on few as bright as SimCol3D's. On larger or much
 # brighter ones they fail (SimCol3D at 475 px: abs.REL 26 % instead of 4 %), so both are brought to what they know.
@@ -43,16 +41,13 @@ class DepthCompleter:
     ) -> None:
         self.device = choose_device(device)
         self.working_side = working_side
-        self.network = _fold_batch_norm(network.eval()).to(self.device, memory_format=torch.channels_last)
+        self.network = fold_batch_norm(network.eval()).to(self.device, memory_format=torch.channels_last)
         self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
 
     @classmethod
     def load(cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto") -> "DepthCompleter":
         """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
-        network = load_network(resolve_weights(model))
-        if not isinstance(network, ScaleFreeMSCSANet):
-            raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-free one")
-        return cls(network, device, precision)
+        return cls(load_scale_free(model), device, precision)
 
     def __call__(
         self,
@@ -66,37 +61,55 @@ class DepthCompleter:
         deviation of each point, or None. Returns depth (H,W) float32 and confidence (H,W) float32 in [0,1]. Without
         a single point there is no scale: depth and confidence are zero everywhere.
         """
+        errors = None if sparse_error is None else sparse_error[None]
+        depth, confidence = self.batch(rgb[None], sparse_depth[None], errors)
+        return depth[0], confidence[0]
+
+    def batch(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        sparse_error: NDArray[np.float32] | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Complete B frames of one size at once: as `__call__`, each array with a first axis B."""
         _check_shapes(rgb, sparse_depth, sparse_error)
         sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
-        if not sparse.any():
-            return np.zeros_like(sparse), np.zeros_like(sparse)
         trust = (sparse > 0).astype(np.float32)
         if sparse_error is not None:
             trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
-        height, width = sparse.shape
+        height, width = sparse.shape[1:]
         factor = min(1.0, self.working_side / max(height, width))
-        depth, error = self._predict(*_reduced(normalise_exposure(rgb), sparse, trust, factor))
+        frames = [_reduced(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
+        depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
         if factor < 1:
-            depth, error = (cv2.resize(a, (width, height), interpolation=cv2.INTER_LINEAR) for a in (depth, error))
-        return depth, confidence_from_error(error)
+            depth, error = (np.stack([cv2.resize(a, (width, height)) for a in maps]) for maps in (depth, error))
+        known = sparse.max(axis=(1, 2), keepdims=True) > 0
+        return depth * known, confidence_from_error(error) * known
 
     def _predict(
         self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        image = torch.from_numpy(np.ascontiguousarray(rgb)).to(self.device).permute(2, 0, 1)[None].float() / 255
-        log_sparse, median = normalise_log(self._as_map(sparse))
+        """Depth and relative error (B,H,W) from (B,H,W,3), (B,H,W), (B,H,W)."""
+        image = torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255
+        points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode(), self._autocast():
-            log_depth, log_error = self.network(image, log_sparse, self._as_map(trust))
+            log_sparse, median = normalise_log(points)
+            log_depth, log_error = self.network(image, log_sparse, weights)
             depth = torch.exp(log_depth) * median
-        return depth[0, 0].cpu().numpy(), torch.exp(log_error)[0, 0].cpu().numpy()
-
-    def _as_map(self, array: NDArray[np.float32]) -> Tensor:
-        return torch.from_numpy(array).to(self.device)[None, None]
+        return depth[:, 0].cpu().numpy(), torch.exp(log_error)[:, 0].cpu().numpy()
 
     def _autocast(self) -> contextlib.AbstractContextManager:
         if not self.half:
             return contextlib.nullcontext()
         return torch.autocast(self.device.type, torch.bfloat16)
+
+
+def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:
+    """The network of a shipped name or a weight file; CompletionError if it is one of the paper's metric ones."""
+    network = load_network(resolve_weights(model))
+    if not isinstance(network, ScaleFreeMSCSANet):
+        raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-free one")
+    return network
 
 
 def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -127,17 +140,6 @@ def _reduced(
     return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), small_sparse, small_trust
 
 
-def confidence_from_error(error: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Relative error -> confidence in [0,1]; one half at `HALF_CONFIDENCE_ERROR`."""
-    return (HALF_CONFIDENCE_ERROR**2 / (HALF_CONFIDENCE_ERROR**2 + np.square(error))).astype(np.float32)
-
-
-def error_from_confidence(confidence: NDArray[np.floating]) -> NDArray[np.float32]:
-    """The inverse of `confidence_from_error`: predicted relative error; infinite where confidence is 0."""
-    with np.errstate(divide="ignore"):
-        return (HALF_CONFIDENCE_ERROR * np.sqrt(1 / confidence - 1)).astype(np.float32)
-
-
 def choose_device(device: str) -> torch.device:
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -147,13 +149,13 @@ def choose_device(device: str) -> torch.device:
 
 
 def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
-    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
-        raise CompletionError(f"the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}")
-    if sparse.shape != rgb.shape[:2] or (error is not None and error.shape != sparse.shape):
-        raise CompletionError(f"the sparse depth must have the image's size {rgb.shape[:2]}, not {sparse.shape}")
+    if rgb.ndim != 4 or rgb.shape[3] != 3 or rgb.dtype != np.uint8:
+        raise CompletionError(f"the image must be (H, W, 3) uint8, not {rgb.shape[1:]} {rgb.dtype}")
+    if sparse.shape != rgb.shape[:3] or (error is not None and error.shape != sparse.shape):
+        raise CompletionError(f"the sparse depth must have the image's size {rgb.shape[1:3]}, not {sparse.shape[1:]}")
 
 
-def _fold_batch_norm(network: ScaleFreeMSCSANet) -> ScaleFreeMSCSANet:
+def fold_batch_norm(network: ScaleFreeMSCSANet) -> ScaleFreeMSCSANet:
     """Fold each batch normalisation into the convolution before it: the same function, a fifth faster."""
     for block in network.modules():
         if isinstance(block, DoubleConv) and isinstance(block[1], nn.BatchNorm2d):

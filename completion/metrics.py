@@ -7,7 +7,7 @@ weighs every pixel the same instead. SimCol3D's challenge has its own three figu
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Literal, get_args
 
@@ -120,18 +120,25 @@ class SimCol3DDepthErrors:
     frames: int
 
 
-def simcol3d_errors(pairs: Iterable[tuple[Depth, Depth]]) -> SimCol3DDepthErrors:
-    """Errors of (prediction, truth) pairs of one trajectory, in the truth's unit; truth 0 is left out."""
-    kept = [(p[g > 0].astype(float), g[g > 0].astype(float)) for p, g in pairs]
-    if not kept:
+def simcol3d_errors(pairs: Callable[[], Iterable[tuple[Depth, Depth]]]) -> SimCol3DDepthErrors:
+    """Errors of a trajectory's (prediction, truth) pairs, in the truth's unit; truth 0 is left out.
+
+    `pairs` is called twice, for the scale and for the errors under it, so that nobody need hold a whole trajectory.
+    """
+
+    def known() -> Iterator[tuple[Depth, Depth]]:
+        for prediction, truth in pairs():
+            yield prediction[truth > 0].astype(float), truth[truth > 0].astype(float)
+
+    means = np.array([(p.mean(), g.mean()) for p, g in known()])
+    if not len(means):
         raise CompletionError("there are no frames to average")
-    predicted, true = (np.array([pair[side].mean() for pair in kept]) for side in (0, 1))
+    predicted, true = means.T
     scale = float((predicted @ true) / (predicted @ predicted))
-    errors = [(np.abs(scale * p - g), g) for p, g in kept]
-    return SimCol3DDepthErrors(
-        l1=float(np.mean([e.mean() for e, _ in errors])),
-        rmse=float(np.mean([np.sqrt(np.mean(e**2)) for e, _ in errors])),
-        median_relative=float(np.mean([np.median(e / g) for e, g in errors])),
-        scale=scale,
-        frames=len(kept),
-    )
+    errors = np.array([_absolute_squared_relative(np.abs(scale * p - g), g) for p, g in known()])
+    l1, rmse, median = errors.mean(axis=0).tolist()
+    return SimCol3DDepthErrors(l1, rmse, median, scale, len(means))
+
+
+def _absolute_squared_relative(error: Depth, truth: Depth) -> tuple[float, float, float]:
+    return float(error.mean()), float(np.sqrt(np.mean(error**2))), float(np.median(error / truth))

@@ -1,8 +1,7 @@
 """MSCSA-Net: multi-scale confidence, a U-Net, structure awareness (paper section II, Fig. 2).
 
-`MSCSANet` is the paper's network with two switches for its ablation. `ScaleFreeMSCSANet` is ours for structure from
-motion, whose depth has no unit: it works on log depth divided by the median of the sparse points, so that k times
-the input gives k times the output, and it predicts its own error.
+`MSCSANet` is the paper's network with two switches for its ablation; ours for structure from motion is in
+`scale_free.py`.
 """
 
 from dataclasses import asdict, dataclass
@@ -103,49 +102,3 @@ class MSCSANet(nn.Module):
             with torch.autocast(rgb.device.type, enabled=False):
                 channels += self.msc(sparse_depth.float(), (sparse_depth > 0).float())
         return self.unet(torch.cat(channels, dim=1))[..., :height, :width]
-
-
-@dataclass(frozen=True)
-class ScaleFreeConfig:
-    """Size of `ScaleFreeMSCSANet`."""
-
-    width: int = 16
-    msc_levels: int = 5  # reach of +-180 px: points from SfM leave large holes
-
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
-
-
-LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
-LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
-
-
-class ScaleFreeMSCSANet(nn.Module):
-    """MSC + U-Net + SA on median-normalised log depth, with a predicted error per pixel.
-
-    The U-Net corrects MSC's own dense estimate: log depth = MSC + residual. Its second output is log b, the scale of
-    a Laplace distribution over the log-depth error, so b reads as a relative error.
-    """
-
-    def __init__(self, config: ScaleFreeConfig | None = None) -> None:
-        super().__init__()
-        self.config = config or ScaleFreeConfig()
-        self.msc = MultiScaleConfidence(self.config.msc_levels)
-        attention = StructureAwareness(similarity="mean", learned_gain=True)
-        self.unet = UNet(8, 2, _widths(self.config.width), attention)
-
-    def forward(self, rgb: Tensor, log_sparse: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
-        """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
-        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32."""
-        height, width = rgb.shape[2:]
-        rgb, log_sparse, trust = (pad_to_multiple(x.float(), STRIDE) for x in (rgb, log_sparse, trust))
-        with torch.autocast(rgb.device.type, enabled=False):
-            spread, confidence = self.msc(log_sparse, trust)
-            # MSC's confidence spans eight decades; the U-Net sees its logarithm, about [0, 1].
-            log_confidence = torch.log10(confidence.clamp_min(0) + 1e-8) / 8 + 1
-            # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
-            log_brightness = torch.log(rgb.amax(dim=1, keepdim=True) + 1 / 255)
-        channels = [rgb - 0.5, log_brightness, spread, log_confidence, log_sparse, trust]
-        out = self.unet(torch.cat(channels, dim=1)).float()[..., :height, :width]
-        log_depth = (spread[..., :height, :width] + out[:, :1]).clamp(-LOG_RANGE, LOG_RANGE)
-        return log_depth, out[:, 1:].clamp(*LOG_ERROR_RANGE)

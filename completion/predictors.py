@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,38 +15,54 @@ from completion.errors import CompletionError
 
 RGB = NDArray[np.uint8]
 Depth = NDArray[np.float32]
-Predictor = Callable[[RGB, Depth, NDArray[np.float64] | None], tuple[Depth, Depth | None]]
+Complete = Callable[[RGB, Depth, NDArray[np.float64] | None], tuple[Depth, Depth | None]]
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """(rgb (H,W,3), sparse (H,W), intrinsics (4,) or None) -> depth (H,W) and, where the model has one, confidence."""
+
+    complete: Complete
+    network: nn.Module | None = None  # None for classical fills
+
+    def __call__(
+        self, rgb: RGB, sparse: Depth, intrinsics: NDArray[np.float64] | None = None
+    ) -> tuple[Depth, Depth | None]:
+        return self.complete(rgb, sparse, intrinsics)
 
 
 def load_predictor(model: str | Path, device: str = "auto", precision: str = "auto") -> Predictor:
-    """(rgb (H,W,3), sparse (H,W), intrinsics (4,) or None) -> depth (H,W) and, where the model has one, confidence.
+    """A model by name or file.
 
     `model`: nearest, linear or ip_basic; a shipped model's name; or a weight file. CompletionError if it is none.
     """
     if str(model) in CLASSICAL:
         fill = CLASSICAL[str(model)]
-        return lambda rgb, sparse, intrinsics: (fill(sparse), None)
+        return Predictor(lambda rgb, sparse, intrinsics: (fill(sparse), None))
     from completion.checkpoint import load_network, read_metadata
     from completion.infer import DepthCompleter
-    from completion.network import ScaleFreeMSCSANet
+    from completion.scale_free import ScaleFreeMSCSANet
     from completion.shipped import resolve_weights
 
     path = resolve_weights(model)
     network = load_network(path)
     if isinstance(network, ScaleFreeMSCSANet):
         completer = DepthCompleter(network, device, precision)
-        return lambda rgb, sparse, intrinsics: completer(rgb, sparse)
-    return _metric(network, device, float(read_metadata(path).get("unit_mm", 1.0)))
+        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), completer.network)
+    return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)
 
 
-def _metric(network: Callable, device: str, unit: float) -> Predictor:
+def _metric(network: nn.Module, device: str, unit: float) -> Complete:
     """A network of the paper's kind: metric depth in and out, no confidence; it works in multiples of `unit`."""
     import torch
 
     from completion.infer import choose_device
 
     where = choose_device(device)
-    module = network.to(where).eval()  # type: ignore[attr-defined]
+    module = network.to(where).eval()
 
     def predict(rgb: RGB, sparse: Depth, intrinsics: NDArray[np.float64] | None) -> tuple[Depth, None]:
         if not (sparse > 0).any():

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
 
 
@@ -67,6 +68,7 @@ class SfmPattern:
     hole_share: float = 0.5  # frames in which a disc without points is cut out
     max_noise: float = 0.06  # relative depth noise, uniform from 0
     max_outliers: float = 0.08  # share of points with a wrong depth, uniform from 0
+    known_error_share: float = 0.3  # frames whose points differ in noise and are trusted accordingly
 
     def __post_init__(self) -> None:
         if not 0 < self.min_points <= self.max_points:
@@ -76,7 +78,10 @@ class SfmPattern:
 def sample_like_sfm(
     rgb: Tensor, depth: Tensor, pattern: SfmPattern, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Corners with holes, noise and outliers -> sparse depth and trust (1 at points), both (B,1,H,W)."""
+    """Corners with holes, noise and outliers -> sparse depth and trust, both (B,1,H,W).
+
+    Trust is 1 at points, or where their errors are known what `confidence_from_error` makes of them.
+    """
     batch = len(depth)
 
     def draw(low: float, high: float) -> Tensor:
@@ -93,11 +98,13 @@ def sample_like_sfm(
     score = score.masked_fill(on_corners & (score < 1) & (score > 0.002), float("-inf"))
     score = score.masked_fill((depth <= 0) | _holes(depth, pattern, generator), float("-inf"))
     picked = _pick(score, counts)
-    noisy = depth * torch.exp(draw(0, pattern.max_noise) * torch.randn(depth.shape, generator=generator))
+    known = draw(0, 1) < pattern.known_error_share
+    error = draw(0, pattern.max_noise) * torch.where(known, torch.exp(torch.randn(depth.shape, generator=generator)), 1)
+    noisy = depth * torch.exp(error * torch.randn(depth.shape, generator=generator))
     wrong = torch.rand(depth.shape, generator=generator) < draw(0, pattern.max_outliers)
     factor = torch.exp(0.7 * torch.randn(depth.shape, generator=generator))
     sparse = torch.where(wrong, noisy * factor, noisy) * picked
-    return sparse, picked.float()
+    return sparse, picked * torch.where(known, confidence_from_error(error), 1)
 
 
 def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:

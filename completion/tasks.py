@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from completion.losses import completion_loss, masked_l1
 from completion.models import build_model
-from completion.network import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.sampling import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
+from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.train_config import TrainConfig
 
 
@@ -36,7 +36,7 @@ class ScaleFreeTask:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self.network: nn.Module = ScaleFreeMSCSANet(ScaleFreeConfig(width=config.width))
+        self.network: nn.Module = ScaleFreeMSCSANet(ScaleFreeConfig(width=config.width, anchor=config.anchor))
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)

@@ -3,13 +3,14 @@
     haustra train SHARDS [SHARDS ...] --out weights.safetensors --seed 0 --steps 12000
 
 Killed at any time it goes on from its last checkpoint (`OUT.checkpoint`, every few minutes) when called again with
-the same arguments. Beside the weights lies `OUT.log.csv`, a line for every hundred steps.
+the same arguments. Beside the weights lie the files of `train_log.py`. Several processes share the batch:
+
+    torchrun --nproc-per-node 2 --no-python haustra train SHARDS --out weights.safetensors
 """
 
 from __future__ import annotations
 
 import copy
-import csv
 import json
 import math
 import time
@@ -33,11 +34,12 @@ from completion.dataset import Batch, Shard, augment
 from completion.errors import CompletionError
 from completion.infer import choose_device
 from completion.tasks import make_task
+from completion.team import Team
 from completion.train_config import TrainConfig
+from completion.train_log import Say, TrainLog
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
 Advance = Callable[[int, int | None], None]
-Say = Callable[[str], None]
 
 
 class Run:
@@ -47,6 +49,7 @@ class Run:
         torch.manual_seed(config.seed)
         self.config = config
         self.device = choose_device(config.device)
+        self.team = Team.join(self.device)
         self.task = make_task(config)
         if config.init is not None:
             _start_from(config.init, self.task.network)
@@ -131,30 +134,33 @@ def validate(run: Run, shards: list[Shard], frames: int = 64) -> float:
 
 
 def draw_batch(
-    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]]
+    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]], team: Team
 ) -> tuple[Batch, torch.Generator]:
-    """The batch of a step from the training frames `splits`, and the step's own generator: so a resumed run draws what
-    an unbroken one would.
+    """This process's part of a step's batch from the training frames `splits`, and its generator in that step: so a
+    resumed run draws what an unbroken one would.
 
     The order depends on the seed and the shards alone: every network of a comparison sees the same.
     """
     share = np.array([len(split) for split in splits]) / sum(len(split) for split in splits)
     rng = np.random.default_rng((config.seed, step))
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + team.rank)
     which = rng.choice(len(shards), p=share)
-    batch = shards[which].batch(rng.choice(splits[which], config.batch, replace=False))
+    chosen = rng.choice(splits[which], config.batch, replace=False)
+    batch = shards[which].batch(chosen[team.rank :: team.size])
     return (augment(batch, generator) if config.augmentation else batch), generator
 
 
 def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
     """One step of the optimizer; returns the loss."""
-    batch, generator = draw_batch(run.config, run.step, shards, splits)
+    batch, generator = draw_batch(run.config, run.step, shards, splits, run.team)
     batch = batch.to(run.device)
     for group in run.optimizer.param_groups:
         group["lr"] = learning_rate(run.step, run.config)
     loss = run.task.loss(batch.rgb, batch.depth, batch.lens, generator)
     run.optimizer.zero_grad(set_to_none=True)
     loss.backward()
+    run.team.average_gradients(run.task.network)
+    run.team.average_statistics(run.task.network)
     nn.utils.clip_grad_norm_(run.task.network.parameters(), 1.0)
     run.optimizer.step()
     run.step += 1
@@ -166,49 +172,40 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
     """Run to the end (or on from the last checkpoint) and write the averaged weights."""
     torch.set_num_threads(config.threads)
     shards = [Shard.open(folder) for folder in config.shards]
-    _check(shards, config)
     run = Run(config)
+    _check(shards, config, run.team.size)
     run.resume()
     splits = [shard.split()[0] for shard in shards]
-    saved, losses = time.monotonic(), []
     config.out.parent.mkdir(parents=True, exist_ok=True)
+    log = TrainLog(config.out, say) if run.team.is_first else None
+    saved, losses = time.monotonic(), []
     while run.step < config.steps:
         losses.append(train_step(run, shards, splits))
-        if advance:
+        if advance and log:
             advance(run.step, config.steps)
-        if run.step % LOG_EVERY == 0:
+        if log and run.step % LOG_EVERY == 0:
             held_out = validate(run, shards) if run.step % VALIDATE_EVERY == 0 else None
-            _log(run, float(np.mean(losses[-LOG_EVERY:])), held_out, say)
-        if time.monotonic() - saved > config.checkpoint_seconds:
+            rate = learning_rate(run.step - 1, config)
+            log.write(run.step, config.steps, float(np.mean(losses[-LOG_EVERY:])), rate, held_out)
+        if log and time.monotonic() - saved > config.checkpoint_seconds:
             run.save()
             saved = time.monotonic()
-    run.save()
-    about = {"steps": run.step, "seed": config.seed, "held_out_abs_rel": validate(run, shards)}
-    about |= {
-        "unit_mm": config.unit_mm,
-        "training": json.loads(config.model_dump_json(exclude={"shards", "out", "init"})),
-    }
-    save_network(config.out, run.average, run.average.state_dict(), about)
+    if log:
+        run.save()
+        about = {"steps": run.step, "seed": config.seed, "held_out_abs_rel": validate(run, shards)}
+        about["unit_mm"] = config.unit_mm
+        about["training"] = json.loads(config.model_dump_json(exclude={"shards", "out", "init"}))
+        save_network(config.out, run.average, run.average.state_dict(), about)
+    run.team.leave()
     return config.out
 
 
-def _check(shards: list[Shard], config: TrainConfig) -> None:
+def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
+    if config.batch % processes:
+        raise CompletionError(f"a batch of {config.batch} cannot be shared evenly by {processes} processes")
     for shard, folder in zip(shards, config.shards, strict=True):
         training, held_out = shard.split()
         if len(training) < config.batch or not len(held_out):
             raise CompletionError(f"{folder} has {len(training)} frames to train on: fewer than a batch")
         if config.model == "gaenet" and shard.lenses is None:
             raise CompletionError(f"{folder} has no intrinsics.npy, which gaenet needs")
-
-
-def _log(run: Run, loss: float, held_out: float | None, say: Say) -> None:
-    """One line to read and one for plots."""
-    text = f"step {run.step}/{run.config.steps}  loss {loss:.4f}"
-    say(text if held_out is None else f"{text}  held-out abs.REL {100 * held_out:.2f} %")
-    path = run.config.out.with_suffix(".log.csv")
-    new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if new:
-            writer.writerow(["step", "loss", "learning_rate", "held_out_abs_rel"])
-        writer.writerow([run.step, loss, learning_rate(run.step - 1, run.config), "" if held_out is None else held_out])

@@ -19,7 +19,8 @@ class TrainConfig(BaseModel):
     out: Path
     model: str = "scale-free"  # ours for SfM points, or a name of completion.models
     size: Literal["paper", "small"] = "paper"  # of the networks of completion.models
-    width: int = Field(16, gt=0)  # of the scale-free one
+    width: int = Field(32, gt=0)  # of the scale-free one
+    anchor: bool = True  # its last stage
     init: Path | None = None  # weights to begin with instead of random ones
     seed: int = Field(0, ge=0)
     steps: int = Field(12000, gt=0)

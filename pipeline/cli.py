@@ -35,7 +35,7 @@ def reconstruct(
     output: Output = None,
     demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
     camera: Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")] = None,
-    front_end: Annotated[str | None, typer.Option(help="auto or sfm")] = None,
+    front_end: Annotated[str | None, typer.Option(help="auto (= sfm), sfm, or odometry: video rate")] = None,
     model: Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")] = None,
     lumen_mm: Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")] = None,
     scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
@@ -155,7 +155,7 @@ def evaluate(
     model: Annotated[
         list[str] | None, typer.Option(help="shipped name, weight file, nearest, linear, ip_basic")
     ] = None,
-    sampler: Annotated[str, typer.Option(help="uniform, features or sfm")] = "uniform",
+    sampler: Annotated[list[str] | None, typer.Option(help="uniform, features or sfm; may be repeated")] = None,
     points: Annotated[list[int] | None, typer.Option(min=1, help="per frame; repeat it for a sweep")] = None,
     align: Annotated[str, typer.Option(help="scale: none, points, median or least_squares")] = "none",
     averaging: Annotated[str, typer.Option(help="per_frame (the paper's lineage) or pooled")] = "per_frame",
@@ -167,6 +167,8 @@ def evaluate(
     sheet: Annotated[Path | None, typer.Option(help="picture: images, truth, completed, error maps")] = None,
     sweep: Annotated[Path | None, typer.Option(help="picture: error over the number of points")] = None,
     calibration: Annotated[Path | None, typer.Option(help="picture: actual over predicted error")] = None,
+    compare: Annotated[Path | None, typer.Option(help="picture: the models side by side")] = None,
+    attention: Annotated[Path | None, typer.Option(help="picture: features before and after attention")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
 ) -> None:
     """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
@@ -174,14 +176,18 @@ def evaluate(
     from pipeline.evaluate_command import evaluate as run
     from pipeline.progress import SilentProgress, TerminalProgress
 
-    protocols = [protocol_of(sampler, count, align, averaging, seed, stride) for count in points or [100]]
+    protocols = [
+        protocol_of(name, count, align, averaging, seed, stride)
+        for name in sampler or ["uniform"]
+        for count in points or [100]
+    ]
     progress = SilentProgress() if quiet else TerminalProgress()
     print(
         run(
             folders,
             model or ["linear", "mscsa"],
             protocols,
-            Outputs(csv, json_file, sheet, sweep, calibration),
+            Outputs(csv, json_file, sheet, sweep, calibration, compare, attention),
             dataset,
             progress,
         )
@@ -214,6 +220,19 @@ def train(
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:
         print(run(config, advance, progress.say))
+
+
+@app.command()
+def onnx(
+    out: Annotated[Path, typer.Argument(help="model.onnx")],
+    model: Annotated[str, typer.Option(help="mscsa, or a weight file of ours for SfM points")] = "mscsa",
+    side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 320,
+) -> None:
+    """Write a completion network for programs without torch."""
+    from completion.infer import load_scale_free
+    from completion.onnx_export import export_onnx
+
+    print(export_onnx(load_scale_free(model), out, side))
 
 
 def run_cleanly(command: Callable[[], Any]) -> int:

@@ -1,13 +1,18 @@
 """`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, get_args
 
-from completion.calibration import Calibration, calibrate, relative_errors
+import numpy as np
+from numpy.typing import NDArray
+
+from completion.calibration import Calibration
 from completion.errors import CompletionError
 from completion.evaluate import (
     FrameResult,
@@ -18,13 +23,14 @@ from completion.evaluate import (
     paper_row,
     write_csv,
 )
-from completion.infer import error_from_confidence
-from completion.metrics import Alignment, Averaging, simcol3d_errors
-from completion.predictors import load_predictor
+from completion.frames import EvaluationFrame
+from completion.metrics import Alignment, Averaging
+from completion.predictors import Predictor, load_predictor
 from completion.readers import read_evaluation_frames
-from completion.sheets import calibration_plot, contact_sheet, sweep_plot
+from completion.sheets import attention_sheet, calibration_plot, comparison_sheet, contact_sheet, sweep_plot
 from completion.sparsify import SAMPLERS
-from pipeline.progress import Progress
+from completion.tally import Tally
+from pipeline.progress import Advance, Progress
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,8 @@ class Outputs:
     sheet: Path | None = None
     sweep: Path | None = None
     calibration: Path | None = None
+    compare: Path | None = None
+    attention: Path | None = None
 
 
 def protocol_of(sampler: str, points: int, align: str, averaging: str, seed: int, stride: int) -> Protocol:
@@ -61,63 +69,110 @@ def evaluate(
 ) -> str:
     """Markdown tables, one per folder and protocol, a row per model; files as `outputs` says."""
     predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
+    several = len(folders) * len(protocols) > 1
     tables: list[str] = []
     records: list[dict[str, Any]] = []
     for folder in folders:
-        frames = list(read_evaluation_frames(folder, kind))
-        if not frames:
-            raise CompletionError(f"{folder} has no frames")
         for protocol in protocols:
-            rows = []
+            rows, sights = [], {}
             for model, predictor in predictors.items():
-                with progress.bar(f"{folder.name} {model}", len(frames)) as advance:
-                    results = list(evaluate_frames(frames, predictor, protocol, advance))
-                record = _record(folder.name, model, protocol, results, frames[0].unit)
-                records.append(record)
-                rows.append((model, paper_row(mean_errors(results, protocol), frames[0].unit)))
-                _write_pictures(outputs, results, record, len(folders) * len(models) * len(protocols) > 1)
-            tables.append(f"**{folder.name}**: {len(results)} frames, {protocol}\n\n{markdown_table(rows)}")
+                with Tally(trajectory=outputs.json is not None) as tally:
+                    unit = _run(folder, kind, predictor, protocol, tally, progress.bar(f"{folder.name} {model}", None))
+                    records.append(_record(folder.name, model, protocol, tally, unit))
+                rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
+                sights[Path(model).name] = tally.sights()
+                _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
+            about = f"{len(tally.scores)} frames, {protocol}"
+            tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
+            if outputs.compare:
+                label = f"{folder.name}_{protocol.sampler}{protocol.points}"
+                comparison_sheet(_named(outputs.compare, label, several), sights, f"{folder.name}: {about}")
+    _write_summaries(outputs, records)
+    return "\n\n".join(tables)
+
+
+def _run(
+    folder: Path,
+    kind: str | None,
+    predictor: Predictor,
+    protocol: Protocol,
+    tally: Tally,
+    bar: AbstractContextManager[Advance],
+) -> str:
+    """Judge every frame, one in memory at a time; returns the unit of the truth."""
+    unit = ""
+
+    def frames() -> Iterator[EvaluationFrame]:
+        nonlocal unit
+        for frame in read_evaluation_frames(folder, kind):
+            unit = frame.unit
+            yield frame
+
+    with bar as advance:
+        tally.add_all(evaluate_frames(frames(), predictor, protocol, advance))
+    if not tally.scores:
+        raise CompletionError(f"{folder} has no frames")
+    return unit
+
+
+def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> None:
+    """What is about all figures together."""
+    if outputs.json:
+        outputs.json.write_text(json.dumps(records, indent=1) + "\n")
+    if outputs.sweep:
+        averaging = records[0]["protocol"]["averaging"]
+        sweep_plot(outputs.sweep, _curves(records), f"{len(records[0]['frames'])} frames; {averaging} mean")
     if outputs.calibration:
         found = {_label(r): Calibration(**r["calibration"]) for r in records if r["calibration"]}
         if not found:
             raise CompletionError("none of these models predicts its own error: nothing to calibrate")
         calibration_plot(outputs.calibration, found)
-    if outputs.json:
-        outputs.json.write_text(json.dumps(records, indent=1) + "\n")
-    if outputs.sweep:
-        sweep_plot(
-            outputs.sweep, _curves(records), f"{len(records[0]['frames'])} frames; {protocols[0].averaging} mean"
-        )
-    return "\n\n".join(tables)
 
 
-def _record(folder: str, model: str, protocol: Protocol, results: Sequence[FrameResult], unit: str) -> dict[str, Any]:
+def _record(folder: str, model: str, protocol: Protocol, tally: Tally, unit: str) -> dict[str, Any]:
     """Everything about one figure, for JSON."""
-    sure = [(r, r.confidence) for r in results if r.confidence is not None]
-    pairs = (relative_errors(r.prediction, r.truth, error_from_confidence(c)) for r, c in sure)
-    simcol = simcol3d_errors((result.prediction, result.truth) for result in results)
+    calibration, simcol = tally.calibration(), tally.simcol3d()
     return {
         "folder": folder,
         "model": model,
         "unit": unit,
         "protocol": protocol.model_dump(),
-        "mean": mean_errors(results, protocol).to_dict(),
-        "simcol3d": simcol.__dict__,
-        "calibration": calibrate(pairs).to_dict() if sure else None,
-        "points": {"least": min(r.points for r in results), "most": max(r.points for r in results)},
-        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in results],
+        "mean": mean_errors(tally.scores, protocol).to_dict(),
+        "simcol3d": simcol.__dict__ if simcol else None,
+        "calibration": calibration.to_dict() if calibration else None,
+        "points": {"least": min(r.points for r in tally.scores), "most": max(r.points for r in tally.scores)},
+        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in tally.scores],
     }
 
 
-def _write_pictures(outputs: Outputs, results: Sequence[FrameResult], record: dict[str, Any], several: bool) -> None:
-    """CSV and contact sheet; with several figures each file's name says which it is."""
-    protocol = record["protocol"]
+def _write_pictures(
+    outputs: Outputs, tally: Tally, predictor: Predictor, record: dict[str, Any], several: bool
+) -> None:
+    """CSV and sheets of one figure; with several figures each file's name says which it is."""
     label = _label(record)
+    title = f"{record['folder']}, {record['model']}: {Protocol(**record['protocol'])}"
     if outputs.csv:
-        write_csv(_named(outputs.csv, label, several), results)
+        write_csv(_named(outputs.csv, label, several), tally.scores)
     if outputs.sheet:
-        title = f"{record['folder']}, {record['model']}: {Protocol(**protocol)}"
-        contact_sheet(_named(outputs.sheet, label, several), results, title, record["unit"])
+        contact_sheet(_named(outputs.sheet, label, several), tally.sights(), title, record["unit"])
+    if outputs.attention and (frames := _attention(predictor, tally.sights())):
+        attention_sheet(_named(outputs.attention, label, several), frames, title)
+
+
+def _attention(
+    predictor: Predictor, sights: Sequence[FrameResult]
+) -> list[tuple[FrameResult, NDArray[np.floating], NDArray[np.floating]]]:
+    """Each frame with its features before and after structure awareness; empty for a model that has none."""
+    from completion.attention import attention_features
+
+    frames = []
+    for sight in sights:
+        found = predictor.network and attention_features(
+            predictor.network, partial(predictor, sight.rgb, sight.sparse, None)
+        )
+        if found:
+            frames.append((sight, found[0].numpy(), found[1].numpy()))
+    return frames
 
 
 def _label(record: dict[str, Any]) -> str:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from completion.confidence import confidence_from_error, error_from_confidence
 from completion.errors import CompletionError
 from completion.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.frames import EvaluationFrame
-from completion.infer import confidence_from_error, error_from_confidence
 from completion.predictors import load_predictor
 from completion.sparsify import features, like_sfm, uniform
 from phantom.config import EventsConfig
@@ -95,9 +95,8 @@ def test_a_frame_without_points_is_an_error_not_a_gap() -> None:
 def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     folder = generate(TINY, tmp_path / "phantom", threads=1)
     assert TINY.events == EventsConfig()
-    outputs = Outputs(
-        tmp_path / "e.csv", tmp_path / "e.json", tmp_path / "e.png", tmp_path / "sweep.png", tmp_path / "c.png"
-    )
+    pictures = ("e.png", "sweep.png", "c.png", "compare.png", "attention.png")
+    outputs = Outputs(tmp_path / "e.csv", tmp_path / "e.json", *(tmp_path / name for name in pictures))
     protocols = [protocol_of("uniform", points, "none", "per_frame", 0, 1) for points in (20, 60)]
     text = evaluate([folder], ["nearest", "mscsa"], protocols, outputs, None, SilentProgress())
     records = json.loads(outputs.json.read_text())
@@ -113,6 +112,10 @@ def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     assert "60 uniform points, no scale alignment, per-frame mean, seed 0" in text
     assert outputs.sweep.exists()
     assert outputs.calibration.exists()
+    for points in (20, 60):
+        assert (tmp_path / f"compare_phantom_uniform{points}.png").stat().st_size > 10_000
+        assert (tmp_path / f"attention_phantom_mscsa_uniform{points}.png").stat().st_size > 10_000
+    assert not list(tmp_path.glob("attention_phantom_nearest*"))
     assert [r["calibration"] is not None for r in records] == [r["model"] == "mscsa" for r in records]
     by_points = [r["mean"]["abs_rel"] for r in records if r["model"] == "nearest"]
     assert by_points[1] < by_points[0]

@@ -69,9 +69,9 @@ def test_per_frame_and_pooled_means_differ_as_they_should() -> None:
 def test_simcol3d_takes_one_scale_for_the_trajectory() -> None:
     rng = np.random.default_rng(0)
     truths = [rng.uniform(5, 50, (8, 8)) for _ in range(4)]
-    errors = simcol3d_errors([(0.5 * truth, truth) for truth in truths])
+    errors = simcol3d_errors(lambda: [(0.5 * truth, truth) for truth in truths])
     assert (errors.scale, errors.l1, errors.rmse, errors.median_relative) == pytest.approx((2, 0, 0, 0), abs=1e-9)
-    uneven = simcol3d_errors([(truth * (1 + 0.1 * i), truth) for i, truth in enumerate(truths)])
+    uneven = simcol3d_errors(lambda: [(truth * (1 + 0.1 * i), truth) for i, truth in enumerate(truths)])
     assert uneven.median_relative > 0.03  # a scale per frame would hide it
 
 

@@ -8,8 +8,9 @@ from scipy.special import softmax
 from completion.attention import StructureAwareness
 from completion.infer import DepthCompleter
 from completion.nconv import MultiScaleConfidence, NormalizedConv2d, confidence_pool
-from completion.network import MSCSAConfig, MSCSANet, ScaleFreeMSCSANet
+from completion.network import MSCSAConfig, MSCSANet
 from completion.sampling import SfmPattern, sample_features, sample_like_sfm, sample_uniform
+from completion.scale_free import ScaleFreeMSCSANet
 
 
 @pytest.fixture(autouse=True)

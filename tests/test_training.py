@@ -1,17 +1,24 @@
 """Two steps of training on made-up shards; stopping in between changes nothing; wrong weight files are named."""
 
+import csv
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
 
 from completion.checkpoint import load_network, load_tensors, save_network, save_tensors
-from completion.dataset import Batch, augment
+from completion.dataset import Batch, Shard, augment
 from completion.errors import CompletionError
 from completion.infer import DepthCompleter
-from completion.network import MSCSANet, ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.network import MSCSANet
 from completion.predictors import load_predictor
-from completion.train import train
+from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.team import Team
+from completion.train import Run, draw_batch, learning_rate, train
 from completion.train_config import TrainConfig, make_config
+from completion.train_log import TrainLog
 
 
 @pytest.fixture
@@ -41,6 +48,52 @@ def test_training_is_repeatable_and_resumes(shards, tmp_path):
     assert train(config(shards, whole, steps=4)).read_bytes() == before
     with pytest.raises(CompletionError, match="other settings"):
         train(config(shards, whole, steps=4, seed=1))
+
+
+def test_the_log_is_the_same_in_csv_and_in_tensorboard(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    lines = []
+    log = TrainLog(tmp_path / "w.safetensors", lines.append)
+    log.write(100, 200, 0.5, 1e-3, None)
+    log.write(200, 200, 0.25, 1e-4, 0.08)
+    assert lines[1] == "step 200/200  loss 0.2500  held-out abs.REL 8.00 %"
+    rows = list(csv.DictReader((tmp_path / "w.log.csv").open()))
+    events = EventAccumulator(str(tmp_path / "w.tensorboard")).Reload()
+    for name in ("loss", "learning_rate", "held_out_abs_rel"):
+        in_csv = {int(row["step"]): float(row[name]) for row in rows if row[name]}
+        assert {e.step: e.value for e in events.Scalars(name)} == pytest.approx(in_csv, rel=1e-6)
+
+
+def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(shards, tmp_path):
+    """Oracle: the mean of the two halves' gradients, put together by hand in one process."""
+    values = {"steps": 1, "augmentation": False, "ema": 0.0, "bf16": False, "warm_up": 0}
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    script = tmp_path / "two.py"
+    given = {"shards": [str(shards)], "out": str(tmp_path / "two.safetensors"), **values}
+    script.write_text(
+        "from completion.train import train\nfrom completion.train_config import make_config\n"
+        f"train(make_config(None, width=4, batch=2, threads=1, **{given!r}))\n"
+    )
+    subprocess.run([*torchrun, str(script)], check=True, capture_output=True, timeout=300)
+    alone = Run(make_config(None, width=4, batch=2, threads=1, shards=(shards,), out=tmp_path / "one", **values))
+    gradients = []
+    for rank in (0, 1):
+        opened = Shard.open(shards)
+        batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], Team(rank, 2))
+        assert len(batch.rgb) == 1
+        alone.task.network.zero_grad()
+        alone.task.loss(batch.to(alone.device).rgb, batch.depth, None, generator).backward()
+        gradients.append([None if p.grad is None else p.grad.clone() for p in alone.task.network.parameters()])
+    for parameter, *both in zip(alone.task.network.parameters(), *gradients, strict=True):
+        parameter.grad = None if both[0] is None else (both[0] + both[1]) / 2
+    for group in alone.optimizer.param_groups:
+        group["lr"] = learning_rate(0, alone.config)
+    torch.nn.utils.clip_grad_norm_(alone.task.network.parameters(), 1.0)
+    alone.optimizer.step()
+    together = load_tensors(tmp_path / "two.checkpoint")[0]
+    for name, parameter in alone.task.network.named_parameters():
+        torch.testing.assert_close(together[f"network.{name}"], parameter.detach(), rtol=1e-4, atol=1e-6)
 
 
 def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypatch):
@@ -124,11 +177,12 @@ def test_a_flipped_lens_still_projects_the_flipped_frame():
     lens = torch.tensor([[4.0, 5.0, 3.1, 2.2]])
     for seed in range(8):
         out = augment(Batch(rays.permute(1, 0, 2, 3), depth, lens), torch.Generator().manual_seed(seed))
-        r, c = [int(v[0]) for v in torch.where(out.depth[0, 0] == 12)]  # pixel (1, 4) of the original
-        x = (c + 0.5 - out.lens[0, 2]) / out.lens[0, 0]
-        y = (r + 0.5 - out.lens[0, 3]) / out.lens[0, 1]
-        before = torch.tensor([abs(4.5 - 3.1) / 4, abs(1.5 - 2.2) / 5])
-        torch.testing.assert_close(torch.stack([x.abs(), y.abs()]), before)
+        # Pixel (2, 3) of the original, enlarged or not: the middle of what shows its depth.
+        r, c = [(int(v.min()) + int(v.max()) + 1) / 2 for v in torch.where(out.depth[0, 0] == 18)]
+        x, y = (c - out.lens[0, 2]) / out.lens[0, 0], (r - out.lens[0, 3]) / out.lens[0, 1]
+        grown = out.lens[0, :2] / lens[0, :2]  # nearest pixels lie up to half a pixel off
+        assert abs(abs(x) - abs(3.5 - 3.1) / 4) < (0.51 if grown[0] > 1 else 1e-6) / out.lens[0, 0]
+        assert abs(abs(y) - abs(2.5 - 2.2) / 5) < (0.51 if grown[1] > 1 else 1e-6) / out.lens[0, 1]
 
 
 def test_training_starts_from_given_weights_and_refuses_others(shards, tmp_path):

@@ -1,0 +1,106 @@
+"""MSCSA-Net for structure from motion, whose depth has no unit and whose points are few, noisy and clustered.
+
+The network works on log depth divided by the median of the sparse points, so that k times the input gives k times the
+output, and it predicts its own error. It sees the picture at half resolution, four pixels folded into channels: the
+same pixels at a third of the cost.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from completion.attention import StructureAwareness
+from completion.nconv import MultiScaleConfidence
+from completion.network import UNet
+from completion.padding import pad_to_multiple
+
+STRIDE = 32  # half resolution, then four halvings of the U-Net and of both confidence pyramids
+LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
+LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
+
+
+@dataclass(frozen=True)
+class ScaleFreeConfig:
+    """Size of `ScaleFreeMSCSANet` and the switch of its last stage."""
+
+    width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
+    msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
+    anchor: bool = True
+
+    def to_dict(self) -> dict[str, object]:
+        return asdict(self)
+
+
+class ScaleFreeMSCSANet(nn.Module):
+    """MSC + U-Net + SA on median-normalised log depth, with a predicted error per pixel.
+
+    log depth = MSC's dense estimate + the U-Net's residual + what the points still say against their sum. The second
+    output is log b, the scale of a Laplace distribution over the log-depth error, so b reads as a relative error.
+    """
+
+    def __init__(self, config: ScaleFreeConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or ScaleFreeConfig()
+        self.msc = MultiScaleConfidence(self.config.msc_levels)
+        attention = StructureAwareness(similarity="mean", learned_gain=True)
+        widths = tuple(factor * self.config.width for factor in (1, 2, 4, 6, 6))
+        self.unet = UNet(4 * 4 + 4, 4 * 2 + 1, widths, attention)
+        self.anchor = Anchor(self.config.msc_levels) if self.config.anchor else None
+
+    def forward(self, rgb: Tensor, log_sparse: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
+        """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
+        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32."""
+        height, width = rgb.shape[2:]
+        rgb, log_sparse, trust = (pad_to_multiple(x.float(), STRIDE) for x in (rgb, log_sparse, trust))
+        with torch.autocast(rgb.device.type, enabled=False):
+            points, weights = halve_points(log_sparse, trust)
+            spread, confidence = self.msc(points, weights)
+            # MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]. Not log(c + 1e-8): the ONNX
+            # exporter drops an addend that small, and where no point reaches, c is exactly zero.
+            log_confidence = torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
+            # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
+            log_brightness = torch.log(rgb.amax(dim=1, keepdim=True) + 1 / 255)
+            image = F.pixel_unshuffle(torch.cat([rgb - 0.5, log_brightness], dim=1), 2)
+        out = self.unet(torch.cat([image, spread, log_confidence, points, weights], dim=1)).float()
+        residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
+        log_depth = double(spread) + residual
+        log_error = log_error.clamp(*LOG_ERROR_RANGE)
+        if self.anchor is not None:
+            log_depth = log_depth + self.anchor(log_depth, log_error, log_sparse, trust, out[:, 8:])
+        log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
+        return log_depth[..., :height, :width], log_error[..., :height, :width]
+
+
+class Anchor(nn.Module):
+    """What points say against a dense estimate, spread from them by a second confidence pyramid.
+
+    A point further off than the estimate's own predicted error allows counts for less (Cauchy's weight): most such
+    points are outliers. The U-Net's gate says where to listen at all.
+    """
+
+    def __init__(self, levels: int) -> None:
+        super().__init__()
+        self.msc = MultiScaleConfidence(levels)
+        self.log_tolerance = nn.Parameter(torch.tensor(1.0))  # in predicted errors; starts at e
+
+    def forward(self, log_depth: Tensor, log_error: Tensor, log_sparse: Tensor, trust: Tensor, gate: Tensor) -> Tensor:
+        """Dense estimate, its log error and the points, all (B,1,H,W), and gate logits at half size -> correction."""
+        with torch.autocast(log_depth.device.type, enabled=False):
+            off = torch.where(trust > 0, log_sparse - log_depth, torch.zeros_like(log_depth))
+            surprise = off * torch.exp(-log_error - self.log_tolerance)
+            correction, _ = self.msc(*halve_points(off, trust / (1 + surprise * surprise)))
+            return double(torch.sigmoid(gate) * correction)
+
+
+def halve_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (B,1,H,W) at half resolution: trust-weighted mean of each 2x2 block, and its greatest trust."""
+    total = F.avg_pool2d(trust, 2)
+    return F.avg_pool2d(values * trust, 2) / total.clamp_min(1e-12), F.max_pool2d(trust, 2)
+
+
+def double(coarse: Tensor) -> Tensor:
+    """Bilinear upsampling by two."""
+    return F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)

@@ -1,0 +1,104 @@
+"""Votes between posed depth maps, against scenes whose depth is known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from reconstruction.consistency import DepthView, agreement
+
+SIZE = 96
+INTRINSICS = np.array([[70.0, 0, SIZE / 2], [0, 70.0, SIZE / 2], [0, 0, 1]])
+RADIUS = 20.0
+
+
+def pose(seed: int) -> np.ndarray:
+    """A camera near the middle of the sphere, looking roughly along z."""
+    rng = np.random.default_rng(seed)
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix()
+    matrix[:3, 3] = rng.normal(0, 2.5, 3)
+    return matrix
+
+
+def rays(world_from_camera: np.ndarray) -> np.ndarray:
+    """(H,W,3) directions in the world whose camera z is 1, so that depth is the distance along them."""
+    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+    directions = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(INTRINSICS).T
+    return directions @ world_from_camera[:3, :3].T
+
+
+def sphere_depth(world_from_camera: np.ndarray) -> np.ndarray:
+    """z-depth of the inside of a sphere about the origin."""
+    d, o = rays(world_from_camera), world_from_camera[:3, 3]
+    a, b, c = (d**2).sum(-1), d @ o, o @ o - RADIUS**2
+    return (-b + np.sqrt(b**2 - a * c)) / a
+
+
+def fold_depth(world_from_camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """The depth, with a wall at z = 8 before half of the sphere (x > 1)."""
+    d, o = rays(world_from_camera), world_from_camera[:3, 3]
+    along = (8 - o[2]) / d[..., 2]
+    hit = (along > 0) & (o[0] + along * d[..., 0] > 1) & (along < depth)
+    return np.where(hit, along, depth)
+
+
+def views(count: int, fold: bool = False) -> list[DepthView]:
+    found = []
+    for seed in range(count):
+        depth = sphere_depth(pose(seed))
+        depth = fold_depth(pose(seed), depth) if fold else depth
+        found.append(DepthView(depth.astype(np.float32), INTRINSICS, pose(seed)))
+    return found
+
+
+@pytest.mark.parametrize("fold", [False, True])
+def test_frames_of_one_scene_support_each_other_also_where_a_fold_hides_the_wall(fold: bool) -> None:
+    first, *others = views(6, fold)
+    votes = agreement(first, others, tolerance=0.03, stride=1)
+    assert votes.judged.mean() > 0.8
+    assert votes.contradicted_share < 0.005
+    assert (votes.weight()[~votes.judged] == 1).all()
+    assert votes.supports.max() == 5
+
+
+def test_a_wrong_frame_and_a_wrong_patch_are_contradicted_and_nothing_else() -> None:
+    first, *others = views(6)
+    for factor in (0.8, 1.25):
+        wrong = DepthView(np.float32(factor) * first.depth, INTRINSICS, first.world_from_camera)
+        votes = agreement(wrong, others, tolerance=0.05)
+        assert votes.contradicted_share > 0.95
+        assert votes.weight()[votes.judged].mean() < 0.3
+    patched = first.depth.copy()
+    patched[30:50, 30:50] *= 1.3
+    votes = agreement(DepthView(patched, INTRINSICS, first.world_from_camera), others, tolerance=0.05, stride=1)
+    inside = np.zeros((SIZE, SIZE), bool)
+    inside[31:49, 31:49] = True
+    outvoted = votes.contradictions > votes.supports
+    assert outvoted[inside].mean() > 0.95
+    assert outvoted[:28].mean() < 0.01
+
+
+def test_one_wrong_frame_among_many_changes_no_good_one() -> None:
+    first, second, *others = views(6)
+    liar = DepthView(0.7 * second.depth, INTRINSICS, second.world_from_camera)
+    votes = agreement(first, [liar, *others], tolerance=0.05)
+    assert votes.contradicted_share < 0.02
+
+
+def test_unknown_depth_has_no_vote_and_scale_does_not_matter() -> None:
+    first, *others = views(4)
+    blank = [DepthView(np.zeros_like(o.depth), INTRINSICS, o.world_from_camera) for o in others]
+    assert not agreement(first, blank, tolerance=0.05).judged.any()
+    holed = first.depth.copy()
+    holed[:20] = 0
+    votes = agreement(DepthView(holed, INTRINSICS, first.world_from_camera), others, tolerance=0.05)
+    assert not votes.judged[:20].any()
+
+    def scaled(view: DepthView) -> DepthView:
+        moved = view.world_from_camera.copy()
+        moved[:3, 3] *= 40
+        return DepthView(40 * view.depth, INTRINSICS, moved)
+
+    plain = agreement(first, others, 0.05)
+    other = agreement(scaled(first), [scaled(o) for o in others], 0.05)
+    assert (plain.supports != other.supports).mean() < 0.01
