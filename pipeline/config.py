@@ -80,7 +80,7 @@ class Config(Settings):
     """The whole run. Saved, resolved, in `run.yaml`."""
 
     camera: str = "auto"
-    front_end: Literal["auto", "sfm"] = "auto"
+    front_end: Literal["auto", "sfm", "odometry"] = "auto"
     model: str = "mscsa"
     device: Literal["auto", "cpu", "cuda"] = "auto"
     seed: int = 0

@@ -1,4 +1,4 @@
-"""Stage 2, front end `sfm`: working frames to submaps of poses and points, by COLMAP.
+"""Stage 2: working frames to submaps of poses and points, by COLMAP (front end `sfm`) or by `odometry`.
 
 The global mapper goes first: it has no two-view start that could be false. Where its model leaves frames out or the
 endoscope's own light contradicts it, the incremental mapper gives a second opinion, and evidence decides.
@@ -17,6 +17,8 @@ from pipeline.errors import HaustraError
 from pipeline.evidence import Evidence, judge_submap
 from pipeline.frames import Frames, read_image
 from pipeline.isolation import run_isolated
+from pipeline.odometry.colmap_text import write_model
+from pipeline.odometry.front_end import track_frames
 from pipeline.progress import Progress
 from pipeline.submap import Submap, read_submap
 from pipeline.workspace import Workspace, damage_named
@@ -31,6 +33,8 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
     """Submaps, the largest first, each in units of its own median depth; loads them if this stage is done."""
     if workspace.is_done("structure"):
         return load_structure(workspace)
+    if config.front_end == "odometry":
+        return _solve_by_odometry(frames, config, workspace, progress)
     job = _job(frames, config, workspace)
     run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
     mapped = {"global": _map("global", job, workspace, progress)}
@@ -47,18 +51,49 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
             f"({len(frames.index)} frames tried)"
         )
     _keep(models, workspace)
-    workspace.finish(
-        "structure",
-        mapper=chosen,
-        evidence={m: [e.to_dict() for _, e, _ in found] for m, found in mapped.items()},
-        units=[_unit(submap) for submap, _, _ in models],
-        warnings=_warnings(models, config),
-    )
-    for sentence in (_sentence(models, chosen, len(frames.index)), *_warnings(models, config)):
+    evidence = {method: [e.to_dict() for _, e, _ in found] for method, found in mapped.items()}
+    _record(models, chosen, evidence, frames, config, workspace, progress)
+    return load_structure(workspace)
+
+
+def _solve_by_odometry(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Submap]:
+    """Submaps by streaming odometry, judged and kept as COLMAP's are."""
+    tracked = track_frames(frames, config.frames.stride, config.seed, workspace, progress)
+    images = _image_reader(workspace)
+    judged = [(submap, judge_submap(submap, images), workspace.log / "odometry") for submap in tracked.submaps]
+    models = judged[:1] + [model for model in judged[1:] if model[1].contrary <= config.structure.max_dark_near]
+    if not models:
+        raise HaustraError(
+            "odometry could not begin: too few features, or a camera that does not move "
+            f"({len(frames.index)} frames tried)"
+        )
+    shutil.rmtree(workspace.models, ignore_errors=True)
+    for number, (submap, _, _) in enumerate(models):
+        write_model(submap, frames.camera, workspace.models / str(number))
+    joined = f"; {tracked.joins} of {tracked.maps} submaps joined to another" if tracked.maps > 1 else ""
+    progress.say(f"odometry at {tracked.frames_per_second:.1f} frames a second{joined}")
+    evidence = {"odometry": [e.to_dict() for _, e, _ in models]}
+    _record(models, "odometry", evidence, frames, config, workspace, progress)
+    return load_structure(workspace)
+
+
+def _record(
+    models: list[Judged],
+    mapper: str,
+    evidence: dict[str, list[dict[str, float]]],
+    frames: Frames,
+    config: Config,
+    workspace: Workspace,
+    progress: Progress,
+) -> None:
+    """Enter the finished stage and tell of it."""
+    warnings = _warnings(models, config)
+    units = [_unit(submap) for submap, _, _ in models]
+    workspace.finish("structure", mapper=mapper, evidence=evidence, units=units, warnings=warnings)
+    for sentence in (_sentence(models, mapper, len(frames.index)), *warnings):
         progress.say(sentence)
     if not frames.camera.trusted:
         progress.say(camera_trust(frames.camera, models[0][0]))
-    return load_structure(workspace)
 
 
 def load_structure(workspace: Workspace) -> list[Submap]:

@@ -1,0 +1,137 @@
+"""Both front ends of `reconstruct` on sequences with true poses: what they pose, how well, and how fast.
+
+    haustra phantom SUITE --suite
+    python benchmarks/front_ends.py SUITE/* ../shared/data/ctcolon --seeds 3 --json front_ends.json
+    python benchmarks/front_ends.py FOLDER --front-ends odometry --frames 150
+
+Frames are read from `rgb/` with the folder's own camera. Per sequence, front end and seed: frames that were worth
+tracking (`used`), the share of them that is posed in any submap, submaps; then errors, after a Sim(3) alignment of each
+submap for itself: ATE RMSE over all posed frames, the largest submap's ATE, and the median rotation error. A run counts
+as wrong where a submap's median rotation error exceeds 5 degrees. Speed is the structure stage alone (images read from
+disk, tracking, adjustment, joining, evidence): frames per second of wall time and processor milliseconds per frame; the
+latter is the fairer one on a machine that does other work.
+"""
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pipeline.config import Config, FrameSettings
+from pipeline.errors import HaustraError
+from pipeline.frames import Frames, read_frames
+from pipeline.progress import SilentProgress
+from pipeline.structure import solve_structure
+from pipeline.submap import Submap
+from pipeline.video import Source
+from pipeline.workspace import Workspace, create_workspace
+from reconstruction.trajectory import read_tum, trajectory_errors
+from record import spread, write
+
+WRONG_DEG = 5.0
+MIN_FRAMES = 3  # for an alignment
+
+
+def store(folder: Path, config: Config, root: Path) -> tuple[Frames, Workspace]:
+    workspace = create_workspace(root, folder, config, overwrite=True)
+    return read_frames(Source(folder), config, workspace, SilentProgress()), workspace
+
+
+def processor_seconds() -> float:
+    """Of this process and of the children that have ended: COLMAP runs in one."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system
+
+
+def run(folder: Path, config: Config, truth: np.ndarray) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as scratch:
+        frames, workspace = store(folder, config, Path(scratch) / "run")
+        wall, busy = time.perf_counter(), processor_seconds()
+        try:
+            submaps = solve_structure(frames, config, workspace, SilentProgress())
+        except HaustraError as error:
+            return {"used": len(frames.index), "posed_share": 0.0, "submaps": 0, "failure": str(error)}
+        wall, busy = time.perf_counter() - wall, processor_seconds() - busy
+    count = len(frames.index)
+    return {
+        "used": count,
+        "posed_share": sum(len(submap.frames) for submap in submaps) / count,
+        "submaps": len(submaps),
+        "frames_per_s": count / wall,
+        "processor_ms_per_frame": 1e3 * busy / count,
+        **errors_of(submaps, truth),
+    }
+
+
+def errors_of(submaps: list[Submap], truth: np.ndarray) -> dict[str, Any]:
+    """Each submap aligned for itself, since each has a frame and a scale of its own."""
+    judged = [
+        (len(submap.frames), trajectory_errors(submap.world_from_camera, truth[submap.frames]))
+        for submap in submaps
+        if len(submap.frames) >= MIN_FRAMES
+    ]
+    if not judged:
+        return {}
+    total = sum(count for count, _ in judged)
+    return {
+        "ate_mm": float(np.sqrt(sum(count * e.ate_rmse**2 for count, e in judged) / total)),
+        "largest": {"frames": judged[0][0], "ate_mm": judged[0][1].ate_rmse},
+        "rotation_deg": float(np.average([e.rotation_median_deg for _, e in judged], weights=[c for c, _ in judged])),
+        "wrong": any(e.rotation_median_deg > WRONG_DEG for _, e in judged),
+    }
+
+
+def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Median and spread of each figure over the seeds that gave it."""
+    names = ("posed_share", "submaps", "ate_mm", "rotation_deg", "frames_per_s", "processor_ms_per_frame")
+    found = {name: [run[name] for run in runs if name in run] for name in names}
+    return {name: spread(values) for name, values in found.items() if values} | {
+        "wrong": sum(run.get("wrong", True) for run in runs),
+        "runs": runs,
+    }
+
+
+def print_row(sequence: str, front_end: str, figures: dict[str, Any]) -> None:
+    medians = {name: value["median"] for name, value in figures.items() if isinstance(value, dict)}
+    print(f"{sequence:16} {front_end:9} posed {100 * medians['posed_share']:5.1f} %", end="")
+    print(f" in {medians['submaps']:.0f}", end="")
+    if "ate_mm" in medians:
+        print(f", ATE {medians['ate_mm']:.3f} mm, rotation {medians['rotation_deg']:.2f} deg", end="")
+        print(f", {medians['frames_per_s']:.1f} frames/s", end="")
+        print(f", {medians['processor_ms_per_frame']:.1f} ms of processor a frame", end="")
+    print(f", wrong {figures['wrong']} of {len(figures['runs'])}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
+    parser.add_argument("--front-ends", nargs="+", default=["sfm", "odometry"], choices=["sfm", "odometry"])
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--frames", type=int, help="the first so many frames only")
+    parser.add_argument("--threads", type=int, default=1, help="of OpenCV")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(arguments.threads)
+    figures: dict[str, Any] = {}
+    for folder in arguments.folders:
+        _, truth = read_tum(folder / "trajectory.txt")
+        fps = json.loads((folder / "camera.json").read_text())["fps"]
+        end = None if arguments.frames is None else (arguments.frames - 0.5) / fps
+        for front_end in arguments.front_ends:
+            runs = []
+            for seed in range(arguments.seeds):
+                config = Config(front_end=front_end, seed=seed, frames=FrameSettings(end_s=end))
+                runs.append({"seed": seed} | run(folder, config, truth))
+            figures.setdefault(folder.name, {})[front_end] = summary(runs)
+            print_row(folder.name, front_end, figures[folder.name][front_end])
+    write(arguments.json, {"seeds": arguments.seeds, "frames": arguments.frames, "figures": figures})
+
+
+if __name__ == "__main__":
+    main()

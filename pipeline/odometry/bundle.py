@@ -1,0 +1,198 @@
+"""Bundle adjustment: Levenberg-Marquardt on the Schur complement of the points, in NumPy and SciPy's block-sparse rows.
+
+Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6. Residuals are linear in the plane z = 1 (see
+`rays`), down-weighted by Cauchy's loss through reweighting. Preferred to Ceres, which would live in another process,
+and to GTSAM, which takes a Python object for each observation; see docs/front_end.md.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.sparse import bsr_array, csr_array
+
+from pipeline.odometry.poses import Array, moved
+
+FULL = 1_000_000  # entries of a cross matrix up to which it is multiplied as a full one
+MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Cameras (C), points (P) and observations (M), sorted by camera.
+
+    rotation (C,3,3), translation (C,3): camera_from_world. points (P,3). camera, point: (M,) rows. seen (M,2) on the
+    plane z = 1, gain (M,2,2) pixels per unit there. fixed (C,) cameras that stay.
+    """
+
+    rotation: Array
+    translation: Array
+    points: Array
+    camera: NDArray[np.int64]
+    point: NDArray[np.int64]
+    seen: Array
+    gain: Array
+    fixed: NDArray[np.bool_]
+
+    def residuals(self) -> Array:
+        """(M,2) pixels."""
+        local = np.einsum("mij,mj->mi", self.rotation[self.camera], self.points[self.point])
+        return reprojections(local + self.translation[self.camera], self.seen, self.gain)
+
+    def errors(self) -> Array:
+        """(M,) length of each residual, pixels; infinite behind the camera."""
+        return np.linalg.norm(self.residuals(), axis=1)
+
+
+def adjust(bundle: Bundle, iterations: int, loss_px: float, tolerance: float = 1e-4) -> Bundle:
+    """Lower the robust cost of `bundle`: cameras that are not fixed, and all points. Never raises it.
+
+    Without two fixed cameras the scale is free; the damping then keeps it where it was.
+    """
+    sums = _Sums(bundle)
+    damping, cost = 1e-4, _cost(bundle, loss_px)
+    system = None
+    for _ in range(iterations):
+        if system is None:
+            system = _linearise(bundle, sums, loss_px)
+        step = _solve(bundle, system, damping)
+        if step is None:
+            damping *= 10
+            continue
+        rotation, translation = moved(bundle.rotation, bundle.translation, step[0])
+        candidate = replace(bundle, rotation=rotation, translation=translation, points=bundle.points + step[1])
+        lowered = _cost(candidate, loss_px)
+        if lowered < cost:
+            gain, bundle, cost = (cost - lowered) / cost, candidate, lowered
+            damping, system = max(damping / 10, 1e-9), None
+            if gain < tolerance:
+                break
+        else:
+            damping *= 10
+            if damping > 1e4:
+                break
+    return bundle
+
+
+def reprojections(local: Array, seen: Array, gain: Array) -> Array:
+    """(M,2) pixels that points in camera axes (M,3) miss their observations by."""
+    depth = np.maximum(local[:, 2:], MIN_DEPTH)
+    return np.einsum("mij,mj->mi", gain, local[:, :2] / depth - seen)
+
+
+def cauchy_weight(squared: Array, loss_px: float) -> Array:
+    """(M,) weight of each residual in reweighted least squares."""
+    return 1 / (1 + squared / loss_px**2)
+
+
+def _cost(bundle: Bundle, loss_px: float) -> float:
+    squared = (bundle.residuals() ** 2).sum(axis=1)
+    return float(loss_px**2 * np.log1p(squared / loss_px**2).sum())
+
+
+def jacobians(local: Array, gain: Array) -> tuple[Array, Array]:
+    """(M,2,6) by the pose's tangent and (M,2,3) by the point in the camera's axes."""
+    inverse_depth = 1 / np.maximum(local[:, 2], MIN_DEPTH)
+    projection = np.zeros((len(local), 2, 3))
+    projection[:, 0, 0] = projection[:, 1, 1] = inverse_depth
+    projection[:, :, 2] = -local[:, :2] * inverse_depth[:, None] ** 2
+    by_local = gain @ projection
+    by_turn = np.cross(local[:, None, :], by_local)  # row a of J [-x]x is x cross a
+    return np.concatenate([by_turn, by_local], axis=2), by_local
+
+
+class _Sums:
+    """Sums over the observations of each camera and of each point, as products with sparse matrices of ones."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        count = len(bundle.camera)
+        ones, rows = np.ones(count), np.arange(count)
+        self.by_camera = csr_array((ones, (bundle.camera, rows)), shape=(len(bundle.rotation), count))
+        self.by_point = csr_array((ones, (bundle.point, rows)), shape=(len(bundle.points), count))
+        self.starts = np.searchsorted(bundle.camera, np.arange(len(bundle.rotation) + 1))
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations: camera blocks (C,6,6), point blocks (P,3,3), cross blocks (M,6,3), right-hand sides."""
+
+    cameras: Array
+    points: Array
+    cross: Array
+    camera_side: Array
+    point_side: Array
+    starts: NDArray[np.int64]
+
+
+def _linearise(bundle: Bundle, sums: _Sums, loss_px: float) -> _System:
+    rotation = bundle.rotation[bundle.camera]
+    local = np.einsum("mij,mj->mi", rotation, bundle.points[bundle.point]) + bundle.translation[bundle.camera]
+    residual = reprojections(local, bundle.seen, bundle.gain)
+    weight = cauchy_weight((residual**2).sum(axis=1), loss_px)
+    by_pose, by_local = jacobians(local, bundle.gain)
+    by_pose[bundle.fixed[bundle.camera]] = 0
+    by_point = by_local @ rotation
+    weighted_pose, weighted_point = by_pose * weight[:, None, None], by_point * weight[:, None, None]
+    count = len(residual)
+
+    def outer(first: Array, second: Array) -> Array:
+        return (np.swapaxes(first, 1, 2) @ second).reshape(count, -1)
+
+    side = residual[:, :, None]
+    return _System(
+        (sums.by_camera @ outer(weighted_pose, by_pose)).reshape(-1, 6, 6),
+        (sums.by_point @ outer(weighted_point, by_point)).reshape(-1, 3, 3),
+        outer(weighted_pose, by_point).reshape(-1, 6, 3),
+        -(sums.by_camera @ outer(weighted_pose, side)),
+        -(sums.by_point @ outer(weighted_point, side)),
+        sums.starts,
+    )
+
+
+def _solve(bundle: Bundle, system: _System, damping: float) -> tuple[Array, Array] | None:
+    """Steps (C,6) and (P,3), or None if the damped system is not positive definite."""
+    cameras, points = len(system.cameras), len(system.points)
+    free = np.flatnonzero(~bundle.fixed)
+    inverse = _inverse(_damped(system.points, damping))
+    shape = (6 * cameras, 3 * points)
+    cross = bsr_array((system.cross, bundle.point, system.starts), shape=shape)
+    ahead = bsr_array((system.cross @ inverse[bundle.point], bundle.point, system.starts), shape=shape)
+    camera_step = np.zeros((cameras, 6))
+    if len(free):
+        reduced = -_product(ahead, cross).reshape(cameras, 6, cameras, 6)
+        reduced[np.arange(cameras), :, np.arange(cameras)] += _damped(system.cameras, damping)
+        side = system.camera_side - (ahead @ system.point_side.ravel()).reshape(cameras, 6)
+        normal = reduced[free][:, :, free].reshape(6 * len(free), -1)
+        try:
+            factor = cho_factor(normal, overwrite_a=True, check_finite=False)
+        except LinAlgError:
+            return None
+        camera_step[free] = cho_solve(factor, side[free].ravel(), check_finite=False).reshape(-1, 6)
+    rest = system.point_side - (cross.T @ camera_step.ravel()).reshape(points, 3)
+    point_step = np.einsum("pij,pj->pi", inverse, rest)
+    return (camera_step, point_step) if np.isfinite(camera_step).all() and np.isfinite(point_step).all() else None
+
+
+def _product(first: bsr_array, second: bsr_array) -> Array:
+    """first @ second.T; a window's matrices are so full that BLAS beats the sparse product nine to one."""
+    if np.prod(first.shape) <= FULL:
+        return first.toarray() @ second.toarray().T
+    return (first @ second.T).toarray()
+
+
+def _damped(blocks: Array, damping: float) -> Array:
+    result = blocks.copy()
+    diagonal = np.arange(blocks.shape[1])
+    result[:, diagonal, diagonal] = blocks[:, diagonal, diagonal] * (1 + damping) + 1e-12
+    return result
+
+
+def _inverse(blocks: Array) -> Array:
+    """Inverses of symmetric 3x3 blocks by cofactors: ten times faster than LAPACK called for each."""
+    a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 0, 2]
+    d, e, f = blocks[:, 1, 1], blocks[:, 1, 2], blocks[:, 2, 2]
+    cofactors = np.stack([d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b])
+    determinant = a * cofactors[0] + b * cofactors[1] + c * cofactors[2]
+    scaled = cofactors / np.where(np.abs(determinant) > 1e-300, determinant, np.inf)
+    return scaled[[0, 1, 2, 1, 3, 4, 2, 4, 5]].T.reshape(-1, 3, 3)

@@ -1,0 +1,124 @@
+"""What is followed from frame to frame: corners of the wall's own texture, in images freed of the lamp.
+
+Lucas-Kanade assumes that a patch keeps its grey values, but the lamp moves with the camera: a patch that comes twice as
+near becomes four times as bright. The logarithm turns that factor into an offset, the local mean takes the offset away,
+and the local spread evens out what is left of exposure and gamma.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Pixels = NDArray[np.float32]  # (N,2), COLMAP's convention unless named otherwise
+
+WINDOW = 15  # px at 320 px width; scaled with the image
+LEVELS = 3
+LOCAL_SHARE = 0.05  # of the width: half the side of the surroundings that are evened out
+FLOOR = 0.02  # of the logarithm; where the wall varies less than 2 %, noise must not become texture
+CONTRAST = 42.0  # grey levels for one local standard deviation
+MAX_RETURN_PX = 0.7  # forward-backward error; beyond it the patch was lost on the way
+BORDER = 5  # px from the edge of the mask at which windows still lie mostly inside
+MIN_CORNER = 5e-4  # smallest eigenvalue of the structure tensor, of normalised images
+
+
+def normalise(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H,W,3) uint8 -> (H,W) uint8 around 128: log, less its local mean, over its local spread."""
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    log = cv2.log(grey + 4.0)  # 4 grey levels: below them the sensor's noise is all there is
+    size = 2 * round(LOCAL_SHARE * rgb.shape[1]) + 1
+    mean = cv2.blur(log, (size, size))
+    high = log - mean
+    spread = cv2.sqrt(cv2.blur(high * high, (size, size))) + FLOOR
+    return cv2.convertScaleAbs(cv2.add(high * (CONTRAST / spread), 128.0))
+
+
+@dataclass(frozen=True)
+class View:
+    """One frame as the tracker sees it. image: (H,W) uint8, normalised; mask: (H,W), nonzero where windows fit."""
+
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+
+
+def make_view(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> View:
+    """mask: (H,W), nonzero where features may lie; it is shrunk by a border."""
+    framed = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    inner = cv2.erode(framed, np.ones((2 * BORDER + 1, 2 * BORDER + 1), np.uint8))[1:-1, 1:-1]
+    return View(normalise(rgb), inner)
+
+
+def _window(image: NDArray[np.uint8]) -> tuple[int, int]:
+    size = max(11, round(WINDOW * image.shape[1] / 320) | 1)
+    return size, size
+
+
+def follow(reference: View, current: View, places: Pixels, guess: Pixels) -> tuple[Pixels, NDArray[np.bool_]]:
+    """Where points at `places` of the reference are now, searched from `guess`; and which of them came back to where
+    they started, within the mask."""
+    if len(places) == 0:
+        return places.copy(), np.zeros(0, dtype=bool)
+    start = (places - 0.5).astype(np.float32)
+    window = _window(reference.image)
+    guessed = (guess - 0.5).astype(np.float32)
+    ahead, there = _flow(reference, current, start, guessed, window)
+    back, here = _flow(current, reference, ahead, start.copy(), window)
+    returned = np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
+    found = (there.ravel() > 0) & (here.ravel() > 0) & returned & inside(current.mask, ahead + 0.5)
+    return ahead + 0.5, found
+
+
+def _flow(
+    reference: View, current: View, places: Pixels, guess: Pixels, window: tuple[int, int]
+) -> tuple[Pixels, NDArray[np.uint8]]:
+    """Pyramidal Lucas-Kanade in OpenCV's integer-centre pixels."""
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        reference.image,
+        current.image,
+        places,
+        guess,
+        winSize=window,
+        maxLevel=LEVELS,
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=1e-4,
+    )
+    return moved, status
+
+
+def inside(mask: NDArray[np.uint8], pixels: Pixels) -> NDArray[np.bool_]:
+    """(N,) whether each pixel lies in the image and on the mask."""
+    height, width = mask.shape
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=1))
+    x, y = np.floor(np.where(finite[:, None], pixels, -1)).astype(int).T
+    within = finite & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    return within & (mask[y.clip(0, height - 1), x.clip(0, width - 1)] > 0)
+
+
+def detect(view: View, occupied: Pixels, cell: int) -> Pixels:
+    """New corners, one for each empty cell of a grid: the best there, if it is a corner at all.
+
+    A grid rather than the strongest corners of the image: those crowd on vessels and highlights' rims, and poses need
+    points all around.
+    """
+    strength = cv2.cornerMinEigenVal(view.image, 5, ksize=3)
+    strength[view.mask == 0] = 0
+    rows, columns = strength.shape[0] // cell, strength.shape[1] // cell
+    cut = strength[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
+    cells = cut.transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)
+    best = cells.argmax(axis=1)
+    value = cells[np.arange(len(cells)), best]
+    x = np.arange(rows * columns) % columns * cell + best % cell
+    y = np.arange(rows * columns) // columns * cell + best // cell
+    found = np.stack([x, y], axis=1)[value > MIN_CORNER].astype(np.float32) + 0.5
+    return found[_is_apart(found, occupied, 0.7 * cell, strength.shape)]
+
+
+def _is_apart(found: Pixels, occupied: Pixels, distance: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which of `found` keep their distance from all of `occupied`."""
+    taken = np.zeros(shape, dtype=np.uint8)
+    for x, y in np.floor(occupied).astype(int):
+        cv2.circle(taken, (int(x), int(y)), round(distance), 255, -1)
+    x, y = np.floor(found).astype(int).T
+    return taken[y, x] == 0

@@ -1,0 +1,194 @@
+"""The map of one submap while it grows: keyframes with what they saw, points by track number, poses of all frames.
+
+Memory follows the map: keyframes and points, no images. A frame between keyframes leaves its pose relative to the
+keyframe before it and 12 bytes for each point that it saw, which the result needs.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.odometry.bundle import Bundle, adjust
+from pipeline.odometry.poses import Array, compose, in_camera, inverse
+from pipeline.odometry.rays import RayTable
+from pipeline.odometry.triangulation import triangulate
+
+WINDOW = 8  # keyframes that a bundle adjustment moves
+ANCHORS = 6  # older ones that saw the same points and stay
+WINDOW_ITERATIONS = 6
+LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
+MAX_ERROR_PX = 2.0  # of an observation that is kept
+MAX_BIRTH_ERROR_PX = 1.2  # of a new point, in all its views
+MIN_ANGLE = np.radians(1.2)  # of a new point's rays; a third of a pixel is then a tenth of the depth
+
+
+@dataclass
+class Keyframe:
+    """camera_from_world pose (4,4); ids (N,), pixels (N,2), seen (N,2) and gain (N,2,2) of the tracks in it."""
+
+    frame: int
+    pose: Array
+    ids: NDArray[np.int64]
+    pixels: Array
+    seen: Array
+    gain: Array
+
+    def keep(self, mask: NDArray[np.bool_]) -> None:
+        self.ids, self.pixels, self.seen = self.ids[mask], self.pixels[mask], self.seen[mask]
+        self.gain = self.gain[mask]
+
+
+@dataclass(frozen=True)
+class PosedFrame:
+    """A frame between keyframes: its pose from the camera of keyframe number `keyframe`, and the points it saw."""
+
+    frame: int
+    keyframe: int
+    from_keyframe: Array
+    ids: NDArray[np.int32]
+    pixels: NDArray[np.float32]
+
+
+class LocalMap:
+    """Keyframes, points and posed frames in one scene frame."""
+
+    def __init__(self, rays: RayTable) -> None:
+        self.rays = rays
+        self.points = np.zeros((1024, 3))
+        self.known = np.zeros(1024, dtype=bool)  # tracks that have a point
+        self.barred = np.zeros(1024, dtype=bool)  # tracks whose point was found wrong
+        self.keyframes: list[Keyframe] = []
+        self.posed: list[PosedFrame] = []
+
+    def reserve(self, count: int) -> None:
+        """Make room for track numbers below `count`."""
+        while len(self.known) < count:
+            size = len(self.known)
+            self.points = np.concatenate([self.points, np.zeros((size, 3))])
+            self.known = np.concatenate([self.known, np.zeros(size, dtype=bool)])
+            self.barred = np.concatenate([self.barred, np.zeros(size, dtype=bool)])
+
+    def tracks_in_use(self) -> int:
+        """One more than the highest track number that any keyframe holds."""
+        return max((int(k.ids.max()) + 1 for k in self.keyframes if len(k.ids)), default=0)
+
+    def add_keyframe(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
+        pixels = np.asarray(pixels, np.float64)
+        seen, gain = self.rays.look_up(pixels)
+        self.keyframes.append(Keyframe(frame, pose, ids.copy(), pixels, seen, gain))
+
+    def extend(self, number: int, ids: NDArray[np.int64], pixels: Array) -> None:
+        """More tracks that keyframe `number` sees."""
+        keyframe = self.keyframes[number]
+        pixels = np.asarray(pixels, np.float64)
+        seen, gain = self.rays.look_up(pixels)
+        keyframe.ids = np.concatenate([keyframe.ids, ids])
+        keyframe.pixels = np.concatenate([keyframe.pixels, pixels])
+        keyframe.seen, keyframe.gain = np.concatenate([keyframe.seen, seen]), np.concatenate([keyframe.gain, gain])
+
+    def add_posed(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
+        relative = pose @ inverse(self.keyframes[-1].pose)
+        self.posed.append(
+            PosedFrame(frame, len(self.keyframes) - 1, relative, ids.astype(np.int32), pixels.astype(np.float32))
+        )
+
+    def pose_of(self, posed: PosedFrame) -> Array:
+        return posed.from_keyframe @ self.keyframes[posed.keyframe].pose
+
+    def triangulate_new(self, window: int = WINDOW, min_angle: float = MIN_ANGLE) -> None:
+        """Points for the tracks that the latest keyframes see from far enough apart."""
+        recent = self.keyframes[-window:]
+        ids = np.concatenate([k.ids for k in recent])
+        row = np.repeat(np.arange(len(recent)), [len(k.ids) for k in recent])
+        take = ~self.known[ids] & ~self.barred[ids]
+        repeated = np.bincount(ids[take], minlength=len(self.known)) >= 2
+        order = np.flatnonzero(take & repeated[ids])
+        order = order[np.argsort(ids[order], kind="stable")]
+        if len(order) == 0:
+            return
+        tracks, point = np.unique(ids[order], return_inverse=True)
+        poses = np.stack([k.pose for k in recent])[row[order]]
+        seen = np.concatenate([k.seen for k in recent])[order]
+        gain = np.concatenate([k.gain for k in recent])[order]
+        found, error, angle = triangulate(poses[:, :3, :3], poses[:, :3, 3], point, len(tracks), seen, gain)
+        good = (error < MAX_BIRTH_ERROR_PX) & (angle > min_angle)
+        self.points[tracks[good]] = found[good]
+        self.known[tracks[good]] = True
+
+    def adjust(
+        self,
+        window: int = WINDOW,
+        iterations: int = WINDOW_ITERATIONS,
+        end: int | None = None,
+        loss_px: float = LOSS_PX,
+        max_error_px: float = MAX_ERROR_PX,
+    ) -> None:
+        """Bundle adjustment of the `window` keyframes before number `end` (the latest ones) and of their points.
+
+        Older keyframes that see those points hold the scene; without any, the first one does.
+        """
+        end = len(self.keyframes) if end is None else end
+        first = max(0, end - window)
+        free = self.keyframes[first:end]
+        bundle, tracks = self._bundle(self.keyframes[max(0, first - ANCHORS) : first], free)
+        if len(tracks) == 0:
+            return
+        result = adjust(bundle, iterations, loss_px)
+        held = len(bundle.rotation) - len(free)
+        for number, keyframe in enumerate(free, start=held):
+            keyframe.pose = compose(result.rotation[number], result.translation[number])
+        self.points[tracks] = result.points
+        self._cull(result, tracks, self.keyframes[first - held : end], max_error_px)
+
+    def _bundle(self, held: list[Keyframe], free: list[Keyframe]) -> tuple[Bundle, NDArray[np.int64]]:
+        """The problem, and the track number of each of its points."""
+        wanted = np.zeros(len(self.known), dtype=bool)
+        for keyframe in free:
+            wanted[keyframe.ids] = True
+        wanted &= self.known
+        cameras = held + free
+        masks = [wanted[k.ids] for k in cameras]
+        ids = np.concatenate([k.ids[m] for k, m in zip(cameras, masks, strict=True)])
+        tracks, point = np.unique(ids, return_inverse=True)
+        fixed = np.zeros(len(cameras), dtype=bool)
+        fixed[: max(1, len(held))] = True
+        poses = np.stack([k.pose for k in cameras])
+        bundle = Bundle(
+            poses[:, :3, :3],
+            poses[:, :3, 3],
+            self.points[tracks],
+            np.repeat(np.arange(len(cameras)), [int(m.sum()) for m in masks]),
+            point,
+            np.concatenate([k.seen[m] for k, m in zip(cameras, masks, strict=True)]),
+            np.concatenate([k.gain[m] for k, m in zip(cameras, masks, strict=True)]),
+            fixed,
+        )
+        return bundle, tracks
+
+    def _cull(self, bundle: Bundle, tracks: NDArray[np.int64], cameras: list[Keyframe], max_error_px: float) -> None:
+        """Forget observations that do not fit, and points that too few observations hold."""
+        local = np.einsum("mij,mj->mi", bundle.rotation[bundle.camera], bundle.points[bundle.point])
+        depth = local[:, 2] + bundle.translation[bundle.camera, 2]
+        bad = (bundle.errors() > max_error_px) | (depth <= 0)
+        if not bad.any():
+            return
+        left = np.bincount(bundle.point[~bad], minlength=len(tracks))
+        lost = tracks[left < 2]
+        self.known[lost] = False
+        self.barred[lost] = True
+        for number, keyframe in enumerate(cameras):
+            mine = bad & (bundle.camera == number)
+            if mine.any():
+                keyframe.keep(~np.isin(keyframe.ids, tracks[bundle.point[mine]]))
+
+    def forget_unused(self) -> None:
+        """Keyframes that left the window keep only tracks that became points."""
+        if len(self.keyframes) > WINDOW:
+            keyframe = self.keyframes[-WINDOW - 1]
+            keyframe.keep(self.known[keyframe.ids])
+
+    def median_depth(self, keyframe: Keyframe) -> float:
+        """Of the keyframe's points; 1 if it has none."""
+        points = self.points[keyframe.ids[self.known[keyframe.ids]]]
+        return float(np.median(in_camera(keyframe.pose, points)[:, 2])) if len(points) else 1.0

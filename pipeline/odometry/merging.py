@@ -1,0 +1,208 @@
+"""Submaps that saw the same place become one, on strong evidence only: a false merge is far worse than a missed one.
+
+Strong means: two or more pairs of places, at different keyframes, each with many matched points that one similarity
+explains in both images, and one and the same similarity for all of them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.odometry.local_map import LocalMap, PosedFrame
+from pipeline.odometry.outcome import polish
+from pipeline.odometry.places import Place, ReadFrame, find_places, look_alikes, match
+from pipeline.odometry.poses import Array, in_camera
+from pipeline.odometry.resection import reprojection_errors
+from pipeline.odometry.similarity import (
+    Side,
+    moved_points,
+    refine_similarity,
+    robust_similarity,
+    scale_of,
+    similarity_errors,
+)
+
+PER_PLACE = 3  # look-alikes tried
+MIN_INLIERS = 20
+MIN_INLIER_SHARE = 0.4  # of the matches; by chance a twentieth agrees
+MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
+MIN_PAIRS = 2  # of different keyframes on both sides
+SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
+MAX_SAME_PX = 8.0
+REACH = 4  # keyframes on each side in which a matched point is looked for
+MAX_TIE_PX = 12.0  # from where it should be there
+
+
+@dataclass(frozen=True)
+class Link:
+    """A pair of places that fit: similarity, the points matched (inliers only), and their rows in the places."""
+
+    places: tuple[Place, Place]
+    second_from_first: Array
+    first: Side
+    second: Side
+    rows: tuple[NDArray[np.int64], NDArray[np.int64]]
+
+    def keyframe(self, side: int) -> int:
+        return self.places[side].keyframe
+
+
+def polish_and_merge(maps: list[LocalMap], read: ReadFrame, seed: int) -> tuple[list[LocalMap], int]:
+    """Final maps, adjusted as wholes, and how many joins there were."""
+    for local_map in maps:
+        polish(local_map)
+    if len(maps) < 2:
+        return maps, 0
+    merged, joins = merge_maps(maps, read, seed)
+    for local_map in merged if joins else []:
+        polish(local_map, joined=True)
+    return merged, joins
+
+
+def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> tuple[list[LocalMap], int]:
+    """The maps with those joined that surely belong together, and how many joins there were."""
+    rng = np.random.default_rng(seed)
+    left, joins = [(m, find_places(m, read)) for m in maps], 0
+    merged: list[LocalMap] = []
+    while left:
+        base, places = left.pop(0)
+        number = 0
+        while number < len(left):
+            other, others = left[number]
+            links = find_links(base, places, other, others, rng, seed)
+            if not links:
+                number += 1
+                continue
+            places = places + absorb(base, places, other, others, links)
+            joins += 1
+            del left[number]
+            number = 0  # the grown map may now touch one that it did not before
+        merged.append(base)
+    return merged, joins
+
+
+def find_links(
+    first: LocalMap,
+    places: list[Place],
+    second: LocalMap,
+    others: list[Place],
+    rng: np.random.Generator,
+    seed: int,
+) -> list[Link]:
+    """The largest set of links that agree on one similarity; empty unless they are strong evidence."""
+    if not places or not others:
+        return []
+    links = []
+    for i, j in look_alikes(places, others, PER_PLACE, seed):
+        link = _link(first, places[i], second, others[j], rng)
+        if link is not None:
+            links.append(link)
+    best: list[Link] = []
+    for link in links:
+        agreeing = [other for other in links if _explains(link.second_from_first, other)]
+        if len(agreeing) > len(best):
+            best = agreeing
+    sides = [{link.keyframe(side) for link in best} for side in (0, 1)]
+    return best if best and min(len(side) for side in sides) >= MIN_PAIRS else []
+
+
+def _link(first: LocalMap, place: Place, second: LocalMap, other: Place, rng: np.random.Generator) -> Link | None:
+    pairs = match(place.descriptors, other.descriptors)
+    if len(pairs) < MIN_INLIERS:
+        return None
+    sides = []
+    for local_map, shown, rows in ((first, place, pairs[:, 0]), (second, other, pairs[:, 1])):
+        seen, gain = local_map.rays.look_up(shown.pixels[rows])
+        sides.append(Side(shown.points[rows], local_map.keyframes[shown.keyframe].pose, seen, gain))
+    found = robust_similarity(sides[0], sides[1], rng)
+    if found is None:
+        return None
+    similarity, inlier = found
+    pixels = place.pixels[pairs[inlier, 0]], other.pixels[pairs[inlier, 1]]
+    width = first.rays.camera.width
+    if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
+        return None
+    if min(_narrow_spread(p) for p in pixels) < MIN_SPREAD * width:
+        return None
+    inliers = pairs[inlier, 0], pairs[inlier, 1]
+    return Link((place, other), similarity, sides[0].at(inlier), sides[1].at(inlier), inliers)
+
+
+def _narrow_spread(pixels: Array) -> float:
+    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels.T))[0], 0)))
+
+
+def _explains(similarity: Array, link: Link) -> bool:
+    return float((similarity_errors(similarity, link.first, link.second) < MAX_SAME_PX).mean()) >= SAME_SHARE
+
+
+def absorb(base: LocalMap, shown: list[Place], other: LocalMap, places: list[Place], links: list[Link]) -> list[Place]:
+    """Bring `other` into `base`'s frame and tie the two by the matched points; returns its places in that frame.
+
+    shown, places: of `base` and of `other`.
+    """
+    base_from_other = np.linalg.inv(_joint(links))
+    scale = scale_of(base_from_other)
+    first_keyframe, first_track = len(base.keyframes), len(base.known)
+    base.reserve(first_track + len(other.known))
+    fresh = slice(first_track, first_track + len(other.known))
+    base.points[fresh] = moved_points(base_from_other, other.points)
+    base.known[fresh], base.barred[fresh] = other.known, other.barred
+    for keyframe in other.keyframes:
+        keyframe.pose, keyframe.ids = _in_frame(keyframe.pose, base_from_other, scale), keyframe.ids + first_track
+        base.keyframes.append(keyframe)
+    for posed in other.posed:
+        relative = posed.from_keyframe.copy()
+        relative[:3, 3] *= scale
+        ids = (posed.ids + first_track).astype(np.int32)
+        base.posed.append(PosedFrame(posed.frame, posed.keyframe + first_keyframe, relative, ids, posed.pixels))
+    for link in links:
+        _tie(base, link, (shown, places), (0, first_keyframe))
+    return [
+        Place(p.keyframe + first_keyframe, p.pixels, p.descriptors, moved_points(base_from_other, p.points))
+        for p in places
+    ]
+
+
+def _joint(links: list[Link]) -> Array:
+    """One similarity from the points of all links: one pair of views alone leaves the scale to its noise."""
+    best = max(links, key=lambda link: sum(_explains(link.second_from_first, other) for other in links))
+    return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
+
+
+def _in_frame(pose: Array, base_from_other: Array, scale: float) -> Array:
+    """A camera_from_world of the other map as one of the base's world and scale."""
+    moved = np.eye(4)
+    moved[:3, :3] = pose[:3, :3] @ (base_from_other[:3, :3] / scale).T
+    moved[:3, 3] = scale * pose[:3, 3] - moved[:3, :3] @ base_from_other[:3, 3]
+    return moved
+
+
+def _tie(base: LocalMap, link: Link, places: tuple[list[Place], list[Place]], offsets: tuple[int, int]) -> None:
+    """Matched points as tracks for the last adjustment: seen by both keyframes, and by neighbours of each in its own
+    map, since a point with one ray from either side says nothing of the scale between them."""
+    world = link.first.points
+    front = in_camera(base.keyframes[link.keyframe(1) + offsets[1]].pose, world)[:, 2] > 0
+    begun = base.tracks_in_use()
+    ids: NDArray[np.int64] = np.arange(begun, begun + int(front.sum()))
+    base.reserve(begun + len(ids))
+    base.points[ids], base.known[ids], base.barred[ids] = world[front], True, False
+    for side, offset in enumerate(offsets):
+        place, rows = link.places[side], link.rows[side][front]
+        base.extend(place.keyframe + offset, ids, place.pixels[rows])
+        for other in places[side]:
+            if 0 < abs(other.keyframe - place.keyframe) <= REACH:
+                _see_again(base, ids, place.descriptors[rows], other, other.keyframe + offset)
+
+
+def _see_again(
+    base: LocalMap, ids: NDArray[np.int64], descriptors: NDArray[np.float32], place: Place, number: int
+) -> None:
+    """Observations of tracks in another keyframe, where its features look alike and lie where the points project to."""
+    pairs = match(descriptors, place.descriptors)
+    if len(pairs) == 0:
+        return
+    seen, gain = base.rays.look_up(place.pixels[pairs[:, 1]])
+    near = reprojection_errors(base.keyframes[number].pose, base.points[ids[pairs[:, 0]]], seen, gain) < MAX_TIE_PX
+    base.extend(number, ids[pairs[near, 0]], place.pixels[pairs[near, 1]])

@@ -1,0 +1,110 @@
+"""Places: keyframes' SIFT features with their points in the map, and which of two maps' places look alike.
+
+The tracker's corners sit wherever a cell of its grid was empty, so a second visit finds others. SIFT finds the same
+ones again. Their depth is interpolated from the map's points around them: a few percent off, which two views of one
+place forgive, and far more of them get one than by matching neighbours.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+
+from pipeline.loop_pairs import vlad
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.poses import Array, in_camera, inverse
+
+ReadFrame = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # frame -> rgb (H,W,3), mask (H,W)
+
+FEATURES = 1000
+CONTRAST = 0.008  # a fifth of OpenCV's: mucosa has weak contrast
+RATIO = 0.85  # best over second-best distance
+MIN_POINTS = 25  # of a place worth remembering
+MAX_PLACES = 60  # of a map
+WORDS = 32
+SAMPLE = 20_000
+
+
+@dataclass(frozen=True)
+class Place:
+    """keyframe: its number in the map. pixels (N,2), descriptors (N,128), points (N,3) in the map's world."""
+
+    keyframe: int
+    pixels: Array
+    descriptors: NDArray[np.float32]
+    points: Array
+
+
+def find_places(local_map: LocalMap, read: ReadFrame) -> list[Place]:
+    """Evenly spaced places of a map; images are read again from where they are stored."""
+    step = -(-len(local_map.keyframes) // MAX_PLACES)
+    places = [
+        _place(local_map, number, *read(k.frame)) for number, k in enumerate(local_map.keyframes) if number % step == 0
+    ]
+    return [place for place in places if len(place.points) >= MIN_POINTS]
+
+
+def match(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.int64]:
+    """(K,2) rows of descriptors that are each other's nearest and clearly nearer than the second nearest."""
+    if len(first) < 2 or len(second) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    distance = np.sqrt(np.maximum((first**2).sum(1)[:, None] + (second**2).sum(1)[None] - 2 * first @ second.T, 0))
+    row = np.arange(len(first))
+    nearest = distance.argmin(axis=1)
+    best = distance[row, nearest]
+    mutual = distance.argmin(axis=0)[nearest] == row
+    others = distance.copy()
+    others[row, nearest] = np.inf
+    good = mutual & (best < RATIO * others.min(axis=1))
+    return np.stack([row[good], nearest[good]], axis=1)
+
+
+def look_alikes(first: list[Place], second: list[Place], per_place: int, seed: int) -> list[tuple[int, int]]:
+    """Pairs of rows whose signatures (VLAD, see pipeline/loop_pairs.py) are nearest, most alike first."""
+    words = _words(np.concatenate([p.descriptors for p in first + second]), seed)
+    one = np.stack([vlad(p.descriptors, words) for p in first])
+    other = np.stack([vlad(p.descriptors, words) for p in second])
+    likeness = one @ other.T
+    order = np.argsort(-likeness, axis=1, kind="stable")[:, :per_place]
+    pairs = [(float(-likeness[i, j]), i, int(j)) for i in range(len(first)) for j in order[i]]
+    return [(i, j) for _, i, j in sorted(pairs)]
+
+
+def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Array, NDArray[np.float32]]:
+    """Pixels (N,2), COLMAP's convention, and RootSIFT descriptors (N,128)."""
+    detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=CONTRAST)
+    keypoints, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), mask)
+    if descriptors is None:
+        return np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32)
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))
+    return np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5, root.astype(np.float32)
+
+
+def _place(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Place:
+    """SIFT features within the hull of the keyframe's map points; inverse depth is linear across a plane's image."""
+    keyframe = local_map.keyframes[number]
+    pixels, descriptors = sift(rgb, mask)
+    known = local_map.known[keyframe.ids]
+    nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros((0, 3)))
+    if known.sum() < MIN_POINTS or len(pixels) == 0:
+        return nowhere
+    depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
+    front = depth > 0
+    inverse_depth = LinearNDInterpolator(keyframe.pixels[known][front], 1 / depth[front])(pixels)
+    good = np.isfinite(inverse_depth)
+    seen, _ = local_map.rays.look_up(pixels[good])
+    local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]
+    return Place(number, pixels[good], descriptors[good], in_camera(inverse(keyframe.pose), local))
+
+
+def _words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
+    """(WORDS,128) k-means centres of a sample."""
+    if len(descriptors) > SAMPLE:
+        chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
+        descriptors = descriptors[np.sort(chosen)]
+    cv2.setRNGSeed(seed + 1)
+    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
+    return cv2.kmeans(descriptors, min(WORDS, len(descriptors)), None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]

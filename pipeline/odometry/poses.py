@@ -1,0 +1,47 @@
+"""Pose algebra on stacks: rotation (N,3,3) and translation (N,3) of `camera_from_world`; tangent rotation first."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.floating[Any]]
+
+
+def exp_rotation(vectors: Array) -> Array:
+    """(N,3) rotation vectors -> (N,3,3)."""
+    return Rotation.from_rotvec(vectors).as_matrix()
+
+
+def moved(rotation: Array, translation: Array, tangent: Array) -> tuple[Array, Array]:
+    """Poses after the left update exp(w) x + v, tangent (N,6) = (w, v)."""
+    turn = exp_rotation(tangent[:, :3])
+    return turn @ rotation, np.einsum("nij,nj->ni", turn, translation) + tangent[:, 3:]
+
+
+def inverse(pose: Array) -> Array:
+    """The rigid 4x4 inverse; exact where `np.linalg.inv` would let rounding creep into the rotation."""
+    result = np.eye(4)
+    result[:3, :3] = pose[:3, :3].T
+    result[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return result
+
+
+def compose(rotation: Array, translation: Array) -> Array:
+    """(3,3) and (3,) -> 4x4, with the rotation brought back to the nearest true one."""
+    u, _, vt = np.linalg.svd(rotation)
+    pose = np.eye(4)
+    pose[:3, :3] = u @ vt
+    pose[:3, 3] = translation
+    return pose
+
+
+def in_camera(camera_from_world: Array, points: Array) -> Array:
+    """World points (N,3) in the axes of one camera."""
+    return points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+
+
+def angle_between(first: Array, second: Array) -> float:
+    """Angle of the rotation between two poses, radians."""
+    return float(Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).magnitude())

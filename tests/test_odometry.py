@@ -1,0 +1,267 @@
+"""The streaming front end on rendered views of a textured tube: tracking, loss, submaps, joining, what it writes."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.transform import Rotation
+
+from pipeline.camera import Camera
+from pipeline.config import Config
+from pipeline.errors import HaustraError
+from pipeline.frames import Frames, write_image
+from pipeline.odometry.features import detect, follow, make_view
+from pipeline.odometry.merging import polish_and_merge
+from pipeline.odometry.odometry import Odometry
+from pipeline.odometry.outcome import to_submap
+from pipeline.odometry.places import match
+from pipeline.odometry.rays import RayTable
+from pipeline.progress import SilentProgress
+from pipeline.structure import solve_structure
+from pipeline.workspace import Workspace
+from reconstruction.trajectory import trajectory_errors
+
+SIZE = 192
+CAMERA = Camera("PINHOLE", SIZE, SIZE, (96.0, 96.0, 96.0, 96.0))
+RADIUS = 20.0
+MASK = np.full((SIZE, SIZE), 255, dtype=np.uint8)
+
+
+def wall_texture(seed=0):
+    """(angle, height) -> reflectance: blotches from a pixel's size to a fold's."""
+    rng = np.random.default_rng(seed)
+    layers = [gaussian_filter(rng.normal(size=(720, 1200)), s, mode="wrap") for s in (2.0, 4.0, 9.0)]
+    summed = sum(layer / layer.std() for layer in layers)
+    return 0.5 + 0.12 * summed
+
+
+TEXTURE = wall_texture()
+
+
+def camera_at(k, step=0.8):
+    """world_from_camera of frame k: along the axis, off it, with a little sway."""
+    pose = np.eye(4)
+    turn = [2 * np.sin(0.11 * k), 3 * np.sin(0.07 * k + 1), 4 * np.sin(0.05 * k)]
+    pose[:3, :3] = Rotation.from_euler("xyz", turn, degrees=True).as_matrix()
+    pose[:3, 3] = [3 * np.sin(0.09 * k), 2.5 * np.cos(0.06 * k), step * k]
+    return pose
+
+
+def render(pose):
+    """The tube under a lamp at the camera: exact intersection of each pixel's ray with the cylinder."""
+    columns, rows = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
+    rays = np.stack([(columns - 96) / 96, (rows - 96) / 96, np.ones_like(rows)], axis=-1) @ pose[:3, :3].T
+    centre = pose[:3, 3]
+    a = (rays[..., :2] ** 2).sum(-1)
+    b = (rays[..., :2] * centre[:2]).sum(-1)
+    length = (-b + np.sqrt(b * b - a * ((centre[:2] ** 2).sum() - RADIUS**2))) / np.maximum(a, 1e-9)
+    hit = centre + length[..., None] * rays
+    place = [(np.arctan2(hit[..., 1], hit[..., 0]) / (2 * np.pi) % 1) * 720, hit[..., 2] * 6.0]
+    reflectance = map_coordinates(TEXTURE, place, order=1, mode="grid-wrap")
+    distance = np.linalg.norm(hit - centre, axis=-1)
+    value = np.clip(255 * reflectance * np.minimum((22 / np.maximum(distance, 1)) ** 2, 1.6), 0, 245)
+    return np.repeat(value[..., None], 3, axis=2).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """40 frames and their true poses."""
+    poses = [camera_at(k) for k in range(40)]
+    return [render(pose) for pose in poses], np.stack(poses)
+
+
+def run(images, seed=0, mask=MASK):
+    odometry = Odometry(RayTable(CAMERA), seed)
+    states = [odometry.feed(k, image, mask) for k, image in enumerate(images)]
+    return odometry.finish(), states
+
+
+@pytest.fixture(scope="module")
+def whole(clip):
+    maps, _ = run(clip[0])
+    merged, _ = polish_and_merge(maps, lambda k: (clip[0][k], MASK), 0)
+    return [to_submap(m, CAMERA.params) for m in merged]
+
+
+def test_a_clip_is_posed_whole_and_right(clip, whole):
+    (submap,) = whole
+    assert len(submap.frames) >= 38
+    errors = trajectory_errors(submap.world_from_camera, clip[1][submap.frames])
+    path = np.linalg.norm(np.diff(clip[1][:, :3, 3], axis=0), axis=1).sum()
+    assert errors.ate_rmse < 0.01 * path
+    assert errors.rotation_median_deg < 1.0
+
+
+def test_points_lie_on_the_wall_and_project_to_what_was_seen(clip, whole):
+    (submap,) = whole
+    truth = clip[1][submap.frames]
+    errors = trajectory_errors(submap.world_from_camera, truth)
+    depth = submap.depths()
+    frame, point = submap.observations.T
+    local = np.einsum(
+        "mji,mj->mi", submap.world_from_camera[frame, :3, :3], submap.points[point] - submap.centres[frame]
+    )
+    off = np.linalg.norm(CAMERA.project(local) - submap.pixels, axis=1)
+    assert (depth > 0).all()
+    assert off.max() < 2.1
+    summed = np.bincount(point, off) / np.bincount(point)
+    np.testing.assert_allclose(summed, submap.error_px, atol=1e-6)
+    world = truth[frame, :3, 3] + np.einsum("mij,mj->mi", truth[frame, :3, :3], local * errors.scale)
+    assert np.median(np.abs(np.hypot(world[:, 0], world[:, 1]) - RADIUS)) < 0.05 * RADIUS
+
+
+def test_the_same_seed_gives_the_same_result(clip):
+    first, second = (run(clip[0][:22], seed=3)[0] for _ in range(2))
+    assert len(first) == len(second) == 1
+    one, other = (to_submap(maps[0], CAMERA.params) for maps in (first, second))
+    np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
+    np.testing.assert_array_equal(one.points, other.points)
+
+
+def test_loss_begins_a_second_map_and_a_place_seen_again_joins_them(clip):
+    """Black frames, then the way back: the second map sees what the first one saw."""
+    images = clip[0][:26] + [np.zeros_like(clip[0][0])] * 12 + clip[0][25:8:-1]
+    order = [*range(26), *[-1] * 12, *range(25, 8, -1)]
+    maps, states = run(images)
+    assert "lost" in states
+    assert len(maps) == 2
+    merged, joins = polish_and_merge(maps, lambda k: (images[k], MASK), 0)
+    assert (len(merged), joins) == (1, 1)
+    submap = to_submap(merged[0], CAMERA.params)
+    truth = clip[1][[order[k] for k in submap.frames]]
+    assert submap.frames[-1] > 38 > submap.frames[0]
+    assert trajectory_errors(submap.world_from_camera, truth).ate_rmse < 0.5
+
+
+def test_other_places_are_not_joined(clip):
+    """The same tube with another wall: nothing in common but its shape."""
+    maps, _ = run(clip[0][:20])
+    global TEXTURE
+    kept = TEXTURE
+    try:
+        TEXTURE = wall_texture(seed=9)
+        others = [render(camera_at(k)) for k in range(20)]
+    finally:
+        TEXTURE = kept
+    more, _ = run(others)
+    images = {id(maps[0]): clip[0], id(more[0]): others}
+    for local_map in more:
+        for keyframe in local_map.keyframes:
+            keyframe.frame += 1000
+
+    def read(k):
+        return (images[id(more[0])][k - 1000] if k >= 1000 else images[id(maps[0])][k]), MASK
+
+    merged, joins = polish_and_merge(maps + more, read, 0)
+    assert (len(merged), joins) == (2, 0)
+
+
+@pytest.mark.parametrize("kind", ["black", "white", "frozen", "noise", "masked"])
+def test_useless_video_gives_no_map_and_no_crash(clip, kind):
+    rng = np.random.default_rng(0)
+    images = {
+        "black": [np.zeros((SIZE, SIZE, 3), np.uint8)] * 12,
+        "white": [np.full((SIZE, SIZE, 3), 255, np.uint8)] * 12,
+        "frozen": [clip[0][0]] * 12,
+        "noise": [rng.integers(0, 255, (SIZE, SIZE, 3), dtype=np.uint8) for _ in range(12)],
+        "masked": clip[0][:12],
+    }[kind]
+    maps, states = run(images, mask=np.zeros_like(MASK) if kind == "masked" else MASK)
+    assert maps == []
+    assert set(states) == {"starting"}
+
+
+def test_a_pause_and_a_jump_do_not_end_the_map(clip):
+    """The camera rests for ten frames; later three frames are dropped."""
+    images = clip[0][:20] + [clip[0][19]] * 10 + clip[0][20:24] + clip[0][27:34]
+    maps, _ = run(images)
+    assert len(maps) == 1
+    assert to_submap(maps[0], CAMERA.params).frames[-1] == len(images) - 1
+
+
+def test_images_without_the_lamp_survive_a_change_of_light(clip):
+    """Half the light and another gamma: tracks must not move by more than a tenth of a pixel."""
+    darker = (255 * (clip[0][0] / 255.0 * 0.5) ** 0.8).astype(np.uint8)
+    first, second = make_view(clip[0][0], MASK), make_view(darker, MASK)
+    places = detect(first, np.zeros((0, 2), np.float32), 12)
+    now, found = follow(first, second, places, places)
+    assert len(places) > 100
+    assert found.mean() > 0.9
+    assert np.median(np.abs(now - places)[found]) < 0.1
+
+
+def test_tracks_follow_a_known_shift(clip):
+    image = clip[0][0]
+    cuts = image[:160, :160], image[3:163, 5:165]
+    first, second = (make_view(np.ascontiguousarray(cut), MASK[:160, :160]) for cut in cuts)
+    places = detect(first, np.zeros((0, 2), np.float32), 12)
+    now, found = follow(first, second, places, places)
+    assert found.mean() > 0.6
+    np.testing.assert_allclose(np.median((now - places)[found], axis=0), [-5, -3], atol=0.05)
+
+
+def test_new_corners_keep_away_from_old_ones(clip):
+    view = make_view(clip[0][0], MASK)
+    places = detect(view, np.zeros((0, 2), np.float32), 12)
+    assert len(detect(view, places, 12)) < 0.1 * len(places)
+    cells = np.unique(np.floor(places / 12), axis=0)
+    assert len(cells) == len(places)
+
+
+def test_matches_are_mutual_and_clear():
+    rng = np.random.default_rng(0)
+    descriptors = rng.normal(size=(40, 128)).astype(np.float32)
+    shuffled = rng.permutation(40)
+    noisy = descriptors[shuffled] + 0.05 * rng.normal(size=(40, 128)).astype(np.float32)
+    pairs = match(descriptors, noisy)
+    assert len(pairs) == 40
+    assert (shuffled[pairs[:, 1]] == pairs[:, 0]).all()
+    assert len(match(descriptors, np.concatenate([noisy, noisy]))) == 0
+
+
+def stored(tmp_path, images):
+    workspace = Workspace(tmp_path)
+    for folder in (workspace.images, workspace.masks, workspace.log):
+        folder.mkdir()
+    import cv2
+
+    for k, image in enumerate(images):
+        write_image(workspace.image_path(k), image)
+        cv2.imwrite(str(workspace.mask_path(k)), MASK)
+    index = np.arange(len(images))
+    return workspace, Frames(index, index / 30.0, CAMERA, MASK, {"used": len(images)})
+
+
+def test_the_structure_stage_gives_the_same_kind_of_submap_as_colmap(clip, tmp_path):
+    workspace, frames = stored(tmp_path, clip[0][:30])
+    config = Config(front_end="odometry")
+    (submap,) = solve_structure(frames, config, workspace, SilentProgress())
+    assert np.median(submap.depths()) == pytest.approx(1.0)
+    assert workspace.result("structure")["mapper"] == "odometry"
+    again = solve_structure(frames, config, workspace, SilentProgress())
+    np.testing.assert_array_equal(again[0].points, submap.points)
+
+
+def test_the_model_on_disk_is_one_that_colmap_reads(clip, tmp_path):
+    import subprocess
+    import sys
+
+    workspace, frames = stored(tmp_path, clip[0][:24])
+    (submap,) = solve_structure(frames, Config(front_end="odometry"), workspace, SilentProgress())
+    code = (
+        "import cv2, sys, pycolmap; m = pycolmap.Reconstruction(sys.argv[1]); i = m.find_image_with_name('000010.jpg');"
+        "print(m.num_reg_images(), m.num_points3D(), m.compute_mean_reprojection_error(), *i.projection_center())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(workspace.models / "0")], capture_output=True, text=True, check=True
+    )
+    images, points, _, *centre = done.stdout.split()
+    assert (int(images), int(points)) == (len(submap.frames), len(submap.points))
+    unit = workspace.result("structure")["units"][0]
+    row = np.flatnonzero(submap.frames == 10)[0]
+    np.testing.assert_allclose(np.array(centre, float) / unit, submap.centres[row], atol=1e-9)
+
+
+def test_a_camera_that_does_not_move_is_one_sentence(clip, tmp_path):
+    workspace, frames = stored(tmp_path, [clip[0][0]] * 5)
+    with pytest.raises(HaustraError, match="does not move"):
+        solve_structure(frames, Config(front_end="odometry"), workspace, SilentProgress())
