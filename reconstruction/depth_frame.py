@@ -20,6 +20,7 @@ class DepthFrame:
     colour: NDArray[np.float32]  # (H,W,3) 0..255
     depth: Image  # (H,W) z-depth, 0 where nothing usable was measured
     confidence: Image  # (H,W) in [0,1], 0 wherever depth is 0
+    weight: Image  # (H,W) >= 0: how well the depth fixes the surface's place; 0 wherever depth is 0
     centred_intrinsics: NDArray[np.float64]  # (3,3), the top-left pixel's centre at (0,0)
     camera_from_world: NDArray[np.float64]  # (4,4)
 
@@ -32,11 +33,16 @@ def prepare_frame(
     world_from_camera: NDArray[np.float64],
     max_depth: float,
     max_grazing_deg: float,
+    typical_depth: float,
 ) -> DepthFrame:
-    """Check shapes, move the pixel origin from COLMAP's corner to Open3D's centre, drop unusable depth.
+    """Check shapes, move the pixel origin from COLMAP's corner to Open3D's centre, drop unusable depth, weigh the rest.
 
     NaN, infinite, non-positive and farther than `max_depth` count as no depth; so do pixels that see their surface
     at more than `max_grazing_deg` from its normal, and pixels whose confidence is NaN or not positive.
+
+    The weight is the inverse variance of the surface's place, up to a factor. Confidence is about the relative error,
+    so a wall twice as far is twice as uncertain; and a ray that meets it at a slant of cosine c is off by 1/c as much
+    for the same pixel. It is the confidence itself for a wall met head-on at `typical_depth`.
     """
     _check_shapes(rgb, depth, confidence, intrinsics, world_from_camera)
     centred = np.array(intrinsics, np.float64)
@@ -44,11 +50,15 @@ def prepare_frame(
     trust = np.ones(depth.shape, np.float32) if confidence is None else np.asarray(confidence, np.float32)
     usable = np.isfinite(depth) & (depth > 0) & (depth <= max_depth) & (trust > 0)
     clean = np.where(usable, depth, 0).astype(np.float32)
-    usable &= view_cosine(clean, centred) >= np.cos(np.radians(max_grazing_deg))
+    cosine = view_cosine(clean, centred)
+    usable &= cosine >= np.cos(np.radians(max_grazing_deg))
+    confidence_there = np.where(usable, np.minimum(trust, 1), np.float32(0))
+    nearness = np.float32(typical_depth) / np.where(usable, clean, np.float32(np.inf))
     return DepthFrame(
         colour=rgb.astype(np.float32),
         depth=np.where(usable, clean, np.float32(0)),
-        confidence=np.where(usable, np.minimum(trust, 1), np.float32(0)),
+        confidence=confidence_there,
+        weight=confidence_there * (cosine * nearness) ** 2,
         centred_intrinsics=centred,
         camera_from_world=np.linalg.inv(world_from_camera).astype(np.float64),
     )

@@ -1,9 +1,9 @@
 """Confidence-weighted fusion of depth images into one surface: a truncated signed distance in sparse voxels.
 
 Curless and Levoy, "A volumetric method for building complex models from range images", SIGGRAPH 1996: every voxel
-keeps a running average of its signed distance to the surface along the camera's axis, here weighted by the depth's
-confidence, which Open3D's own `integrate` cannot do. Nothing is filled in: a cell becomes surface only if all of its
-eight corners were observed.
+keeps a running average of its signed distance to the surface along the camera's axis, here weighted by how well each
+depth fixes the surface's place (confidence, distance, slant), which Open3D's own `integrate` cannot do. Nothing is
+filled in: a cell becomes surface only if all of its eight corners were observed.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ COARSEST_STRIDE = 4  # pixels between the rays along which blocks are touched
 STEP_OF_BLOCK = 0.6  # between the points along such a ray
 PIXELS_PER_VOXEL = 2.5
 FINEST_RELATIVE_VOXEL = 0.01  # of the median depth
+TYPICAL_DEPTH_VOXELS = 100  # the depth, met head-on, at which a pixel weighs as much as its confidence
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class FusionSettings:
     max_grazing_deg: float = 80.0
     """Angle between ray and normal beyond which neither a pixel nor a crossing of the distance field is believed."""
     min_evidence: float = 0.0
-    """Sum of confidences below which a corner of a cell is not used."""
+    """Sum of weights below which a corner of a cell is not used."""
     min_observations: int = 1
     """Frames that must have seen a surface within the truncation of each of a cell's eight corners; 2 removes most
     floating bits and costs 1 to 6 % of completeness."""
@@ -105,6 +106,7 @@ class SurfaceFusion:
             world_from_camera,
             self.settings.max_depth,
             self.settings.max_grazing_deg,
+            TYPICAL_DEPTH_VOXELS * self.settings.voxel_size,
         )
         used = int(np.count_nonzero(frame.depth))
         if used:
@@ -179,7 +181,7 @@ class SurfaceFusion:
         truncation = np.float32(self.settings.truncation * self.settings.voxel_size)
         distance = frame.depth.reshape(-1).take(pixel) - z
         confidence = frame.confidence.reshape(-1).take(pixel)
-        weight = confidence * (seen & (distance > -truncation))
+        weight = frame.weight.reshape(-1).take(pixel) * (seen & (distance > -truncation))
         evidence = self._grid.channel("evidence")[rows, :, 0] + weight
         share = weight / np.maximum(evidence, np.float32(1e-12))
         self._grid.channel("evidence")[rows, :, 0] = evidence

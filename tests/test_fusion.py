@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from reconstruction.depth_frame import view_cosine
+from reconstruction.depth_frame import prepare_frame, view_cosine
 from reconstruction.errors import ReconstructionError
 from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.mesh import SurfaceMesh, drop_small_components
@@ -134,6 +134,28 @@ def test_the_surface_lies_where_the_confidence_is():
     mesh = fuse([np.eye(4)] * 2, [wall(20), wall(21)], [sure, unsure])
     np.testing.assert_allclose(mesh.vertices[:, 2], 20.1, atol=0.02)
     np.testing.assert_allclose(mesh.confidence, 0.82, atol=0.01)
+
+
+def test_two_views_with_equal_relative_errors_meet_where_inverse_variance_says():
+    """A wall at z = 10, judged 2 % too far from 10 away and 2 % too near from 20: 0.2 and -0.4."""
+    near, far = np.eye(4), np.eye(4)
+    far[2, 3] = -10
+    mesh = fuse([near, far], [wall(10.2), wall(19.6)], voxel_size=0.1, truncation=12.0)
+    middle = np.linalg.norm(mesh.vertices[:, :2], axis=1) < 2  # elsewhere the rays slant differently
+    weight = (19.6 / 10.2) ** 2  # of the near view against the far one
+    np.testing.assert_allclose(mesh.vertices[middle, 2], 10 + (0.2 * weight - 0.4) / (weight + 1), atol=0.006)
+
+
+def test_the_weight_is_confidence_over_the_variance_of_the_place():
+    tilted = (30 / (1 + 0.8 * pixel_rays()[..., 0])).astype(np.float32)  # the plane z + 0.8 x = 30
+    confidence = np.full((SIZE, SIZE), 0.6, np.float32)
+    frame = prepare_frame(RED, tilted, confidence, INTRINSICS, np.eye(4), 1e3, 80.0, typical_depth=25.0)
+    rays = pixel_rays()
+    cosine = (rays @ [0.8, 0, 1]) / np.linalg.norm(rays, axis=-1) / np.hypot(0.8, 1)
+    expected = 0.6 * (cosine * 25 / tilted) ** 2
+    seen = cosine > 0.25
+    np.testing.assert_allclose(frame.weight[seen], expected[seen], rtol=0.05)
+    assert (frame.weight[cosine < 0.16] == 0).all()  # beyond the grazing limit of 80 degrees
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
