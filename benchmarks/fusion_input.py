@@ -4,12 +4,14 @@
 
 RUN must be a finished run of the folder's frames. All are fused by the same code and ranges, at the same keyframes and
 poses; the surfaces are compared as `haustra compare` does. `the run's own` is the depth that the run wrote; each
-`--model` completes the same sparse points anew. Linear: Delaunay interpolation of each keyframe's sparse depth, nothing
+`--model` completes the same sparse points anew. Each is fused with and without its confidence, and with and without the
+consistency check. Linear: Delaunay interpolation of each keyframe's sparse depth, nothing
 outside the hull. True depth is divided by the scale of the path.
 """
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,7 +20,9 @@ from scipy.interpolate import LinearNDInterpolator
 
 from completion import DepthCompleter
 from pipeline.camera import read_camera
-from pipeline.dense import Keyframe, planned_keyframes
+from pipeline.config import Config
+from pipeline.consistency import ConsistencyCheck
+from pipeline.dense import DenseSubmap, Keyframe, planned_keyframes
 from pipeline.frames import load_frames
 from pipeline.sparse_depth import SparseDepthMaker
 from pipeline.structure import load_structure
@@ -82,19 +86,50 @@ def main() -> None:
         "true depth": lambda row, keyframe: (true_depth(arguments.folder, keyframe.index, scale), None),
     }
     truth, figures = observed_truth(arguments.folder), {}
+    keyframes = [part.keyframe(int(row)) for row in part.rows]
     for name, source in sources.items():
-        fusion = SurfaceFusion(fusion_settings(part, config))
-        for row in part.rows:
-            keyframe = part.keyframe(int(row))
-            depth, confidence = source(int(row), keyframe)
-            if confidence is not None:
-                confidence = np.where(confidence < config.fusion.min_confidence, 0, confidence)
-            fusion.integrate(keyframe.rgb, depth, confidence, part.camera.matrix, keyframe.world_from_camera)
-        mesh = drop_small_components(fusion.extract(), config.fusion.min_component)[0].transformed(truth_from_run)
-        errors = surface_errors(mesh, truth, 1.0, np.random.default_rng(0))
-        figures[name] = {"f_score": errors.f_score, "precision": errors.precision, "recall": errors.recall}
-        print(f"{name:14} {errors}", flush=True)
+        made = [source(int(row), keyframe) for row, keyframe in zip(part.rows, keyframes, strict=True)]
+        for weights, confidences in weighted(made, part, keyframes, config).items():
+            fusion = SurfaceFusion(fusion_settings(part, config))
+            for keyframe, (depth, _), confidence in zip(keyframes, made, confidences, strict=True):
+                fusion.integrate(keyframe.rgb, depth, confidence, part.camera.matrix, keyframe.world_from_camera)
+            mesh = drop_small_components(fusion.extract(), config.fusion.min_component)[0].transformed(truth_from_run)
+            errors = surface_errors(mesh, truth, 1.0, np.random.default_rng(0))
+            figure = {"f_score": errors.f_score, "precision": errors.precision, "recall": errors.recall}
+            figures[f"{name}, {weights}"] = figure
+            print(f"{name:14} {weights:28} {errors}", flush=True)
     write(arguments.json, {"run": arguments.run.name, "keyframes": len(part), "figures": figures})
+
+
+def weighted(
+    made: list[tuple[np.ndarray, np.ndarray | None]], part: DenseSubmap, keyframes: list[Keyframe], config: Config
+) -> dict[str, list[np.ndarray]]:
+    """Confidences to fuse with: none, the depth's own where it has one, and either lowered by the neighbours."""
+    check = ConsistencyCheck(FusedFrames(part, keyframes, [depth for depth, _ in made]), config.consistency)
+    known = [(depth > 0).astype(np.float32) for depth, _ in made]
+    variants = {"no confidence": known}
+    if all(confidence is not None for _, confidence in made):
+        floor = config.fusion.min_confidence
+        variants["confidence"] = [np.where(c < floor, 0, c).astype(np.float32) for _, c in made]
+    lowered = {}
+    for name, confidences in variants.items():
+        judged = (check.confidence(place, confidence) for place, confidence in enumerate(confidences))
+        lowered[f"{name} + consistency"] = [np.zeros_like(k) if c is None else c for c, k in zip(judged, known)]
+    return variants | lowered
+
+
+class FusedFrames:
+    """A submap's keyframes with another depth, as far as the consistency check looks at them."""
+
+    def __init__(self, part: DenseSubmap, keyframes: list[Keyframe], depths: list[np.ndarray]) -> None:
+        self.camera, self.rows = part.camera, np.arange(len(keyframes))
+        self._frames = [replace(k, depth=d.astype(np.float32)) for k, d in zip(keyframes, depths, strict=True)]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def keyframe(self, row: int) -> Keyframe:
+        return self._frames[row]
 
 
 if __name__ == "__main__":

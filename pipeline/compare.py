@@ -1,4 +1,4 @@
-"""A run against truth: the camera path's error, and the surface's, each with protocol, unit and count."""
+"""A run against truth: errors of the camera path, the surface and the coverage, each with protocol, unit and count."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -8,8 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.coverage import measure_submap
+from pipeline.dense import planned_keyframes
 from pipeline.errors import HaustraError
-from pipeline.workspace import damage_named, open_workspace
+from pipeline.frames import load_frames
+from pipeline.structure import load_structure
+from pipeline.surface import load_surfaces
+from pipeline.workspace import Workspace, damage_named, open_workspace
+from reconstruction.centreline import NotATube
+from reconstruction.coverage_truth import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.export import read_mesh
 from reconstruction.observed_truth import ObservedTruth, observed_truth
 from reconstruction.surface_metrics import SurfaceErrors, surface_errors
@@ -26,7 +33,10 @@ from reconstruction.trajectory import (
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of the main submap; `surface` is None where the truth has none, `se3` where the run has no millimetres."""
+    """Errors of the main submap; `surface` is None where the truth has none, `se3` where the run has no millimetres.
+
+    `coverage` is a sentence where the run is no tube, and None where the truth does not know what was seen.
+    """
 
     posed: int
     total: int
@@ -34,6 +44,7 @@ class Comparison:
     se3: TrajectoryErrors | None
     simcol3d: SimCol3DErrors
     surface: SurfaceErrors | None
+    coverage: CoverageErrors | str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -55,6 +66,8 @@ class Comparison:
         )
         if self.surface is not None:
             lines.append(f"surface     {self.surface}")
+        if self.coverage is not None:
+            lines.append(f"coverage    {self.coverage}")
         return "\n".join(lines)
 
 
@@ -83,11 +96,27 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    surface = None
+    surface, coverage = None, None
     if points is not None:
-        mesh = read_mesh(workspace.mesh).transformed(align_poses(estimated, true))
+        truth_from_run = align_poses(estimated, true)
+        mesh = read_mesh(workspace.mesh).transformed(truth_from_run)
         surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
-    return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface)
+        coverage = _coverage(workspace, truth_from_run, truth)
+    return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface, coverage)
+
+
+def _coverage(workspace: Workspace, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:
+    """The run's own coverage, moved to the truth, against the true wall's own flags."""
+    wall = read_true_wall(truth / "mesh.ply") if truth.is_dir() and (truth / "mesh.ply").exists() else None
+    if wall is None:
+        return None
+    frames = load_frames(workspace)
+    part = planned_keyframes(frames, load_structure(workspace), workspace)[0]
+    try:
+        coverage = measure_submap(part, load_surfaces(workspace)[0])
+    except NotATube as reason:
+        return f"not judged: {reason}"
+    return coverage_errors(coverage.transformed(truth_from_run), wall)
 
 
 def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], ObservedTruth | None]:

@@ -76,6 +76,15 @@ class FusionSettings(Settings):
     min_component: float = Field(0.02, ge=0, le=1, description="share of the area; smaller pieces float")
 
 
+class ConsistencySettings(Settings):
+    """What neighbouring keyframes say against a depth, before it is fused."""
+
+    steps: tuple[int, ...] = Field((2, 5, 10), description="keyframes away, before and after; the nearest err alike")
+    tolerance: float = Field(0.04, gt=0, lt=1, description="relative; two to three times the error of completed depth")
+    severity: float = Field(6.0, ge=0, description="one contradiction against none divides the confidence by 1 + this")
+    max_contradicted: float = Field(0.5, gt=0, le=1, description="share of pixels beyond which a keyframe is left out")
+
+
 class Config(Settings):
     """The whole run. Saved, resolved, in `run.yaml`."""
 
@@ -90,6 +99,7 @@ class Config(Settings):
     structure: StructureSettings = StructureSettings()
     sparse: SparseSettings = SparseSettings()
     depth: DepthSettings = DepthSettings()
+    consistency: ConsistencySettings = ConsistencySettings()
     fusion: FusionSettings = FusionSettings()
 
 

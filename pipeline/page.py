@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.coverage import Judgement
 from pipeline.dense import DenseSubmap
 from pipeline.figures import frame_figure, path_figure, png
 from pipeline.frames import Frames
@@ -29,16 +30,18 @@ def write_page(
     frames: Frames,
     dense: list[DenseSubmap],
     surfaces: list[Surface],
+    coverage: list[Judgement],
     metrics: dict[str, Any],
     workspace: Workspace,
 ) -> None:
     """Figures, path, mesh views and sample keyframes of a run; one section for each submap."""
     parts = [f"<h1>{html.escape(workspace.root.name)}</h1>", _summary(metrics)]
-    for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
+    for number, (part, surface, judgement) in enumerate(zip(dense, surfaces, coverage, strict=True)):
         if len(dense) > 1:
             parts.append(f"<h2>Submap {number}</h2>")
         parts += [
             _mesh_views(part, surface),
+            coverage_section(judgement),
             _path(frames, part, surface),
             _keyframes(frames, part, surface, workspace),
         ]
@@ -86,8 +89,15 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
             f"{100 * (1 - witness['contrary']):.0f} % {light}",
         ),
         ("scale", submap["scale"]),
+        ("left out", _left_out(submap["contradicted_keyframes"])),
         ("calibration", submap["camera"]["trust"] + _cut(submap["rectified_share"])),
     ]
+
+
+def _left_out(frames: list[int]) -> str:
+    if not frames:
+        return "no keyframe: none is contradicted by its neighbours in most of its pixels"
+    return f"keyframes {', '.join(map(str, frames))}: their neighbours contradict their depth in most pixels"
 
 
 def _cut(kept: float) -> str:
@@ -108,6 +118,39 @@ def _mesh_views(part: DenseSubmap, surface: Surface) -> str:
         f'<h2>Surface</h2><div class="pair">{_image(png(outside), "mesh from outside")}'
         f'{_image(png(inside), "mesh from the camera")}</div><p class="note">From outside, and from the middle '
         f"keyframe's place. {note}</p>"
+    )
+
+
+def coverage_section(judgement: Judgement) -> str:
+    """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
+    record = judgement.record
+    if judgement.picture is None:
+        reason = judgement.sentence
+        return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
+    unit, regions = record["unit"], record["missed_regions"]
+    head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
+    rows = [
+        "".join(
+            f"<td>{value}</td>"
+            for value in (
+                region["number"],
+                f"{region['area']:.3g}",
+                f"{region['diameter']:.3g}",
+                f"{region['arc']:.3g}",
+                f"{region['clock']:.1f}",
+                f"{region['frame']} ({region['seconds']:.2f} s)",
+            )
+        )
+        for region in regions
+    ]
+    heads = "".join(f"<th>{title}</th>" for title in (*head, "nearest frame"))
+    table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
+    return (
+        f"<h2>Coverage</h2><p>{html.escape(judgement.sentence)}</p>"
+        f"{_image(judgement.picture.read_bytes(), 'unrolled wall')}{table}"
+        '<p class="note">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
+        "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
+        "begins, carried along without twisting.</p>"
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.coverage import Judgement
 from pipeline.dense import DenseSubmap, camera_path
 from pipeline.depth_maps import DEPTH_STEP
 from pipeline.frames import Frames
@@ -35,8 +36,15 @@ class RunResult:
         main = m["submaps"][0]
         return (
             f"{m['frames']['posed']} of {m['frames']['total']} frames posed, {main['keyframes']} keyframes, "
-            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface: {self.mesh}{self._caution()}"
+            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface; {self._coverage()}: "
+            f"{self.mesh}{self._caution()}"
         )
+
+    def _coverage(self) -> str:
+        seen = self.metrics["submaps"][0]["coverage"]
+        if not seen["judged"]:
+            return "coverage not judged"
+        return f"{seen['covered_percent']:.0f} % of the wall seen over {seen['stretch']:.3g} {seen['unit']}"
 
     def _caution(self) -> str:
         """Said with success, so that nobody overlooks it."""
@@ -49,6 +57,7 @@ def write_report(
     frames: Frames,
     dense: list[DenseSubmap],
     surfaces: list[Surface],
+    coverage: list[Judgement],
     workspace: Workspace,
     progress: Progress,
 ) -> RunResult:
@@ -58,9 +67,9 @@ def write_report(
     _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
     workspace.record["submaps"] = [_submap_record(*pair) for pair in enumerate(zip(dense, surfaces, strict=True))]
-    metrics = collect_metrics(frames, dense, surfaces, workspace)
+    metrics = collect_metrics(frames, dense, surfaces, coverage, workspace)
     write_json(workspace.metrics, metrics)
-    write_page(frames, dense, surfaces, metrics, workspace)
+    write_page(frames, dense, surfaces, coverage, metrics, workspace)
     workspace.finish("report")
     result = RunResult(workspace.root, metrics)
     progress.say(str(result))
@@ -109,13 +118,17 @@ def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progr
 
 
 def collect_metrics(
-    frames: Frames, dense: list[DenseSubmap], surfaces: list[Surface], workspace: Workspace
+    frames: Frames,
+    dense: list[DenseSubmap],
+    surfaces: list[Surface],
+    coverage: list[Judgement],
+    workspace: Workspace,
 ) -> dict[str, Any]:
     """Every figure of the run, with unit and count."""
     structure = workspace.result("structure")
     evidence = structure["evidence"][structure["mapper"]]
     submaps = []
-    for part, surface, witness in zip(dense, surfaces, evidence, strict=False):
+    for part, surface, judgement, witness in zip(dense, surfaces, coverage, evidence, strict=False):
         mesh, submap = surface.mesh, part.submap.scaled(surface.scale.factor)
         steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
         submaps.append(
@@ -128,7 +141,9 @@ def collect_metrics(
                 "path_length": float(steps.sum()),
                 "voxel_size": surface.voxel_size,
                 "dropped_area_share": surface.dropped_share,
+                "contradicted_keyframes": list(surface.left_out),
                 "unit": surface.scale.unit,
+                "coverage": judgement.record,
                 "scale": surface.scale.origin,
                 "evidence": witness,
                 "camera": {
@@ -149,7 +164,7 @@ def collect_metrics(
             "notes": workspace.result("frames")["notes"],
         },
         "camera": workspace.result("frames")["camera_origin"],
-        "front_end": "sfm",
+        "front_end": "odometry" if structure["mapper"] == "odometry" else "sfm",
         "mapper": structure["mapper"],
         "warnings": structure["warnings"],
         "model": workspace.record["config"]["model"],

@@ -5,6 +5,7 @@ from pathlib import Path
 from completion.shipped import check_weights
 from pipeline.calibration import check_choice
 from pipeline.config import Config
+from pipeline.coverage import judge_coverage
 from pipeline.dense import complete_depth
 from pipeline.frames import read_frames
 from pipeline.progress import Progress, SilentProgress
@@ -45,4 +46,5 @@ def reconstruct(
     submaps = solve_structure(frames, config, workspace, progress)  # poses and sparse points
     dense = complete_depth(frames, submaps, config, workspace, progress)  # sparse depth, completed
     surfaces = fuse_depth(dense, config, workspace, progress)
-    return write_report(frames, dense, surfaces, workspace, progress)
+    coverage = judge_coverage(frames, dense, surfaces, workspace)  # what was not seen
+    return write_report(frames, dense, surfaces, coverage, workspace, progress)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.config import Config
+from pipeline.consistency import ConsistencyCheck
 from pipeline.dense import DenseSubmap
 from pipeline.errors import HaustraError
 from pipeline.progress import Progress
@@ -26,6 +27,7 @@ class Surface:
     scale: Scale
     voxel_size: float  # output units
     dropped_share: float  # of the area, in pieces too small to keep
+    left_out: tuple[int, ...] = ()  # frame numbers of keyframes whose depth the others contradict
 
 
 def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress) -> list[Surface]:
@@ -51,6 +53,7 @@ def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, p
                 "origin": surface.scale.origin,
                 "voxel_size": surface.voxel_size,
                 "dropped_share": surface.dropped_share,
+                "left_out": list(surface.left_out),
             }
         )
     workspace.finish("surface", surfaces=records)
@@ -66,6 +69,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             Scale(record["factor"], record["unit"], record["origin"]),
             record["voxel_size"],
             record["dropped_share"],
+            tuple(record.get("left_out", ())),
         )
         for number, record in enumerate(workspace.result("surface")["surfaces"])
     ]
@@ -80,18 +84,23 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     settings = fusion_settings(part, config)
     if settings is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
-    fusion = SurfaceFusion(settings)
+    fusion, check, left_out = SurfaceFusion(settings), ConsistencyCheck(part, config.consistency), []
     with progress.bar(label, len(part)) as advance:
-        for done, keyframe in enumerate(part):
-            confidence = np.where(keyframe.confidence < config.fusion.min_confidence, 0, keyframe.confidence)
+        for place, keyframe in enumerate(part):
+            sure = np.where(keyframe.confidence < config.fusion.min_confidence, 0, keyframe.confidence)
+            confidence = check.confidence(place, sure)
+            if confidence is None:
+                left_out.append(keyframe.index)
+                continue
             fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera)
-            advance(done + 1)
+            advance(place + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, config.fusion.min_component)
     scale = find_scale(config, part.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
-    return Surface(mesh.transformed(output_from_scene), scale, settings.voxel_size * scale.factor, dropped_share)
+    voxel_size = settings.voxel_size * scale.factor
+    return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out))
 
 
 def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
@@ -111,9 +120,10 @@ def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
 
 def _sentence(surface: Surface) -> str:
     mesh, unit = surface.mesh, surface.scale.unit
+    without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""
     return (
         f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
-        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale.origin}"
+        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale.origin}{without}"
     )
 
 

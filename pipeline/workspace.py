@@ -44,6 +44,7 @@ class Workspace:
         self.keyframes = root / "keyframes.tum"
         self.mesh = root / "mesh.ply"
         self.mesh_glb = root / "mesh.glb"
+        self.coverage = root / "coverage.png"
         self.metrics = root / "metrics.json"
         self.report = root / "report.html"
         self.record_path = root / "run.yaml"
@@ -150,7 +151,8 @@ def _clear(workspace: Workspace) -> None:
     for path in vars(workspace).values():
         if isinstance(path, Path) and path != workspace.root:
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    for pattern in ("features.db-*", "mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json"):
+    further = ("mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json", "coverage_*.png")
+    for pattern in ("features.db-*", *further):
         for path in workspace.root.glob(pattern):
             path.unlink()
 

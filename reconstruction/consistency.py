@@ -59,7 +59,8 @@ def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, st
     """
     rows, columns = np.arange(0, view.depth.shape[0], stride), np.arange(0, view.depth.shape[1], stride)
     depth = view.depth[np.ix_(rows, columns)]
-    points = _in_world(view, *np.meshgrid(columns + 0.5, rows + 0.5), depth)
+    x, y = np.meshgrid(columns + 0.5, rows + 0.5)
+    points = _in_world(view, x, y, depth)
     near, far = _extremes(view.depth)
     votes = np.zeros((2, *depth.shape), np.int16)
     for other in others:

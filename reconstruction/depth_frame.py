@@ -58,7 +58,7 @@ def prepare_frame(
         colour=rgb.astype(np.float32),
         depth=np.where(usable, clean, np.float32(0)),
         confidence=confidence_there,
-        weight=confidence_there * (cosine * nearness) ** 2,
+        weight=(confidence_there * (cosine * nearness) ** 2).astype(np.float32),
         centred_intrinsics=centred,
         camera_from_world=np.linalg.inv(world_from_camera).astype(np.float64),
     )

@@ -1,9 +1,13 @@
 """Votes between posed depth maps, against scenes whose depth is known in closed form."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pipeline.config import ConsistencySettings
+from pipeline.consistency import ConsistencyCheck
 from reconstruction.consistency import DepthView, agreement
 
 SIZE = 96
@@ -102,3 +106,39 @@ def test_unknown_depth_has_no_vote_and_scale_does_not_matter() -> None:
     plain = agreement(first, others, 0.05)
     other = agreement(scaled(first), [scaled(o) for o in others], 0.05)
     assert (plain.supports != other.supports).mean() < 0.01
+
+
+class Keyframes:
+    """As much of a `DenseSubmap` as the check looks at."""
+
+    def __init__(self, frames: list[DepthView]) -> None:
+        self.frames, self.rows = frames, np.arange(len(frames))
+        self.camera = SimpleNamespace(matrix=INTRINSICS)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def keyframe(self, row: int) -> SimpleNamespace:
+        frame = self.frames[row]
+        return SimpleNamespace(depth=frame.depth, world_from_camera=frame.world_from_camera)
+
+
+def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> None:
+    frames = views(12)
+    wild = frames[6].world_from_camera.copy()
+    wild[:3, 3] += [4, 3, -6]
+    frames[6] = DepthView(frames[6].depth, INTRINSICS, wild)
+    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings())  # type: ignore[arg-type]
+    sure = np.full((SIZE, SIZE), 0.8, np.float32)
+    assert check.confidence(6, sure) is None
+    for place in (0, 1, 4, 8, 11):
+        kept = check.confidence(place, sure)
+        assert kept is not None
+        assert kept.max() <= 0.8
+        assert np.median(kept) > 0.2
+
+
+def test_a_keyframe_without_company_keeps_its_confidence() -> None:
+    check = ConsistencyCheck(Keyframes(views(2)), ConsistencySettings())  # type: ignore[arg-type]
+    sure = np.full((SIZE, SIZE), 0.8, np.float32)
+    np.testing.assert_array_equal(check.confidence(0, sure), sure)

@@ -1,0 +1,97 @@
+"""Coverage against the phantom's own flags: error of the percentage, missed regions found, not found, false.
+
+    python benchmarks/coverage.py SUITE/* --json coverage.json        # true depth at true poses, fused
+    python benchmarks/coverage.py SUITE/flexure --run RUN             # a finished run of that film, end to end
+
+The first isolates the coverage code from the front end: every frame's true depth, made a pinhole's, is fused at the
+true pose, so what is left is how voxels end short of what was seen and how the closing stands for hidden wall. Its
+figures are given for several fringes, in voxels; `measure_coverage` is used with one. Definitions of found and false
+are in `reconstruction/coverage_truth.py`.
+"""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pipeline.camera import read_camera
+from pipeline.compare import compare_run
+from pipeline.rectify import make_rectifier
+from reconstruction.coverage import measure_coverage
+from reconstruction.coverage_truth import CoverageErrors, coverage_errors, read_true_wall
+from reconstruction.fusion import FusionSettings, SurfaceFusion
+from reconstruction.mesh import SurfaceMesh, drop_small_components
+from reconstruction.trajectory import read_tum
+from record import write
+
+VOXEL_MM = 0.7
+TRUNCATION = 5  # voxels; true depth needs no more
+WIDEST_DEG = 120.0  # as in `reconstruct`
+SMALLEST_PIECE = 0.002  # share of the area
+FRINGES = (0.0, 0.5, 1.0, 1.5)  # voxels
+USED_FRINGE = 1.0
+
+
+def fuse_truth(folder: Path, every: int) -> SurfaceMesh:
+    """Mesh in mm of every `every`-th frame's true depth and colour at its true pose."""
+    rectifier = make_rectifier(read_camera(folder / "camera.json"), WIDEST_DEG)
+    _, poses = read_tum(folder / "trajectory.txt")
+    fusion = SurfaceFusion(FusionSettings(VOXEL_MM, truncation=TRUNCATION))
+    for number in range(0, len(poses), every):
+        rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
+        stored: Any = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED)
+        depth = rectifier.mask(stored).astype(np.float32) * np.float32(0.01)
+        fusion.integrate(rectifier.image(rgb), depth, None, rectifier.camera.matrix, poses[number])
+    return drop_small_components(fusion.extract(), SMALLEST_PIECE)[0]
+
+
+def errors_of_truth(folder: Path, every: int) -> dict[float, CoverageErrors]:
+    """Errors at each fringe."""
+    wall = read_true_wall(folder / "mesh.ply")
+    if wall is None:
+        raise SystemExit(f"{folder}/mesh.ply does not know what was not seen")
+    camera = make_rectifier(read_camera(folder / "camera.json"), WIDEST_DEG).camera
+    mesh, (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
+    half_view = min(camera.field_of_view()) / 2
+    return {
+        fringe: coverage_errors(measure_coverage(mesh, poses, half_view, "mm", fringe * VOXEL_MM), wall)
+        for fringe in FRINGES
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--run", type=Path, help="a finished run of the one folder given")
+    parser.add_argument("--every", type=int, default=1, help="use every n-th frame's depth")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    if arguments.run:
+        errors = compare_run(arguments.run, arguments.folders[0]).coverage
+        print(f"{arguments.folders[0].name:16} {errors}")
+        figures = asdict(errors) if isinstance(errors, CoverageErrors) else errors
+        write(arguments.json, {"film": arguments.folders[0].name, "run": arguments.run.name, "end_to_end": figures})
+        return
+    results, totals = {}, np.zeros(4, int)
+    for folder in arguments.folders:
+        by_fringe = errors_of_truth(folder, arguments.every)
+        used = by_fringe[USED_FRINGE]
+        totals += (used.true_regions, used.found, used.estimated_regions, used.false)
+        results[folder.name] = {
+            "errors": asdict(used),
+            "error_points_by_fringe": {str(fringe): e.error_points for fringe, e in by_fringe.items()},
+        }
+        spread = ", ".join(f"{e.error_points:+.1f} at {fringe:g}" for fringe, e in by_fringe.items())
+        print(f"{folder.name:16} {used}; by fringe: {spread}", flush=True)
+    true, found, reported, false = totals.tolist()
+    print(
+        f"regions over 5 mm: {found} of {true} found ({100 * found / max(true, 1):.0f} %), {false} of {reported} false"
+    )
+    write(arguments.json, {"voxel_mm": VOXEL_MM, "every": arguments.every, "sequences": results})
+
+
+if __name__ == "__main__":
+    main()

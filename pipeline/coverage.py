@@ -1,0 +1,118 @@
+"""What the endoscopist missed: coverage of every submap's lumen, its picture, and its figures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.dense import DenseSubmap
+from pipeline.depth_maps import read_confidence, read_depth
+from pipeline.frames import Frames
+from pipeline.surface import Surface
+from pipeline.workspace import Workspace
+from reconstruction.centreline import NotATube
+from reconstruction.coverage import Coverage, MissedRegion, measure_coverage
+from reconstruction.coverage_picture import draw_coverage
+from reconstruction.unrolled import unroll
+from reconstruction.witness import SurfaceWitness
+
+SEGMENT_MM = 50.0
+LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
+LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
+SEGMENT_RADII = 2.0
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Figures of one submap for `metrics.json`; `picture` is None where nothing could be judged."""
+
+    record: dict[str, Any]
+    picture: Path | None
+
+    @property
+    def sentence(self) -> str:
+        """What the record says, for a person."""
+        record = self.record
+        if not record["judged"]:
+            return str(record["reason"])
+        regions, unit = record["missed_regions"], "mm" if record["unit"] == "mm" else "scene units"
+        return (
+            f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
+            f"lumen; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and more, and "
+            f"{record['smaller_regions']} smaller"
+        )
+
+
+def judge_coverage(
+    frames: Frames, dense: list[DenseSubmap], surfaces: list[Surface], workspace: Workspace
+) -> list[Judgement]:
+    """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
+    return [
+        _judge(frames, part, surface, picture_path(workspace, number))
+        for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True))
+    ]
+
+
+def picture_path(workspace: Workspace, number: int) -> Path:
+    """`coverage.png` for the first submap, `coverage_1.png` and on for the others."""
+    return workspace.coverage if number == 0 else workspace.coverage.with_name(f"coverage_{number}.png")
+
+
+def measure_submap(part: DenseSubmap, surface: Surface) -> Coverage:
+    """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
+    factor = surface.scale.factor
+    submap = part.submap.scaled(factor)
+    witness = SurfaceWitness(surface.mesh)
+    for row in part.rows:
+        index = int(submap.frames[row])
+        depth = read_depth(part.workspace.depth_path(index)) * np.float32(factor)
+        confidence = read_confidence(part.workspace.confidence_path(index))
+        witness.add(depth, confidence, part.camera.matrix, submap.world_from_camera[row])
+    half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
+    unit, voxel = surface.scale.unit, surface.voxel_size
+    return measure_coverage(witness.believed(), submap.world_from_camera, half_view, unit, fringe=voxel)
+
+
+def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:
+    try:
+        coverage = measure_submap(part, surface)
+    except NotATube as reason:
+        picture.unlink(missing_ok=True)  # of a report that was made before
+        return Judgement({"judged": False, "reason": str(reason)}, None)
+    unit = surface.scale.unit
+    millimetres = unit == "mm"
+    smallest = LISTED_MM if millimetres else LISTED_RADII * coverage.radius
+    segments = coverage.segments(SEGMENT_MM if millimetres else SEGMENT_RADII * coverage.radius)
+    listed = [region for region in coverage.regions if region.diameter >= smallest]
+    draw_coverage(coverage, unroll(coverage, surface.mesh), segments, len(listed), picture)
+    record = {
+        "judged": True,
+        "unit": unit,
+        "covered_percent": 100 * coverage.share,
+        "seen_area": coverage.whole.seen_area,
+        "missed_area": coverage.whole.missed_area,
+        "stretch": coverage.length,
+        "lumen_radius": coverage.radius,
+        "listed_from": smallest,
+        "smaller_regions": len(coverage.regions) - len(listed),
+        "segments": [{"start": s.start, "end": s.end, "covered_percent": 100 * s.share} for s in segments],
+        "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
+    }
+    return Judgement(record, picture)
+
+
+def _row(number: int, region: MissedRegion, frames: Frames, part: DenseSubmap) -> dict[str, Any]:
+    index = int(part.submap.frames[region.frame])
+    return {
+        "number": number,
+        "area": region.area,
+        "diameter": region.diameter,
+        "arc": region.arc,
+        "arc_from": region.arc_range[0],
+        "arc_to": region.arc_range[1],
+        "clock": region.clock,
+        "centre": list(region.centre),
+        "frame": index,
+        "seconds": frames.seconds_of(index),
+    }
