@@ -23,6 +23,7 @@ from completion.classical import CLASSICAL
 from completion.infer import load_scale_free
 from completion.models import build_model
 from completion.onnx_export import export_onnx
+from completion.sampling import normalise_log
 from record import spread, write
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
@@ -63,7 +64,7 @@ def by_onnxruntime(rgb: np.ndarray, sparse: np.ndarray) -> Callable[[], object]:
         path = export_onnx(load_scale_free("mscsa"), Path(folder) / "m.onnx", rgb.shape[0])
         session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     trust = (sparse > 0).astype(np.float32)[None, None]
-    log_sparse = np.log(np.where(sparse > 0, sparse / np.median(sparse[sparse > 0]), 1))[None, None]
+    log_sparse = normalise_log(torch.from_numpy(sparse)[None, None])[0].numpy()
     inputs = {"rgb": rgb.transpose(2, 0, 1)[None].astype(np.float32) / 255, "log_sparse": log_sparse, "trust": trust}
     return lambda: session.run(None, inputs)
 

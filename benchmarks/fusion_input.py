@@ -82,7 +82,7 @@ def main() -> None:
     sources: dict[str, Source] = {
         "linear": lambda row, keyframe: (linear_depth(maker, row, shape), None),
         "the run's own": lambda row, keyframe: (keyframe.depth, keyframe.confidence),
-        **{Path(model).stem: completed(model, maker) for model in arguments.model},
+        **{f"model {model}": completed(model, maker) for model in arguments.model},
         "true depth": lambda row, keyframe: (true_depth(arguments.folder, keyframe.index, scale), None),
     }
     truth, figures = observed_truth(arguments.folder), {}
@@ -105,7 +105,8 @@ def weighted(
     made: list[tuple[np.ndarray, np.ndarray | None]], part: DenseSubmap, keyframes: list[Keyframe], config: Config
 ) -> dict[str, list[np.ndarray]]:
     """Confidences to fuse with: none, the depth's own where it has one, and either lowered by the neighbours."""
-    check = ConsistencyCheck(FusedFrames(part, keyframes, [depth for depth, _ in made]), config.consistency)
+    fused = FusedFrames(part, keyframes, made)
+    check = ConsistencyCheck(fused, config.consistency, config.fusion.min_confidence)
     known = [(depth > 0).astype(np.float32) for depth, _ in made]
     variants = {"no confidence": known}
     if all(confidence is not None for _, confidence in made):
@@ -121,9 +122,14 @@ def weighted(
 class FusedFrames:
     """A submap's keyframes with another depth, as far as the consistency check looks at them."""
 
-    def __init__(self, part: DenseSubmap, keyframes: list[Keyframe], depths: list[np.ndarray]) -> None:
+    def __init__(
+        self, part: DenseSubmap, keyframes: list[Keyframe], made: list[tuple[np.ndarray, np.ndarray | None]]
+    ) -> None:
         self.camera, self.rows = part.camera, np.arange(len(keyframes))
-        self._frames = [replace(k, depth=d.astype(np.float32)) for k, d in zip(keyframes, depths, strict=True)]
+        self._frames = [
+            replace(k, depth=d.astype(np.float32), confidence=np.ones_like(d) if c is None else c)
+            for k, (d, c) in zip(keyframes, made, strict=True)
+        ]
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -63,7 +63,7 @@ def _widths(base: int) -> tuple[int, ...]:
     return (base, 2 * base, 4 * base, 8 * base, 12 * base, 12 * base)
 
 
-# A side must halve this often for the U-Net (5) and the confidence pyramid (5); inputs are padded up to it.
+# A side must halve five times for the U-Net (the confidence pyramid needs three); inputs are padded up to that.
 STRIDE = 32
 
 

@@ -1,8 +1,7 @@
 """The scale-free network as an ONNX graph, for programs without torch.
 
 Inputs and outputs are those of `ScaleFreeMSCSANet.forward`, for a batch of any size at one fixed image size: what
-`DepthCompleter` does around it (exposure, logarithm over the median, confidence) is a few lines of array code. What
-those are is written into the file's description.
+`DepthCompleter` does around it is a few lines of array code, which the file's description tells.
 """
 
 from __future__ import annotations
@@ -18,9 +17,12 @@ from completion.scale_free import STRIDE, ScaleFreeMSCSANet
 
 INPUTS, OUTPUTS = ("rgb", "log_sparse", "trust"), ("log_depth", "log_error")
 DESCRIPTION = (
-    "rgb: (B,3,H,W) in [0,1]. log_sparse: (B,1,H,W), log(depth / median of the sparse depths), 0 where there is "
-    "no point. trust: (B,1,H,W), 1 at points, 0 elsewhere. Depth = median * exp(log_depth); exp(log_error) is the "
-    "predicted relative error."
+    "rgb: (B,3,H,W) in [0,1]; a picture whose lit pixels (brightest channel over 16/255) are not 130/255 bright in "
+    "the mean is first multiplied by a factor from 0.5 to 2 that makes them so. log_sparse: (B,1,H,W), "
+    "log(depth / median), 0 where there is no point; median: of the frame's sparse depths, the lower of the middle "
+    "two. trust: (B,1,H,W), 0 where there is no point, 1 at points, or e0^2 / (e0^2 + e^2) with e0 = 0.03 where a "
+    "point's relative error e is known. Depth = median * exp(log_depth); exp(log_error) is the relative error that is "
+    "expected."
 )
 
 

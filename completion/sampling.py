@@ -1,6 +1,7 @@
 """Sparse depth out of dense depth: the paper's two samplers and one that behaves like structure from motion.
 
-All work on a batch, draw from a given `torch.Generator` and give exact counts: (B,1,H,W) sparse depth, 0 = none.
+All work on a batch on any device, draw from a given `torch.Generator` of the CPU and give exact counts:
+(B,1,H,W) sparse depth, 0 = none.
 """
 
 from dataclasses import dataclass
@@ -19,13 +20,13 @@ def _pick(score: Tensor, counts: Tensor) -> Tensor:
     flat = score.flatten(1)
     most = int(counts.max()) if batch else 0
     values, index = flat.topk(min(most, flat.shape[1]), dim=1)
-    keep = (torch.arange(index.shape[1])[None] < counts[:, None]) & torch.isfinite(values)
+    keep = (torch.arange(index.shape[1])[None] < counts[:, None]).to(score.device) & torch.isfinite(values)
     picked = torch.zeros_like(flat, dtype=torch.bool).scatter_(1, index, keep)
     return picked.view(batch, 1, height, width)
 
 
 def _uniform_score(like: Tensor, generator: torch.Generator) -> Tensor:
-    return torch.rand(like.shape, generator=generator)
+    return torch.rand(like.shape, generator=generator).to(like.device)
 
 
 def sample_uniform(depth: Tensor, points: int, generator: torch.Generator) -> Tensor:
@@ -85,10 +86,13 @@ def sample_like_sfm(
     batch = len(depth)
 
     def draw(low: float, high: float) -> Tensor:
-        return low + (high - low) * torch.rand(batch, 1, 1, 1, generator=generator)
+        return low + (high - low) * torch.rand(batch, 1, 1, 1, generator=generator).to(depth.device)
+
+    def normal() -> Tensor:
+        return torch.randn(depth.shape, generator=generator).to(depth.device)
 
     ratio = pattern.max_points / pattern.min_points
-    counts = (pattern.min_points * ratio ** draw(0, 1)).flatten().long()
+    counts = (pattern.min_points * ratio ** torch.rand(batch, generator=generator)).long()
     on_corners = draw(0, 1) < pattern.corner_share
     # SIFT finds nothing in burnt-out and in black areas, however many corners noise makes there.
     lit = (rgb.amax(1, keepdim=True) > 0.04) & (rgb.amin(1, keepdim=True) < 0.96)
@@ -99,10 +103,10 @@ def sample_like_sfm(
     score = score.masked_fill((depth <= 0) | _holes(depth, pattern, generator), float("-inf"))
     picked = _pick(score, counts)
     known = draw(0, 1) < pattern.known_error_share
-    error = draw(0, pattern.max_noise) * torch.where(known, torch.exp(torch.randn(depth.shape, generator=generator)), 1)
-    noisy = depth * torch.exp(error * torch.randn(depth.shape, generator=generator))
-    wrong = torch.rand(depth.shape, generator=generator) < draw(0, pattern.max_outliers)
-    factor = torch.exp(0.7 * torch.randn(depth.shape, generator=generator))
+    error = draw(0, pattern.max_noise) * torch.where(known, torch.exp(normal()), 1)
+    noisy = depth * torch.exp(error * normal())
+    wrong = _uniform_score(depth, generator) < draw(0, pattern.max_outliers)
+    factor = torch.exp(0.7 * normal())
     sparse = torch.where(wrong, noisy * factor, noisy) * picked
     return sparse, picked * torch.where(known, confidence_from_error(error), 1)
 
@@ -110,11 +114,11 @@ def sample_like_sfm(
 def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
     """A disc of random place and size in some frames; boolean (B,1,H,W)."""
     batch, _, height, width = depth.shape
-    draw = torch.rand(4, batch, 1, 1, 1, generator=generator)
-    rows = torch.arange(height).view(1, 1, height, 1) - draw[0] * height
-    columns = torch.arange(width).view(1, 1, 1, width) - draw[1] * width
-    radius = (0.1 + 0.4 * draw[2]) * max(height, width)
-    return (rows * rows + columns * columns < radius * radius) & (draw[3] < pattern.hole_share)
+    down, right, size, chance = torch.rand(4, batch, 1, 1, 1, generator=generator).to(depth.device)
+    rows = torch.arange(height, device=depth.device).view(1, 1, height, 1) - down * height
+    columns = torch.arange(width, device=depth.device).view(1, 1, 1, width) - right * width
+    radius = (0.1 + 0.4 * size) * max(height, width)
+    return (rows * rows + columns * columns < radius * radius) & (chance < pattern.hole_share)
 
 
 def median_of_points(sparse: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.attention import StructureAwareness
+from completion.errors import CompletionError
 from completion.nconv import MultiScaleConfidence
 from completion.network import UNet
 from completion.padding import pad_to_multiple
@@ -29,6 +30,10 @@ class ScaleFreeConfig:
     width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
     msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
     anchor: bool = True
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.msc_levels <= 4 or self.width < 1:
+            raise CompletionError(f"width must be positive and msc_levels 1 to 4, got {self.width}, {self.msc_levels}")
 
     def to_dict(self) -> dict[str, object]:
         return asdict(self)
@@ -54,7 +59,9 @@ class ScaleFreeMSCSANet(nn.Module):
         """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
         in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32."""
         height, width = rgb.shape[2:]
-        rgb, log_sparse, trust = (pad_to_multiple(x.float(), STRIDE) for x in (rgb, log_sparse, trust))
+        # A black margin would read as infinitely far: the picture's edge is repeated instead.
+        rgb = pad_to_multiple(rgb.float(), STRIDE, repeat_edge=True)
+        log_sparse, trust = (pad_to_multiple(x.float(), STRIDE) for x in (log_sparse, trust))
         with torch.autocast(rgb.device.type, enabled=False):
             points, weights = halve_points(log_sparse, trust)
             spread, confidence = self.msc(points, weights)

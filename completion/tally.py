@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from completion.calibration import Calibration, calibrate, relative_errors
+from completion.calibration import DECILES, Calibration, calibrate, relative_errors
 from completion.confidence import error_from_confidence
 from completion.evaluate import Array, FrameResult, Score
 from completion.metrics import SimCol3DDepthErrors, simcol3d_errors
@@ -16,7 +16,7 @@ PICTURES = 6
 
 
 class Tally:
-    """Scores of every frame, the calibration's pixels, and whole results of a few frames spread evenly.
+    """Scores of every frame, the calibration's pixels, and whole results of 6 to 12 frames spread evenly.
 
     With `trajectory`, depth maps lie in a temporary file meanwhile: SimCol3D's figures need them a second time.
     """
@@ -39,7 +39,7 @@ class Tally:
         """Take in the next frame."""
         if len(self.scores) % self._every == 0:
             self._sights.append(result)
-        if len(self._sights) == 4 * PICTURES:
+        if len(self._sights) == 2 * PICTURES:
             self._sights, self._every = self._sights[::2], 2 * self._every
         self.scores.append(Score(result.name, result.points, result.errors))
         if result.confidence is not None:
@@ -60,8 +60,8 @@ class Tally:
         return [self._sights[place] for place in places]
 
     def calibration(self) -> Calibration | None:
-        """None for a model that does not predict its error."""
-        return calibrate(self._pixels) if self._pixels else None
+        """None for a model that does not predict its error, or for too few pixels."""
+        return calibrate(self._pixels) if sum(len(p) for p, _ in self._pixels) >= DECILES else None
 
     def simcol3d(self) -> SimCol3DDepthErrors | None:
         """SimCol3D's own figures, taking the frames for one trajectory; None without their maps."""

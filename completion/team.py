@@ -41,7 +41,7 @@ class Team:
         return self.rank == 0
 
     def average_gradients(self, network: nn.Module) -> None:
-        """Mean of all processes' gradients, so that a step of N halves is a step of the whole batch."""
+        """Mean of all processes' gradients, as torch's own data-parallel training takes it."""
         if self.size > 1:
             self._average([p.grad for p in network.parameters() if p.grad is not None])
 

@@ -82,7 +82,8 @@ class Run:
         self.step = metadata["step"]
 
     def _identity(self) -> dict[str, object]:
-        return json.loads(self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"}))
+        settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
+        return json.loads(settings) | {"processes": self.team.size}
 
 
 def _start_from(path: Path, network: nn.Module) -> None:
@@ -153,6 +154,7 @@ def draw_batch(
 def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
     """One step of the optimizer; returns the loss."""
     batch, generator = draw_batch(run.config, run.step, shards, splits, run.team)
+    torch.manual_seed(generator.initial_seed())  # for dropout: resumed, a run must drop what an unbroken one would
     batch = batch.to(run.device)
     for group in run.optimizer.param_groups:
         group["lr"] = learning_rate(run.step, run.config)

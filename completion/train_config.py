@@ -60,6 +60,8 @@ def make_config(preset: str | None = None, **values: Any) -> TrainConfig:
     """A config from a preset ("paper" or None) with values on top; CompletionError says what is wrong with them."""
     if preset not in (None, "paper"):
         raise CompletionError(f"no preset {preset!r}; there is 'paper'")
+    if values.get("model", "scale-free") == "scale-free" and "size" in values:
+        raise CompletionError("--size is of the networks of the paper's comparison: give --model too")
     try:
         return TrainConfig(**((PAPER if preset else {}) | values))
     except ValidationError as error:

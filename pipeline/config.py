@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from pipeline.errors import HaustraError
 
@@ -79,7 +79,9 @@ class FusionSettings(Settings):
 class ConsistencySettings(Settings):
     """What neighbouring keyframes say against a depth, before it is fused."""
 
-    steps: tuple[int, ...] = Field((2, 5, 10), description="keyframes away, before and after; the nearest err alike")
+    steps: tuple[PositiveInt, ...] = Field(
+        (2, 5, 10), description="keyframes away, on both sides; the nearest err alike"
+    )
     tolerance: float = Field(0.04, gt=0, lt=1, description="relative; two to three times the error of completed depth")
     severity: float = Field(6.0, ge=0, description="one contradiction against none divides the confidence by 1 + this")
     max_contradicted: float = Field(0.5, gt=0, le=1, description="share of pixels beyond which a keyframe is left out")

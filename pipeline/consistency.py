@@ -15,8 +15,8 @@ CACHED = 64  # depth maps kept while the check moves along the keyframes; more t
 class ConsistencyCheck:
     """Agreement of each keyframe of a submap with keyframes before and after it."""
 
-    def __init__(self, part: DenseSubmap, settings: ConsistencySettings) -> None:
-        self.part, self.settings = part, settings
+    def __init__(self, part: DenseSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
+        self.part, self.settings, self.min_confidence = part, settings, min_confidence
         self._view = lru_cache(CACHED)(self._load)
 
     def __call__(self, place: int) -> Agreement:
@@ -29,12 +29,16 @@ class ConsistencyCheck:
         return agreement(self._view(place), others, self.settings.tolerance)
 
     def confidence(self, place: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The keyframe's confidence lowered where it is contradicted; None where the frame as a whole is."""
+        """The keyframe's confidence lowered where it is contradicted, 0 below the least that is fused; None where the
+        frame as a whole is contradicted."""
         votes = self(place)
-        if votes.contradicted_share > self.settings.max_contradicted:
+        if votes.is_outvoted(self.settings.max_contradicted):
             return None
-        return confidence * votes.weight(self.settings.severity)
+        lowered = confidence * votes.weight(self.settings.severity)
+        return np.where(lowered < self.min_confidence, np.float32(0), lowered)
 
     def _load(self, place: int) -> DepthView:
         keyframe = self.part.keyframe(int(self.part.rows[place]))
-        return DepthView(keyframe.depth, self.part.camera.matrix, keyframe.world_from_camera)
+        # Depth that is not sure enough to be fused has no vote, and nobody need agree with it.
+        depth = np.where(keyframe.confidence < self.min_confidence, np.float32(0), keyframe.depth)
+        return DepthView(depth, self.part.camera.matrix, keyframe.world_from_camera)

@@ -68,6 +68,9 @@ def evaluate(
     progress: Progress,
 ) -> str:
     """Markdown tables, one per folder and protocol, a row per model; files as `outputs` says."""
+    for kind_of, names in (("model", [Path(m).name for m in models]), ("folder", [f.name for f in folders])):
+        if len(set(names)) < len(names):
+            raise CompletionError(f"two {kind_of}s have the same name, and the tables would not tell them apart")
     predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
     several = len(folders) * len(protocols) > 1
     tables: list[str] = []
@@ -155,7 +158,7 @@ def _write_pictures(
         write_csv(_named(outputs.csv, label, several), tally.scores)
     if outputs.sheet:
         contact_sheet(_named(outputs.sheet, label, several), tally.sights(), title, record["unit"])
-    if outputs.attention and (frames := _attention(predictor, tally.sights())):
+    if outputs.attention and (frames := _attention(predictor, tally.sights())):  # asked of the models that have one
         attention_sheet(_named(outputs.attention, label, several), frames, title)
 
 

@@ -84,11 +84,10 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     settings = fusion_settings(part, config)
     if settings is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
-    fusion, check, left_out = SurfaceFusion(settings), ConsistencyCheck(part, config.consistency), []
+    fusion, check, left_out = SurfaceFusion(settings), _check(part, config), []
     with progress.bar(label, len(part)) as advance:
         for place, keyframe in enumerate(part):
-            sure = np.where(keyframe.confidence < config.fusion.min_confidence, 0, keyframe.confidence)
-            confidence = check.confidence(place, sure)
+            confidence = check.confidence(place, keyframe.confidence)
             if confidence is None:
                 left_out.append(keyframe.index)
                 continue
@@ -101,6 +100,10 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
     voxel_size = settings.voxel_size * scale.factor
     return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out))
+
+
+def _check(part: DenseSubmap, config: Config) -> ConsistencyCheck:
+    return ConsistencyCheck(part, config.consistency, config.fusion.min_confidence)
 
 
 def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:

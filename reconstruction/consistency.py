@@ -15,6 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+MIN_VOTERS = 2
+MIN_SHARE_OF_VOTER = 0.1  # of the known pixels
+
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -35,6 +38,7 @@ class Agreement:
 
     supports: NDArray[np.int16]
     contradictions: NDArray[np.int16]
+    voters: int  # other frames that judged a tenth of the frame's known pixels or more
 
     @property
     def judged(self) -> Mask:
@@ -45,6 +49,11 @@ class Agreement:
         """Share of the judged pixels that more frames contradict than support; 0 if none was judged."""
         judged = self.judged
         return float((self.contradictions > self.supports)[judged].mean()) if judged.any() else 0.0
+
+    def is_outvoted(self, share: float) -> bool:
+        """Whether two or more others that see much of the frame contradict more than this share of it. One alone could
+        itself be the one in error."""
+        return self.voters >= MIN_VOTERS and self.contradicted_share > share
 
     def weight(self, severity: float = 2.0) -> Depth:
         """Factor on the confidence in (0,1]: 1 where nobody contradicts, 1 / (1 + severity) for one against none."""
@@ -62,13 +71,14 @@ def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, st
     x, y = np.meshgrid(columns + 0.5, rows + 0.5)
     points = _in_world(view, x, y, depth)
     near, far = _extremes(view.depth)
-    votes = np.zeros((2, *depth.shape), np.int16)
+    votes, voters = np.zeros((2, *depth.shape), np.int16), 0
     for other in others:
         support, contradiction = _judge(points, depth > 0, (near, far, view), other, tolerance)
         votes += np.stack([support, contradiction])
+        voters += int((support | contradiction).sum() > MIN_SHARE_OF_VOTER * (depth > 0).sum())
     height, width = view.depth.shape
     supports, contradictions = (v.repeat(stride, 0).repeat(stride, 1)[:height, :width] for v in votes)
-    return Agreement(supports, contradictions)
+    return Agreement(supports, contradictions, voters)
 
 
 def _judge(

@@ -40,9 +40,9 @@ def prepare_frame(
     NaN, infinite, non-positive and farther than `max_depth` count as no depth; so do pixels that see their surface
     at more than `max_grazing_deg` from its normal, and pixels whose confidence is NaN or not positive.
 
-    The weight is the inverse variance of the surface's place, up to a factor. Confidence is about the relative error,
-    so a wall twice as far is twice as uncertain; and a ray that meets it at a slant of cosine c is off by 1/c as much
-    for the same pixel. It is the confidence itself for a wall met head-on at `typical_depth`.
+    The weight is confidence x (cosine x typical_depth / depth)^2. Confidence is about the relative error, so a wall
+    twice as far is twice as uncertain in place: inverse variance. The square of the slant's cosine is a heuristic:
+    where depth changes fast from pixel to pixel, an edge that is a pixel off or smeared errs most.
     """
     _check_shapes(rgb, depth, confidence, intrinsics, world_from_camera)
     centred = np.array(intrinsics, np.float64)

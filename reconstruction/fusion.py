@@ -2,8 +2,8 @@
 
 Curless and Levoy, "A volumetric method for building complex models from range images", SIGGRAPH 1996: every voxel
 keeps a running average of its signed distance to the surface along the camera's axis, here weighted by how well each
-depth fixes the surface's place (confidence, distance, slant), which Open3D's own `integrate` cannot do. Nothing is
-filled in: a cell becomes surface only if all of its eight corners were observed.
+depth is trusted to fix the surface's place (confidence, distance, slant), which Open3D's own `integrate` cannot do.
+Nothing is filled in: a cell becomes surface only if all of its eight corners were observed.
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ class FusionSettings:
     """Depth beyond this is not used."""
     max_grazing_deg: float = 80.0
     """Angle between ray and normal beyond which neither a pixel nor a crossing of the distance field is believed."""
-    min_evidence: float = 0.0
-    """Sum of weights below which a corner of a cell is not used."""
     min_observations: int = 1
     """Frames that must have seen a surface within the truncation of each of a cell's eight corners; 2 removes most
     floating bits and costs 1 to 6 % of completeness."""
@@ -121,8 +119,7 @@ class SurfaceFusion:
         what another assumed behind it: an edge of visibility, not a wall, so faces there are left out.
         """
         evidence, observations = (self._grid.channel(name)[..., 0] for name in ("evidence", "observations"))
-        enough = (evidence > 0) & (evidence >= self.settings.min_evidence)
-        vertices, faces, colours = self._grid.march(enough & (observations >= self.settings.min_observations))
+        vertices, faces, colours = self._grid.march((evidence > 0) & (observations >= self.settings.min_observations))
         around = self._grid.edge_voxels(vertices)
         tsdf = self._grid.flat_channel("tsdf")
         slope = np.abs(tsdf[around.high] - tsdf[around.low]) * self.settings.truncation

@@ -114,13 +114,15 @@ class Keyframes:
     def __init__(self, frames: list[DepthView]) -> None:
         self.frames, self.rows = frames, np.arange(len(frames))
         self.camera = SimpleNamespace(matrix=INTRINSICS)
+        self.confidences: dict[int, np.ndarray] = {}  # of some rows; 0.8 elsewhere
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def keyframe(self, row: int) -> SimpleNamespace:
         frame = self.frames[row]
-        return SimpleNamespace(depth=frame.depth, world_from_camera=frame.world_from_camera)
+        confidence = self.confidences.get(row, np.full((SIZE, SIZE), 0.8, np.float32))
+        return SimpleNamespace(depth=frame.depth, confidence=confidence, world_from_camera=frame.world_from_camera)
 
 
 def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> None:
@@ -128,7 +130,7 @@ def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> No
     wild = frames[6].world_from_camera.copy()
     wild[:3, 3] += [4, 3, -6]
     frames[6] = DepthView(frames[6].depth, INTRINSICS, wild)
-    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings())  # type: ignore[arg-type]
+    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     sure = np.full((SIZE, SIZE), 0.8, np.float32)
     assert check.confidence(6, sure) is None
     for place in (0, 1, 4, 8, 11):
@@ -139,6 +141,42 @@ def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> No
 
 
 def test_a_keyframe_without_company_keeps_its_confidence() -> None:
-    check = ConsistencyCheck(Keyframes(views(2)), ConsistencySettings())  # type: ignore[arg-type]
+    check = ConsistencyCheck(Keyframes(views(2)), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     sure = np.full((SIZE, SIZE), 0.8, np.float32)
     np.testing.assert_array_equal(check.confidence(0, sure), sure)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_one_wild_keyframe_throws_no_good_one_out(count: int) -> None:
+    frames = views(count)
+    frames[-1] = DepthView(0.6 * frames[-1].depth, INTRINSICS, frames[-1].world_from_camera)
+    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    sure = np.full((SIZE, SIZE), 0.8, np.float32)
+    assert all(check.confidence(place, sure) is not None for place in range(count - 1))
+
+
+def test_depth_that_is_not_believed_anyway_throws_no_keyframe_out() -> None:
+    frames = views(12)
+    doubted = np.full((SIZE, SIZE), 0.8, np.float32)
+    doubted[:60] = 0
+    wrong = frames[6].depth.copy()
+    wrong[:60] *= 2
+    frames[6] = DepthView(wrong, INTRINSICS, frames[6].world_from_camera)
+    part = Keyframes(frames)
+    part.confidences[6] = doubted
+    check = ConsistencyCheck(part, ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    kept = check.confidence(6, doubted)
+    assert kept is not None
+    assert np.median(kept[64:]) == pytest.approx(0.8, abs=0.01)
+
+
+def test_what_is_voted_down_below_the_least_confidence_is_not_fused_at_all() -> None:
+    frames = views(12)
+    patched = frames[5].depth.copy()
+    patched[30:50, 30:50] *= 1.3
+    frames[5] = DepthView(patched, INTRINSICS, frames[5].world_from_camera)
+    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    kept = check.confidence(5, np.full((SIZE, SIZE), 0.8, np.float32))
+    assert kept is not None
+    inner = kept[35:45, 35:45]  # at the patch's rim the others' own edge windows abstain
+    assert (inner == 0).mean() > 0.9

@@ -146,7 +146,7 @@ def test_two_views_with_equal_relative_errors_meet_where_inverse_variance_says()
     np.testing.assert_allclose(mesh.vertices[middle, 2], 10 + (0.2 * weight - 0.4) / (weight + 1), atol=0.006)
 
 
-def test_the_weight_is_confidence_over_the_variance_of_the_place():
+def test_the_weight_of_a_tilted_plane_is_the_stated_formula_of_its_exact_cosine():
     tilted = (30 / (1 + 0.8 * pixel_rays()[..., 0])).astype(np.float32)  # the plane z + 0.8 x = 30
     confidence = np.full((SIZE, SIZE), 0.6, np.float32)
     frame = prepare_frame(RED, tilted, confidence, INTRINSICS, np.eye(4), 1e3, 80.0, typical_depth=25.0)

@@ -77,13 +77,20 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
     )
     subprocess.run([*torchrun, str(script)], check=True, capture_output=True, timeout=300)
     alone = Run(make_config(None, width=4, batch=2, threads=1, shards=(shards,), out=tmp_path / "one", **values))
-    gradients = []
+    fresh = {name: b.clone() for name, b in alone.task.network.named_buffers() if b.is_floating_point()}
+    gradients, statistics = [], {name: torch.zeros_like(b) for name, b in fresh.items()}
     for rank in (0, 1):
+        for name, buffer in alone.task.network.named_buffers():
+            if name in fresh:
+                buffer.copy_(fresh[name])
         opened = Shard.open(shards)
         batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], Team(rank, 2))
         assert len(batch.rgb) == 1
         alone.task.network.zero_grad()
         alone.task.loss(batch.to(alone.device).rgb, batch.depth, None, generator).backward()
+        for name, buffer in alone.task.network.named_buffers():
+            if name in fresh:
+                statistics[name] += buffer / 2
         gradients.append([None if p.grad is None else p.grad.clone() for p in alone.task.network.parameters()])
     for parameter, *both in zip(alone.task.network.parameters(), *gradients, strict=True):
         parameter.grad = None if both[0] is None else (both[0] + both[1]) / 2
@@ -92,14 +99,22 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
     torch.nn.utils.clip_grad_norm_(alone.task.network.parameters(), 1.0)
     alone.optimizer.step()
     together = load_tensors(tmp_path / "two.checkpoint")[0]
+    for name, mean in statistics.items():
+        torch.testing.assert_close(together[f"network.{name}"], mean, rtol=1e-4, atol=1e-5)
     for name, parameter in alone.task.network.named_parameters():
         torch.testing.assert_close(together[f"network.{name}"], parameter.detach(), rtol=1e-4, atol=1e-6)
 
 
-def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypatch):
+@pytest.mark.parametrize("model", ["scale-free", "gaenet"])
+def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypatch, model):
     import completion.train as module
 
-    unbroken = train(config(shards, tmp_path / "a.safetensors", steps=4))
+    def settings(name, **more):
+        kind = {} if model == "scale-free" else {"model": model, "size": "small"}  # GAENet drops out at random
+        return config(shards, tmp_path / name, steps=4, **kind, **more)
+
+    np.save(shards / "intrinsics.npy", np.tile(np.float32([60, 60, 32, 32]), (12, 1)))
+    unbroken = train(settings("a.safetensors"))
     calls = []
     original = module.train_step
 
@@ -112,8 +127,8 @@ def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(module, "train_step", stop_at_the_third)
         with pytest.raises(KeyboardInterrupt):
-            train(config(shards, tmp_path / "b.safetensors", steps=4, checkpoint_seconds=0))
-    resumed = train(config(shards, tmp_path / "b.safetensors", steps=4, checkpoint_seconds=0))
+            train(settings("b.safetensors", checkpoint_seconds=0))
+    resumed = train(settings("b.safetensors", checkpoint_seconds=0))
     for name, tensor in load_tensors(unbroken)[0].items():
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
 
