@@ -30,14 +30,7 @@ from reconstruction.errors import ReconstructionError
 
 ARTEFACTS = [
     *("run.yaml", "camera.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
-    *(
-        "coverage.png",
-        "metrics.json",
-        "report.html",
-        "sparse/0/cameras.bin",
-        "sparse/0/images.bin",
-        "sparse/0/points3D.bin",
-    ),
+    *("metrics.json", "report.html", "sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"),
 ]
 
 
@@ -55,6 +48,7 @@ def finished(tmp_path_factory):
 def test_every_artefact_of_the_contract_is_there(finished):
     folder, result = finished
     assert [name for name in ARTEFACTS if not (folder / name).exists()] == []
+    assert (folder / "coverage.png").exists() == result.metrics["submaps"][0]["coverage"]["judged"]
     keyframes = result.metrics["submaps"][0]["keyframes"]
     assert len(list((folder / "depth").glob("*.png"))) == keyframes >= 5
     assert len(list((folder / "confidence").glob("*.png"))) == keyframes
