@@ -14,6 +14,7 @@ from pipeline.workspace import Workspace
 from reconstruction.centreline import NotATube
 from reconstruction.coverage import Coverage, MissedRegion, measure_coverage
 from reconstruction.coverage_picture import draw_coverage
+from reconstruction.mesh import SurfaceMesh
 from reconstruction.unrolled import unroll
 from reconstruction.witness import SurfaceWitness
 
@@ -61,6 +62,11 @@ def picture_path(workspace: Workspace, number: int) -> Path:
 
 def measure_submap(part: DenseSubmap, surface: Surface) -> Coverage:
     """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
+    return measure_believed(part, surface)[0]
+
+
+def measure_believed(part: DenseSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
+    """The same, and that wall: what is drawn must be what was measured."""
     factor = surface.scale.factor
     submap = part.submap.scaled(factor)
     witness = SurfaceWitness(surface.mesh)
@@ -71,12 +77,13 @@ def measure_submap(part: DenseSubmap, surface: Surface) -> Coverage:
         witness.add(depth, confidence, part.camera.matrix, submap.world_from_camera[row])
     half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
     unit, voxel = surface.scale.unit, surface.voxel_size
-    return measure_coverage(witness.believed(), submap.world_from_camera, half_view, unit, fringe=voxel)
+    believed = witness.believed()
+    return measure_coverage(believed, submap.world_from_camera, half_view, unit, fringe=voxel), believed
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:
     try:
-        coverage = measure_submap(part, surface)
+        coverage, believed = measure_believed(part, surface)
     except NotATube as reason:
         picture.unlink(missing_ok=True)  # of a report that was made before
         return Judgement({"judged": False, "reason": str(reason)}, None)
@@ -85,7 +92,7 @@ def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -
     smallest = LISTED_MM if millimetres else LISTED_RADII * coverage.radius
     segments = coverage.segments(SEGMENT_MM if millimetres else SEGMENT_RADII * coverage.radius)
     listed = [region for region in coverage.regions if region.diameter >= smallest]
-    draw_coverage(coverage, unroll(coverage, surface.mesh), segments, len(listed), picture)
+    draw_coverage(coverage, unroll(coverage, believed, len(listed)), segments, len(listed), picture)
     record = {
         "judged": True,
         "unit": unit,
@@ -93,6 +100,7 @@ def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -
         "seen_area": coverage.whole.seen_area,
         "missed_area": coverage.whole.missed_area,
         "stretch": coverage.length,
+        "visited": [list(interval) for interval in coverage.visited],
         "lumen_radius": coverage.radius,
         "listed_from": smallest,
         "smaller_regions": len(coverage.regions) - len(listed),

@@ -137,7 +137,7 @@ def coverage_section(judgement: Judgement) -> str:
                 f"{region['area']:.3g}",
                 f"{region['diameter']:.3g}",
                 f"{region['arc']:.3g}",
-                f"{region['clock']:.1f}",
+                "all round" if region["clock"] is None else f"{region['clock']:.1f}",
                 f"{region['frame']} ({region['seconds']:.2f} s)",
             )
         )

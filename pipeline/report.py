@@ -44,7 +44,9 @@ class RunResult:
         seen = self.metrics["submaps"][0]["coverage"]
         if not seen["judged"]:
             return "coverage not judged"
-        return f"{seen['covered_percent']:.0f} % of the wall seen over {seen['stretch']:.3g} {seen['unit']}"
+        count = len(self.metrics["submaps"])
+        where = f" in the largest of {count} submaps" if count > 1 else ""
+        return f"{seen['covered_percent']:.0f} % of the wall seen over {seen['stretch']:.3g} {seen['unit']}{where}"
 
     def _caution(self) -> str:
         """Said with success, so that nobody overlooks it."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import ReconstructionError
+from reconstruction.lumen_path import ordered_path
 from reconstruction.mesh import SurfaceMesh
 from reconstruction.open3d_import import import_open3d
 
@@ -33,6 +34,8 @@ DIRECTIONS = 60  # rays of a cross-section
 SPHERE = 200  # directions in which a camera measures the lumen
 MAX_CAMERAS = 150  # that do
 MIN_WALL = 0.4  # share of a cross-section's rays that must meet wall before it may pull the line
+STANDSTILL = "the camera hardly moves along the lumen, so there is no stretch to judge"
+ASTRAY, MOST_ASTRAY = 1.5, 0.02  # distance of cameras from the line, and the share of them that may be farther
 
 
 class NotATube(ReconstructionError):
@@ -133,10 +136,11 @@ def trace_centreline(mesh: SurfaceMesh, world_from_camera: Array, radius: float)
     Arc length is 0 at the end that the cameras look away from. Raises `NotATube` where the mesh surrounds none of it.
     """
     walls = WallRays(mesh)
-    rough = _ordered(_inner_points(walls, world_from_camera, radius), radius)
+    rough = _ordered(walls, _inner_points(walls, world_from_camera, radius), radius)
     line = _resampled(_lengthened(rough, END * radius), STEP * radius)
     for _ in range(ROUNDS):
         line = _resampled(_centred(walls, line, radius), STEP * radius)
+    _refuse_shortcut(line, world_from_camera[:, :3, 3], radius)
     row = np.argmin(np.linalg.norm(line[:, None] - world_from_camera[None, :, :3, 3], axis=2), axis=0)
     looks = np.einsum("ni,ni->n", _tangents(line)[row], world_from_camera[:, :3, 2])
     if looks.sum() < 0:
@@ -172,21 +176,21 @@ def _inner_points(walls: WallRays, poses: Array, radius: float) -> Array:
     return mean / count[:, None]
 
 
-def _ordered(points: Array, radius: float) -> Array:
-    """The longest of the shortest paths through the points. A hop costs its length squared, so that paths keep to
-    short hops along the lumen, and yet no gap in the track cuts it."""
-    from scipy.sparse.csgraph import dijkstra
-    from scipy.spatial.distance import cdist
+def _ordered(walls: WallRays, points: Array, radius: float) -> Array:
+    path = ordered_path(walls, points, radius)
+    if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() < radius:
+        raise NotATube(STANDSTILL)
+    return path
 
-    cost = cdist(points, points, "sqeuclidean")
-    start = int(np.argmax(dijkstra(cost, indices=0)))
-    reach, before = dijkstra(cost, indices=start, return_predecessors=True)
-    path = [int(np.argmax(reach))]
-    while path[-1] != start:
-        path.append(int(before[path[-1]]))
-    if np.linalg.norm(np.diff(points[path], axis=0), axis=1).sum() < radius:
-        raise NotATube("the camera hardly moves along the lumen, so there is no stretch to judge")
-    return points[path]
+
+def _refuse_shortcut(line: Array, centres: Array, radius: float) -> None:
+    """Cameras away from the line were on a limb that it leaves out, whose wall would silently be missing."""
+    from scipy.spatial import cKDTree
+
+    astray = float((cKDTree(line).query(centres)[0] > ASTRAY * radius).mean())
+    if astray > MOST_ASTRAY:
+        share = f"{100 * astray:.0f} % of the camera's way"
+        raise NotATube(f"the lumen's middle line leaves {share} aside, so coverage cannot be judged")
 
 
 def _lengthened(line: Array, length: float) -> Array:
@@ -201,7 +205,7 @@ def _resampled(line: Array, step: float) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     places = np.arange(0, arc[-1], step)
     if len(places) < 4:
-        raise NotATube("the camera hardly moves along the lumen, so there is no stretch to judge")
+        raise NotATube(STANDSTILL)
     return np.column_stack([np.interp(places, arc, line[:, axis]) for axis in range(3)])
 
 

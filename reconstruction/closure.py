@@ -49,6 +49,12 @@ class Closure:
         vertices = self.vertices @ linear.T + target_from_mesh[:3, 3]
         return replace(self, vertices=vertices, arc=float(np.cbrt(np.linalg.det(linear))) * self.arc)
 
+    def part(self, kept: NDArray[np.bool_]) -> Closure:
+        """Only the triangles of the mask (F,)."""
+        return replace(
+            self, faces=self.faces[kept], unseen=self.unseen[kept], arc=self.arc[kept], angle=self.angle[kept]
+        )
+
     @property
     def centroids(self) -> Array:
         return self.vertices[self.faces].mean(axis=1)

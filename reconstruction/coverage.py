@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.centreline import Centreline, NotATube, WallRays, lumen_radius, trace_centreline
+from reconstruction.centreline import STANDSTILL, Centreline, NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.closure import Closure, close_wall, connected_faces
 from reconstruction.mesh import SurfaceMesh
 
@@ -17,6 +17,11 @@ Array = NDArray[np.float64]
 ALONG = 0.5  # cosine between view and lumen from which a camera looks along the lumen
 SHORTEST = 0.5  # stretch over radius below which there is nothing to judge
 LEAST_WALL = 0.5  # mean share of a cross-section's rays that must meet wall
+# Radii from one posed frame to the next up to which the lumen between them counts as passed. No tracker follows a
+# camera farther than about half of that between two frames, so what is longer is a gap in the poses.
+GAP = 1.0
+ONE_SIDED = 0.3  # length of the mean direction below which a region goes all round
+Intervals = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -26,9 +31,9 @@ class MissedRegion:
     area: float  # of the closing surface over it
     arc: float  # of its centre, from the start of the visited stretch
     arc_range: tuple[float, float]
-    clock: float  # hours in (0, 12]
+    clock: float | None  # hours in (0, 12]; None where the region goes all round
     centre: tuple[float, float, float]
-    frame: int  # row of the pose nearest to it
+    frame: int  # row of the nearest pose that pointed towards it; a fold may have stood between them
 
     @property
     def diameter(self) -> float:
@@ -60,19 +65,30 @@ class Segment:
 @dataclass(frozen=True)
 class Coverage:
     """What of the visited stretch was seen. `region` (F,) numbers the closing's faces: -1 seen, else a row of
-    `regions`, which are sorted by area, largest first."""
+    `regions`, which are sorted by area, largest first. `visited` are the pieces of the stretch that the camera passed,
+    in order; between them it has no poses, and nothing is judged."""
 
     line: Centreline
     closure: Closure
     region: NDArray[np.int64]
     regions: list[MissedRegion]
-    stretch: tuple[float, float]
+    visited: Intervals
     radius: float  # median of the lumen over the stretch
     unit: str
 
     @property
+    def stretch(self) -> tuple[float, float]:
+        """From the first visited place to the last."""
+        return self.visited[0][0], self.visited[-1][1]
+
+    @property
     def length(self) -> float:
-        return self.stretch[1] - self.stretch[0]
+        """Of all that was visited."""
+        return sum(end - start for start, end in self.visited)
+
+    def is_visited(self, arc: Array) -> NDArray[np.bool_]:
+        """Whether each arc length is judged."""
+        return within(arc, self.visited)
 
     @property
     def whole(self) -> Segment:
@@ -88,11 +104,13 @@ class Coverage:
         return Segment(start, end, float(area[~unseen].sum()), float(area[unseen].sum()))
 
     def segments(self, length: float) -> list[Segment]:
-        """Equal pieces from the start of the stretch; the last is what is left, joined to its neighbour if short."""
-        count = max(1, int(np.floor(self.length / length + 0.5)))
+        """Equal pieces from the start of the stretch; the last is what is left, joined to its neighbour if short.
+        A piece in which nothing is judged is left out."""
+        count = max(1, int(np.floor((self.stretch[1] - self.stretch[0]) / length + 0.5)))
         ends = self.stretch[0] + length * np.arange(count + 1)
         ends[-1] = self.stretch[1]
-        return [self.segment(a, b) for a, b in pairwise(ends.tolist())]
+        pieces = [self.segment(a, b) for a, b in pairwise(ends.tolist())]
+        return [piece for piece in pieces if piece.seen_area + piece.missed_area > 0]
 
     def transformed(self, target_from_mesh: Array) -> Coverage:
         """The same coverage moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
@@ -103,7 +121,7 @@ class Coverage:
             self.closure.transformed(target_from_mesh),
             self.region,
             regions,
-            (scale * self.stretch[0], scale * self.stretch[1]),
+            tuple((scale * start, scale * end) for start, end in self.visited),
             scale * self.radius,
             self.unit,
         )
@@ -139,35 +157,51 @@ def measure_coverage(
     own = own.transformed(np.diag([1 / scale, 1 / scale, 1 / scale, 1]))
     mesh_from_canonical = world_from_camera[0] @ np.diag([scale, scale, scale, 1])
     line = trace_centreline(own, poses, 1.0)
-    stretch = visited_stretch(line, poses, half_fov_deg)
-    inside = (line.arc >= stretch[0]) & (line.arc <= stretch[1])
+    visited = visited_intervals(line, poses, half_fov_deg)
+    inside = within(line.arc, visited)
     if line.wall[inside].mean() < LEAST_WALL:
         raise NotATube(
             f"only {100 * line.wall[inside].mean():.0f} % of the directions around the lumen meet reconstructed wall, "
             "so it is too open to judge"
         )
-    line = replace(line, arc=line.arc - stretch[0])
-    stretch = (0.0, stretch[1] - stretch[0])
-    radius = float(np.median(line.radius[inside]))
-    closure = close_wall(own, line, stretch, radius, fringe / scale)
+    begin, radius = visited[0][0], float(np.median(line.radius[inside]))
+    line = replace(line, arc=line.arc - begin)
+    visited = tuple((start - begin, end - begin) for start, end in visited)
+    closure = close_wall(own, line, (0.0, visited[-1][1]), radius, fringe / scale)
+    closure = closure.part(within(closure.arc, visited))
     region, regions = _find_regions(closure, line, poses, half_fov_deg)
-    return Coverage(line, closure, region, regions, stretch, radius, unit).transformed(mesh_from_canonical)
+    return Coverage(line, closure, region, regions, visited, radius, unit).transformed(mesh_from_canonical)
 
 
-def visited_stretch(line: Centreline, poses: Array, half_fov_deg: float) -> tuple[float, float]:
-    """First and last arc length at which a cross-section crossed the edge of the picture.
+def visited_intervals(line: Centreline, poses: Array, half_fov_deg: float) -> Intervals:
+    """Arc lengths whose cross-sections crossed the edge of the picture, as intervals in order that do not touch.
 
     A camera that looks along the lumen, either way, has at its picture's edge the wall that lies the lumen's radius
-    over the tangent of the half angle ahead of it.
+    over the tangent of the half angle ahead of it. From one posed frame to the next that place sweeps over the lumen
+    between; where it leaps, no posed frame shows that the camera passed what lies there.
     """
     row = line.stations_of(poses[:, :3, 3])
     cosine = np.einsum("ni,ni->n", line.tangents[row], poses[:, :3, 2])
     ahead = np.sign(cosine) * line.radius[row] / np.tan(np.radians(half_fov_deg))
     at_edge = (line.locate(poses[:, :3, 3])[0] + ahead)[np.abs(cosine) >= ALONG]
-    if not len(at_edge) or np.ptp(np.clip(at_edge, *line.arc[[0, -1]])) < SHORTEST * np.median(line.radius):
-        raise NotATube("the camera hardly moves along the lumen, so there is no stretch to judge")
-    low, high = np.clip([at_edge.min(), at_edge.max()], *line.arc[[0, -1]])
-    return float(low), float(high)
+    radius = float(np.median(line.radius))
+    swept = np.sort(np.column_stack([at_edge[:-1], at_edge[1:]]), axis=1)
+    swept = np.clip(swept[np.ptp(swept, axis=1) <= GAP * radius], *line.arc[[0, -1]])
+    joined: list[tuple[float, float]] = []
+    for start, end in swept[np.argsort(swept[:, 0])].tolist():
+        if joined and start <= joined[-1][1]:
+            joined[-1] = joined[-1][0], max(end, joined[-1][1])
+        elif end > start:
+            joined.append((start, end))
+    if sum(end - start for start, end in joined) < SHORTEST * radius:
+        raise NotATube(STANDSTILL)
+    return tuple(joined)
+
+
+def within(arc: Array, intervals: Intervals) -> NDArray[np.bool_]:
+    """Whether each arc length lies in one of the intervals."""
+    start, end = np.array(intervals).T[:, :, None]
+    return ((arc >= start) & (arc <= end)).any(axis=0)
 
 
 def _find_regions(
@@ -187,19 +221,25 @@ def _find_regions(
         rows = np.flatnonzero(region == number)
         centre = np.average(centroids[rows], axis=0, weights=areas[rows])
         extent = arc_of_vertex[closure.faces[rows]]
-        mean_angle = np.angle(np.sum(areas[rows] * np.exp(1j * closure.angle[rows])))
-        clock = float(mean_angle % (2 * np.pi) * 6 / np.pi) or 12.0
         regions.append(
             MissedRegion(
                 area=float(areas[rows].sum()),
                 arc=float(np.average(closure.arc[rows], weights=areas[rows])),
                 arc_range=(float(extent.min()), float(extent.max())),
-                clock=clock,
+                clock=_clock(closure.angle[rows], areas[rows]),
                 centre=(float(centre[0]), float(centre[1]), float(centre[2])),
                 frame=_nearest_view(centre, poses, half_fov_deg),
             )
         )
     return region, regions
+
+
+def _clock(angle: Array, area: Array) -> float | None:
+    """Hours in (0, 12] of the mean direction; None where the directions outweigh one another."""
+    mean = np.sum(area * np.exp(1j * angle)) / area.sum()
+    if np.abs(mean) < ONE_SIDED:
+        return None
+    return float(np.angle(mean) % (2 * np.pi) * 6 / np.pi) or 12.0
 
 
 def _nearest_view(point: Array, poses: Array, half_fov_deg: float) -> int:

@@ -32,7 +32,7 @@ def draw_coverage(
     _mark_regions(wall, coverage, unrolled, listed)
     wall.set_title(
         f"{100 * coverage.share:.1f} % of the wall seen over {coverage.length:.3g} {unit}; blue: missed; "
-        "grey: outside the visited stretch, not judged",
+        "grey: not visited, not judged",
         loc="left",
     )
     shown = _show(trust, unrolled, np.where(unrolled.state == NOT_JUDGED, np.nan, unrolled.confidence))
@@ -75,7 +75,7 @@ def _mark_regions(panel: Any, coverage: Coverage, unrolled: UnrolledMap, listed:
     angle = (unrolled.angle_edges[1:] + unrolled.angle_edges[:-1]) / 2
     for number, region in enumerate(coverage.regions[:listed]):
         rows, columns = np.nonzero(unrolled.region == number)
-        here = region.clock * np.pi / 6
+        here = (region.clock or 12.0) * np.pi / 6  # where it goes all round, any of its cells will do
         if len(rows):
             turn = np.abs((angle[columns] - here + np.pi) % (2 * np.pi) - np.pi) * coverage.radius
             best = np.argmin(np.hypot(arc[rows] - region.arc, turn))

@@ -31,12 +31,14 @@ class UnrolledMap:
     confidence: NDArray[np.float32]  # (A,B) NaN in missed cells and where nothing was recorded
 
 
-def unroll(coverage: Coverage, mesh: SurfaceMesh) -> UnrolledMap:
+def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMap:
     """Lay the wall flat; `mesh` gives colour and confidence, and must be the one that was measured.
 
     A cell looks at all wall between two arc lengths and two angles, folds with both their sides included. It is
     missed if at least half of the closing's area in it is unseen; a cell in which the closing shows no wall at all
-    (a fold overhangs it) is like its nearest neighbour. Cells outside the visited stretch are not judged.
+    (a fold overhangs it) is like its nearest neighbour. Cells outside the visited stretch are not judged. Of the first
+    `listed` regions, one that outweighs seen wall in no cell (it hides beneath a fold) has all cells that it touches
+    marked as missed, so that whatever is listed can be found on the map.
     """
     cell = 2 * np.pi * coverage.radius / COLUMNS
     past = BEYOND * coverage.radius
@@ -44,23 +46,29 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh) -> UnrolledMap:
     arc_edges = np.linspace(-past, coverage.length + past, rows + 1)
     angle_edges = np.linspace(0, 2 * np.pi, COLUMNS + 1)
     middle = (arc_edges[1:] + arc_edges[:-1]) / 2
-    judged = ((middle >= coverage.stretch[0]) & (middle <= coverage.stretch[1]))[:, None] & np.ones(COLUMNS, bool)
+    judged = coverage.is_visited(middle)[:, None] & np.ones(COLUMNS, bool)
     cells, face = _cells_of_faces(coverage, arc_edges)
     size, weight = rows * COLUMNS, coverage.closure.areas[face]
     unseen = coverage.closure.unseen[face]
     total, dark = (np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unseen))
     filled = _nearest_known((total > 0).reshape(rows, COLUMNS))
     missed = (2 * dark >= np.maximum(total, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
-    region = np.full(size, -1)
+    owner = np.full(size, -1)
     order = np.argsort(-coverage.region[face[unseen]], kind="stable")  # the largest region last, so that it stays
-    region[cells[unseen][order]] = coverage.region[face[unseen]][order]
+    owner[cells[unseen][order]] = coverage.region[face[unseen]][order]
+    region = np.where(missed, owner.reshape(rows, COLUMNS)[filled], -1)
+    for number in np.setdiff1d(np.arange(listed), region):
+        touched = np.zeros(size, bool)
+        touched[cells[coverage.region[face] == number]] = True
+        region[touched.reshape(rows, COLUMNS) & judged] = number
+    missed |= region >= 0
     colour, confidence = _paint(mesh, coverage, arc_edges, missed)
     state = np.where(judged, np.where(missed, MISSED, SEEN), NOT_JUDGED).astype(np.uint8)
     return UnrolledMap(
         arc_edges,
         angle_edges,
         state,
-        np.where(missed, region.reshape(rows, COLUMNS)[filled], -1),
+        region,
         colour,
         confidence,
     )

@@ -176,13 +176,6 @@ def test_a_pose_is_found_among_forty_percent_outliers(seed):
     assert (reprojection_errors(found, points, seen, gains(150))[right] < 2).mean() > 0.98
 
 
-def test_noise_alone_has_no_pose():
-    rng = np.random.default_rng(0)
-    found = robust_pose(tube(60, rng), rng.uniform(-1, 1, (60, 2)), gains(60), 1.0, rng)
-    if found is not None:  # six points that agree by chance are no more than that
-        assert (reprojection_errors(found, tube(60, rng), rng.uniform(-1, 1, (60, 2)), gains(60)) < 1).mean() < 0.3
-
-
 def test_many_poses_refined_at_once_are_those_refined_one_by_one():
     rng = np.random.default_rng(5)
     points = tube(40, rng)
@@ -222,8 +215,12 @@ def scene(kind, rng, count=150):
 
 
 @pytest.mark.parametrize("kind", ["plane", "tube"])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_right_start_is_chosen_on_flat_and_on_general_scenes(kind, seed):
+def test_the_right_start_is_chosen_on_flat_and_on_general_scenes(kind):
+    """A start put off is allowed where two poses fit, but not always; a wrong one never is."""
+    assert sum(starts_right(kind, seed) for seed in range(3)) >= (2 if kind == "plane" else 3)
+
+
+def starts_right(kind, seed):
     """The lamp's brightness is 1 / distance^2; a plane has a second pose that fits two views just as well."""
     rng = np.random.default_rng(seed)
     points = scene(kind, rng)
@@ -235,11 +232,11 @@ def test_the_right_start_is_chosen_on_flat_and_on_general_scenes(kind, seed):
     brightness = 1 / (local**2).sum(axis=1) * rng.uniform(0.8, 1.2, len(points))
     found = start_pose(first, second, third, brightness, FOCAL, np.random.default_rng(seed))
     if found is None:
-        assert kind == "plane"  # a start put off is allowed where two poses fit, a wrong one never
-        return
+        return False
     assert np.degrees(angle_between(found.pose, poses[2])) < 1.0
     assert direction_error_deg(found.pose, poses[2]) < 8
     assert found.light < -0.5
+    return True
 
 
 def test_a_turning_camera_does_not_start():

@@ -31,7 +31,8 @@ def normalise(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     mean = cv2.blur(log, (size, size))
     high = log - mean
     spread = cv2.sqrt(cv2.blur(high * high, (size, size))) + FLOOR
-    return cv2.convertScaleAbs(cv2.add(high * (CONTRAST / spread), 128.0))
+    # Clipped before it is rounded: the conversion takes absolute values and would fold deep shadow up to grey.
+    return cv2.convertScaleAbs(np.maximum(high * (CONTRAST / spread) + 128.0, 0.0))
 
 
 @dataclass(frozen=True)

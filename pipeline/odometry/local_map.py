@@ -15,7 +15,8 @@ from pipeline.odometry.rays import RayTable
 from pipeline.odometry.triangulation import triangulate
 
 WINDOW = 8  # keyframes that a bundle adjustment moves
-ANCHORS = 6  # older ones that saw the same points and stay
+ANCHORS = 6  # others that saw the same points and stay
+MIN_SHARED = 10  # points that such a one must share; fewer do not hold a scene
 WINDOW_ITERATIONS = 6
 LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
 MAX_ERROR_PX = 2.0  # of an observation that is kept
@@ -123,23 +124,35 @@ class LocalMap:
         end: int | None = None,
         loss_px: float = LOSS_PX,
         max_error_px: float = MAX_ERROR_PX,
+        anchors: int = ANCHORS,
     ) -> None:
         """Bundle adjustment of the `window` keyframes before number `end` (the latest ones) and of their points.
 
-        Older keyframes that see those points hold the scene; without any, the first one does.
+        The `anchors` others that share most points with them hold the scene, older or younger; without any, the first
+        of the window does.
         """
         end = len(self.keyframes) if end is None else end
         first = max(0, end - window)
         free = self.keyframes[first:end]
-        bundle, tracks = self._bundle(self.keyframes[max(0, first - ANCHORS) : first], free)
+        held = self._sharing(free, self.keyframes[:first] + self.keyframes[end:], anchors)
+        bundle, tracks = self._bundle(held, free)
         if len(tracks) == 0:
             return
         result = adjust(bundle, iterations, loss_px)
-        held = len(bundle.rotation) - len(free)
-        for number, keyframe in enumerate(free, start=held):
+        for number, keyframe in enumerate(free, start=len(held)):
             keyframe.pose = compose(result.rotation[number], result.translation[number])
         self.points[tracks] = result.points
-        self._cull(result, tracks, self.keyframes[first - held : end], max_error_px)
+        self._cull(result, tracks, held + free, max_error_px)
+
+    def _sharing(self, free: list[Keyframe], others: list[Keyframe], most: int) -> list[Keyframe]:
+        """Those of `others` that see most points of `free`, at most so many, in their order."""
+        wanted = np.zeros(len(self.known), dtype=bool)
+        for keyframe in free:
+            wanted[keyframe.ids] = True
+        wanted &= self.known
+        shared = np.array([int(wanted[k.ids].sum()) for k in others], dtype=np.int64)
+        best = np.argsort(-shared, kind="stable")[:most]
+        return [others[k] for k in np.sort(best[shared[best] >= MIN_SHARED])]
 
     def _bundle(self, held: list[Keyframe], free: list[Keyframe]) -> tuple[Bundle, NDArray[np.int64]]:
         """The problem, and the track number of each of its points."""

@@ -1,10 +1,11 @@
 """Submaps that saw the same place become one, on strong evidence only: a false merge is far worse than a missed one.
 
-Strong means: two or more pairs of places, at different keyframes, each with many matched points that one similarity
-explains in both images, and one and the same similarity for all of them.
+Strong means: two or more pairs of places, at different views on both sides, each with many matched points that one
+similarity explains in both images, and one and the same similarity for all of them.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.odometry.local_map import LocalMap, PosedFrame
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, find_places, look_alikes, match
-from pipeline.odometry.poses import Array, in_camera
+from pipeline.odometry.poses import Array, in_camera, inverse
 from pipeline.odometry.resection import reprojection_errors
 from pipeline.odometry.similarity import (
     Side,
@@ -27,7 +28,7 @@ PER_PLACE = 3  # look-alikes tried
 MIN_INLIERS = 20
 MIN_INLIER_SHARE = 0.4  # of the matches; by chance a twentieth agrees
 MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
-MIN_PAIRS = 2  # of different keyframes on both sides
+MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neighbours see one and the same picture
 SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
 MAX_SAME_PX = 8.0
 REACH = 4  # keyframes on each side in which a matched point is looked for
@@ -54,32 +55,40 @@ def polish_and_merge(maps: list[LocalMap], read: ReadFrame, seed: int) -> tuple[
         polish(local_map)
     if len(maps) < 2:
         return maps, 0
-    merged, joins = merge_maps(maps, read, seed)
-    for local_map in merged if joins else []:
-        polish(local_map, joined=True)
-    return merged, joins
+    merged = merge_maps(maps, read, seed)
+    for local_map, joins in merged:
+        if joins:
+            polish(local_map, joined=True)
+    return [local_map for local_map, _ in merged], sum(joins for _, joins in merged)
 
 
-def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> tuple[list[LocalMap], int]:
-    """The maps with those joined that surely belong together, and how many joins there were."""
+def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[tuple[LocalMap, int]]:
+    """The maps with those joined that surely belong together, each with the number of joins that made it.
+
+    A grown map may touch one that it did not before; only the places that it gained are then compared.
+    """
     rng = np.random.default_rng(seed)
-    left, joins = [(m, find_places(m, read)) for m in maps], 0
-    merged: list[LocalMap] = []
+    left = [(m, find_places(m, read)) for m in maps]
+    merged = []
     while left:
         base, places = left.pop(0)
-        number = 0
+        number, joins = 0, 0
+        tried = [0] * len(left)  # places of the base that were compared with each of the others,
+        found: list[list[Link]] = [[] for _ in left]  # and what they gave
         while number < len(left):
             other, others = left[number]
-            links = find_links(base, places, other, others, rng, seed)
+            found[number] += find_links(base, places[tried[number] :], other, others, rng, seed)
+            tried[number] = len(places)
+            links = strongest(found[number], base, other)
             if not links:
                 number += 1
                 continue
             places = places + absorb(base, places, other, others, links)
             joins += 1
-            del left[number]
-            number = 0  # the grown map may now touch one that it did not before
-        merged.append(base)
-    return merged, joins
+            del left[number], tried[number], found[number]
+            number = 0
+        merged.append((base, joins))
+    return merged
 
 
 def find_links(
@@ -90,25 +99,37 @@ def find_links(
     rng: np.random.Generator,
     seed: int,
 ) -> list[Link]:
-    """The largest set of links that agree on one similarity; empty unless they are strong evidence."""
+    """Every look-alike pair of places that fits."""
     if not places or not others:
         return []
-    links = []
-    for i, j in look_alikes(places, others, PER_PLACE, seed):
-        link = _link(first, places[i], second, others[j], rng)
-        if link is not None:
-            links.append(link)
+    links = (_link(first, places[i], second, others[j], rng) for i, j in look_alikes(places, others, PER_PLACE, seed))
+    return [link for link in links if link is not None]
+
+
+def strongest(links: list[Link], first: LocalMap, second: LocalMap) -> list[Link]:
+    """The largest set of links that agree on one similarity; empty unless two of them come from different views on
+    both sides, which makes one false likeness not enough."""
     best: list[Link] = []
     for link in links:
         agreeing = [other for other in links if _explains(link.second_from_first, other)]
         if len(agreeing) > len(best):
             best = agreeing
-    sides = [{link.keyframe(side) for link in best} for side in (0, 1)]
-    return best if best and min(len(side) for side in sides) >= MIN_PAIRS else []
+    apart = any(_are_apart(one, other, (first, second)) for one, other in combinations(best, 2))
+    return best if apart else []
+
+
+def _are_apart(one: Link, other: Link, maps: tuple[LocalMap, LocalMap]) -> bool:
+    """Whether two links have a baseline between them, in the first map and in the second."""
+    for side, local_map in enumerate(maps):
+        here, there = (local_map.keyframes[link.keyframe(side)] for link in (one, other))
+        baseline = float(np.linalg.norm(inverse(here.pose)[:3, 3] - inverse(there.pose)[:3, 3]))
+        if baseline < MIN_BASELINE * local_map.median_depth(here):
+            return False
+    return True
 
 
 def _link(first: LocalMap, place: Place, second: LocalMap, other: Place, rng: np.random.Generator) -> Link | None:
-    pairs = match(place.descriptors, other.descriptors)
+    pairs = match(place.rooted, other.rooted)
     if len(pairs) < MIN_INLIERS:
         return None
     sides = []
@@ -193,14 +214,14 @@ def _tie(base: LocalMap, link: Link, places: tuple[list[Place], list[Place]], of
         base.extend(place.keyframe + offset, ids, place.pixels[rows])
         for other in places[side]:
             if 0 < abs(other.keyframe - place.keyframe) <= REACH:
-                _see_again(base, ids, place.descriptors[rows], other, other.keyframe + offset)
+                _see_again(base, ids, place.rooted[rows], other, other.keyframe + offset)
 
 
 def _see_again(
     base: LocalMap, ids: NDArray[np.int64], descriptors: NDArray[np.float32], place: Place, number: int
 ) -> None:
     """Observations of tracks in another keyframe, where its features look alike and lie where the points project to."""
-    pairs = match(descriptors, place.descriptors)
+    pairs = match(descriptors, place.rooted)
     if len(pairs) == 0:
         return
     seen, gain = base.rays.look_up(place.pixels[pairs[:, 1]])

@@ -48,7 +48,7 @@ class Odometry:
 
     def feed(self, frame: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> State:
         """rgb (H,W,3) uint8; mask (H,W), nonzero where features may lie; `frame` numbers ascend."""
-        view = make_view(rgb, mask)
+        view = make_view(rgb, self.rays.masked(mask))
         if self.tracker is not None:
             steps = max(1, round((frame - self.tracker.frame) / self.stride))
             outcome = "lost" if steps > MAX_JUMP else self.tracker.feed(frame, steps, view, rgb)
@@ -64,7 +64,7 @@ class Odometry:
         made = self.start.feed(frame, view, rgb)
         if made is not None:
             self._close()
-            self.tracker = Tracker(made, self.start.tracks, view, frame, self.rng)
+            self.tracker = Tracker(made, self.start.tracks, view, frame, self.rng, self.stride)
             self.start, self.missed = None, 0
         return self.state
 

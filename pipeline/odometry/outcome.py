@@ -10,6 +10,7 @@ from pipeline.odometry.resection import refine_poses
 from pipeline.submap import Submap
 
 WHOLE = 300  # keyframes that are adjusted in one piece; a longer map is swept by overlapping windows of that length
+HELD = 60  # keyframes outside a window that hold it, so that a tie to a far part of the map is felt from both sides
 FINAL_ITERATIONS = 25
 SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
 MIN_SEEN = 8  # points that a frame must see to be called posed
@@ -23,8 +24,8 @@ def polish(local_map: LocalMap, joined: bool = False) -> None:
     """
     for loss_px, max_error_px in SETTLING * joined + 2 * ((LOSS_PX, MAX_ERROR_PX),):
         count = len(local_map.keyframes)
-        for end in range(min(count, WHOLE), max(count, WHOLE) + 1, WHOLE // 2) if count > WHOLE else (count,):
-            local_map.adjust(min(end, WHOLE), FINAL_ITERATIONS, end, loss_px, max_error_px)
+        for end in sorted({*range(WHOLE, count, WHOLE // 2), count}):
+            local_map.adjust(min(end, WHOLE), FINAL_ITERATIONS, end, loss_px, max_error_px, HELD)
 
 
 def to_submap(local_map: LocalMap, camera_params: tuple[float, ...]) -> Submap | None:

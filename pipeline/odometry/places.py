@@ -30,20 +30,27 @@ SAMPLE = 20_000
 
 @dataclass(frozen=True)
 class Place:
-    """keyframe: its number in the map. pixels (N,2), descriptors (N,128), points (N,3) in the map's world."""
+    """keyframe: its number in the map. pixels (N,2), descriptors (N,128) as SIFT gives them, whole numbers below 256,
+    points (N,3) in the map's world."""
 
     keyframe: int
     pixels: Array
-    descriptors: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
     points: Array
+
+    @property
+    def rooted(self) -> NDArray[np.float32]:
+        """(N,128) RootSIFT; made anew each time, since all places of all maps are held until the joining ends."""
+        return rooted(self.descriptors)
 
 
 def find_places(local_map: LocalMap, read: ReadFrame) -> list[Place]:
     """Evenly spaced places of a map; images are read again from where they are stored."""
     step = -(-len(local_map.keyframes) // MAX_PLACES)
-    places = [
-        _place(local_map, number, *read(k.frame)) for number, k in enumerate(local_map.keyframes) if number % step == 0
-    ]
+    places = []
+    for number in range(0, len(local_map.keyframes), max(1, step)):
+        rgb, mask = read(local_map.keyframes[number].frame)
+        places.append(_place(local_map, number, rgb, local_map.rays.masked(mask)))
     return [place for place in places if len(place.points) >= MIN_POINTS]
 
 
@@ -65,22 +72,27 @@ def match(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np
 def look_alikes(first: list[Place], second: list[Place], per_place: int, seed: int) -> list[tuple[int, int]]:
     """Pairs of rows whose signatures (VLAD, see pipeline/loop_pairs.py) are nearest, most alike first."""
     words = _words(np.concatenate([p.descriptors for p in first + second]), seed)
-    one = np.stack([vlad(p.descriptors, words) for p in first])
-    other = np.stack([vlad(p.descriptors, words) for p in second])
+    one = np.stack([vlad(p.rooted, words) for p in first])
+    other = np.stack([vlad(p.rooted, words) for p in second])
     likeness = one @ other.T
     order = np.argsort(-likeness, axis=1, kind="stable")[:, :per_place]
     pairs = [(float(-likeness[i, j]), i, int(j)) for i in range(len(first)) for j in order[i]]
     return [(i, j) for _, i, j in sorted(pairs)]
 
 
-def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Array, NDArray[np.float32]]:
-    """Pixels (N,2), COLMAP's convention, and RootSIFT descriptors (N,128)."""
+def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """SIFT to RootSIFT, (N,128)."""
+    whole = descriptors.astype(np.float32)
+    return np.sqrt(whole / np.maximum(whole.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
+
+
+def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Array, NDArray[np.uint8]]:
+    """Pixels (N,2), COLMAP's convention, and SIFT descriptors (N,128)."""
     detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=CONTRAST)
     keypoints, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), mask)
     if descriptors is None:
-        return np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32)
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))
-    return np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5, root.astype(np.float32)
+        return np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)
+    return np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5, descriptors.astype(np.uint8)
 
 
 def _place(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Place:
@@ -88,7 +100,7 @@ def _place(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArr
     keyframe = local_map.keyframes[number]
     pixels, descriptors = sift(rgb, mask)
     known = local_map.known[keyframe.ids]
-    nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros((0, 3)))
+    nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
     if known.sum() < MIN_POINTS or len(pixels) == 0:
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
@@ -100,11 +112,11 @@ def _place(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArr
     return Place(number, pixels[good], descriptors[good], in_camera(inverse(keyframe.pose), local))
 
 
-def _words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
-    """(WORDS,128) k-means centres of a sample."""
+def _words(descriptors: NDArray[np.uint8], seed: int) -> NDArray[np.float32]:
+    """(WORDS,128) k-means centres of a sample, of RootSIFT."""
     if len(descriptors) > SAMPLE:
         chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
         descriptors = descriptors[np.sort(chosen)]
     cv2.setRNGSeed(seed + 1)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
-    return cv2.kmeans(descriptors, min(WORDS, len(descriptors)), None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]
+    return cv2.kmeans(rooted(descriptors), min(WORDS, len(descriptors)), None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]

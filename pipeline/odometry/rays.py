@@ -29,6 +29,10 @@ class RayTable:
         corners = valid.reshape(camera.height + 1, camera.width + 1)
         self.usable = (corners[1:, 1:] & corners[:-1, 1:] & corners[1:, :-1] & corners[:-1, :-1]).astype(np.uint8)
 
+    def masked(self, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The mask (H,W) without the pixels that have no ray here: past the widest angle or outside the lens model."""
+        return np.where(self.usable > 0, mask, 0).astype(np.uint8)
+
     def look_up(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(N,2) pixels, COLMAP's convention -> (N,2) on the plane z = 1 and (N,2,2) gain, pixels per unit there."""
         limit = np.array([self.camera.width, self.camera.height]) - 1e-6

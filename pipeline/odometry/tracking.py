@@ -33,11 +33,19 @@ Outcome = Literal["tracked", "keyframe", "lost"]
 class Tracker:
     """Poses frames in `map`; `tracks` must be those from which the map's last keyframe was made."""
 
-    def __init__(self, local_map: LocalMap, tracks: TrackSet, view: View, frame: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        local_map: LocalMap,
+        tracks: TrackSet,
+        view: View,
+        frame: int,
+        rng: np.random.Generator,
+        stride: int = 1,
+    ) -> None:
         self.map, self.tracks, self.rng = local_map, tracks, rng
         self.pose = local_map.keyframes[-1].pose
         self.frame = frame
-        self.velocity = self._initial_velocity()
+        self.velocity = self._initial_velocity(stride)
         self.light: list[float] = []  # rank correlation of distance and brightness at each keyframe
         self._anchor(view)
 
@@ -156,12 +164,13 @@ class Tracker:
         distance = np.linalg.norm(in_camera(self.pose, self.map.points[self.tracks.ids[rows]]), axis=1)
         self.light.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
 
-    def _initial_velocity(self) -> Array:
-        """From the map's last two keyframes."""
+    def _initial_velocity(self, stride: int) -> Array:
+        """From the map's last two keyframes, for one step of `stride` frame numbers."""
         if len(self.map.keyframes) < 2:
             return np.eye(4)
         before, last = self.map.keyframes[-2:]
-        return _fraction(last.pose @ inverse(before.pose), 1 / max(1, last.frame - before.frame))
+        steps = max(1, round((last.frame - before.frame) / stride))
+        return _fraction(last.pose @ inverse(before.pose), 1 / steps)
 
 
 def _fraction(motion: Array, share: float) -> Array:

@@ -1,0 +1,172 @@
+"""The streaming front end's gates, one by one: what may be tracked, what is adjusted, what joins two maps."""
+
+import numpy as np
+import pytest
+from test_odometry_geometry import PINHOLE, gains, on_plane, pose, tube
+
+from pipeline.camera import Camera
+from pipeline.odometry import merging
+from pipeline.odometry.features import normalise
+from pipeline.odometry.local_map import Keyframe, LocalMap
+from pipeline.odometry.merging import find_links, merge_maps, strongest
+from pipeline.odometry.odometry import Odometry
+from pipeline.odometry.outcome import polish
+from pipeline.odometry.places import Place, find_places
+from pipeline.odometry.poses import inverse
+from pipeline.odometry.rays import RayTable
+from pipeline.odometry.resection import reprojection_errors, robust_pose
+from pipeline.odometry.tracking import Tracker
+
+RAYS = RayTable(PINHOLE)
+
+
+def test_no_track_lies_where_the_lens_has_no_ray():
+    """Equidistant, 100 px a radian: a pixel at 105 degrees has a table entry at 85. Texture goes to the corners."""
+    rng = np.random.default_rng(0)
+    image = np.repeat(rng.integers(60, 200, (80, 80, 1), dtype=np.uint8), 3, axis=2).repeat(4, 0).repeat(4, 1)
+    fisheye = Camera("OPENCV_FISHEYE", 320, 320, (100.0, 100.0, 160.0, 160.0, 0.0, 0.0, 0.0, 0.0))
+    mask = np.full((320, 320), 255, np.uint8)
+    odometry = Odometry(RayTable(fisheye), 0)
+    odometry.feed(0, image, mask)
+    angle = np.degrees(np.linalg.norm(odometry.start.tracks.now - 160, axis=1) / 100)
+    assert len(angle) > 100
+    assert angle.max() < 78
+    assert angle.max() > 70  # and the limit costs no more than that
+    assert set(np.unique(odometry.rays.masked(mask))) == {0, 255}
+
+
+def test_deep_shadow_is_not_folded_up_to_grey():
+    """Light wall with a few black specks: many standard deviations below its surroundings is black, not mid-grey."""
+    image = np.full((100, 100, 3), 200, np.uint8)
+    image[48:51, 48:51] = 0
+    assert normalise(image)[49, 49] == 0
+
+
+def test_noise_alone_has_no_pose():
+    rng = np.random.default_rng(0)
+    points, seen = tube(60, rng), rng.uniform(-1, 1, (60, 2))
+    found = robust_pose(points, seen, gains(60), 1.0, rng)
+    if found is not None:  # six points that agree by chance are no more than that
+        assert (reprojection_errors(found, points, seen, gains(60)) < 1).mean() < 0.2
+
+
+@pytest.mark.parametrize("count", [5, 299, 300, 301, 449, 450, 451, 900])
+def test_every_keyframe_is_adjusted_at_the_end(count):
+    class Stub:
+        keyframes = [None] * count
+        touched = np.zeros(count, int)
+
+        def adjust(self, window, iterations, end, *rest):
+            self.touched[max(0, end - window) : end] += 1
+
+    stub = Stub()
+    polish(stub)
+    assert stub.touched.min() >= 2  # once before what does not fit is dropped, and once after
+
+
+def a_map(centres, ids=None, points=None, seed=0):
+    """Keyframes at `centres`, each seeing the tracks `ids` of it (all of them where not given)."""
+    made = LocalMap(RAYS)
+    world = tube(60, np.random.default_rng(seed)) if points is None else points
+    made.points[: len(world)], made.known[: len(world)] = world, True
+    for number, centre in enumerate(centres):
+        mine = np.arange(len(world)) if ids is None else np.asarray(ids[number])
+        camera_from_world = pose([0, 0, 0], centre)
+        made.add_keyframe(number, camera_from_world, mine, 160 + 160 * on_plane(camera_from_world, world[mine])[0])
+    return made
+
+
+def test_a_window_is_held_by_those_that_share_its_points_wherever_they_are():
+    """Keyframes 1 and 2 precede the window but share nothing with it; 0 and 5, far off in the list, do."""
+    half, other = np.arange(30), np.arange(30, 60)
+    centres = [[0, 0, 0.1 * k] for k in range(6)]
+    made = a_map(centres, [half, other, other, half, half, half])
+    held = made._sharing(made.keyframes[3:5], made.keyframes[:3] + made.keyframes[5:], 6)
+    assert [keyframe.frame for keyframe in held] == [0, 5]
+    before = [keyframe.pose.copy() for keyframe in made.keyframes]
+    for number in (3, 4):
+        made.keyframes[number].pose = pose([0.5, 0, 0], [0.1, 0, centres[number][2]])
+    made.adjust(2, 30, end=5)
+    for keyframe, right in zip(made.keyframes, before, strict=True):
+        np.testing.assert_allclose(keyframe.pose, right, atol=1e-3)
+
+
+@pytest.mark.parametrize("stride", [1, 5])
+def test_the_first_prediction_knows_the_stride(stride):
+    """Two keyframes two working frames and 2 mm apart: 1 mm from one working frame to the next."""
+    made = a_map([[0, 0, 0], [0, 0, 2]])
+    made.keyframes[1].frame = 2 * stride
+    tracker = Tracker.__new__(Tracker)
+    tracker.map = made
+    np.testing.assert_allclose(inverse(tracker._initial_velocity(stride))[:3, 3], [0, 0, 1], atol=1e-9)
+
+
+def place_of(local_map, number, rows, codes):
+    keyframe: Keyframe = local_map.keyframes[number]
+    return Place(number, keyframe.pixels[rows], codes[rows], local_map.points[keyframe.ids[rows]])
+
+
+def linked(rows, wrong=0, points=None):
+    """Links of one place in two maps of the same wall, of which `wrong` matched points lie elsewhere in the second."""
+    rng = np.random.default_rng(1)
+    codes = rng.integers(0, 255, (60, 128)).astype(np.uint8)
+    first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points)
+    place, other = place_of(first, 0, rows, codes), place_of(second, 0, rows, codes)
+    other.points[:wrong] += rng.uniform(20, 60, (wrong, 3))
+    return find_links(first, [place], second, [other], rng, 0)
+
+
+def test_a_link_needs_matches_agreement_and_spread():
+    assert len(linked(np.arange(60))) == 1
+    assert len(linked(np.arange(20))) == 1
+    assert linked(np.arange(19)) == []  # too few matches
+    assert len(linked(np.arange(60), wrong=30)) == 1
+    assert linked(np.arange(60), wrong=38) == []  # 22 agree, of 60
+    ridge = tube(60, np.random.default_rng(0))
+    ridge[:, 1] = 0.02 * ridge[:, 1]
+    assert linked(np.arange(60), points=ridge) == []  # all on a line of the image
+
+
+@pytest.mark.parametrize(("apart", "joined"), [(0.0, False), (1.0, False), (10.0, True)])
+def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
+    """Two keyframes of each map, so many mm apart along a lumen whose points lie some 50 mm ahead."""
+    codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
+    maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -1.0)]
+    places = [[place_of(m, number, np.arange(60), codes) for number in (0, 1)] for m in maps]
+    links = find_links(maps[0], places[0], maps[1], places[1], np.random.default_rng(0), 0)
+    assert len(links) == 4
+    assert bool(strongest(links, *maps)) == joined
+    assert strongest(links[:1], *maps) == []
+
+
+def test_a_pair_of_places_is_compared_once_and_only_joined_maps_are_adjusted_again(monkeypatch):
+    """Maps 0 and 2 are one place, map 1 is none: after the join only what map 0 gained is shown to map 1."""
+    maps = [a_map([[0, 0, 0], [0, 0, 9]], seed=seed) for seed in (0, 5, 0)]
+    codes = [np.random.default_rng(seed).integers(0, 255, (60, 128)).astype(np.uint8) for seed in (0, 5, 0)]
+    shown = {id(m): [place_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
+    seen, real = [], merging._link
+
+    def link(first, place, second, other, rng):
+        seen.append((id(place), id(other)))
+        return real(first, place, second, other, rng)
+
+    polished = []
+    monkeypatch.setattr(merging, "find_places", lambda m, read: shown[id(m)])
+    monkeypatch.setattr(merging, "_link", link)
+    monkeypatch.setattr(merging, "polish", lambda m, joined=False: polished.append((m, joined)))
+    assert [joins for _, joins in merge_maps(maps, None, 0)] == [1, 0]
+    assert len(set(seen)) == len(seen) == 12
+    polished.clear()
+    maps = [a_map([[0, 0, 0], [0, 0, 9]], seed=seed) for seed in (0, 5, 0)]
+    shown |= {id(m): [place_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
+    merged, joins = merging.polish_and_merge(maps, None, 0)
+    assert (len(merged), joins) == (2, 1)
+    assert [m for m, joined in polished if joined] == [merged[0]]
+
+
+def test_descriptors_are_kept_in_a_byte_each():
+    rng = np.random.default_rng(0)
+    image = np.repeat(rng.integers(60, 200, (80, 80, 1), dtype=np.uint8), 3, axis=2).repeat(4, 0).repeat(4, 1)
+    (place,) = find_places(a_map([[0, 0, 0]]), lambda frame: (image, np.full((320, 320), 255, np.uint8)))
+    assert place.descriptors.dtype == np.uint8
+    np.testing.assert_allclose(np.linalg.norm(place.rooted, axis=1), 1, atol=1e-3)
