@@ -11,7 +11,6 @@ outside the hull. True depth is divided by the scale of the path.
 
 import argparse
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -126,16 +125,15 @@ class FusedFrames:
         self, part: DenseSubmap, keyframes: list[Keyframe], made: list[tuple[np.ndarray, np.ndarray | None]]
     ) -> None:
         self.camera, self.rows = part.camera, np.arange(len(keyframes))
-        self._frames = [
-            replace(k, depth=d.astype(np.float32), confidence=np.ones_like(d) if c is None else c)
-            for k, (d, c) in zip(keyframes, made, strict=True)
-        ]
+        self._made, self._poses = made, [keyframe.world_from_camera for keyframe in keyframes]
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def keyframe(self, row: int) -> Keyframe:
-        return self._frames[row]
+    def depth(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        depth, confidence = self._made[row]
+        sure = np.ones_like(depth) if confidence is None else confidence
+        return depth.astype(np.float32), sure, self._poses[row]
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ class ConsistencyCheck:
         return np.where(lowered < self.min_confidence, np.float32(0), lowered)
 
     def _load(self, place: int) -> DepthView:
-        keyframe = self.part.keyframe(int(self.part.rows[place]))
+        depth, confidence, world_from_camera = self.part.depth(int(self.part.rows[place]))
         # Depth that is not sure enough to be fused has no vote, and nobody need agree with it.
-        depth = np.where(keyframe.confidence < self.min_confidence, np.float32(0), keyframe.depth)
-        return DepthView(depth, self.part.camera.matrix, keyframe.world_from_camera)
+        believed = np.where(confidence < self.min_confidence, np.float32(0), depth)
+        return DepthView(believed, self.part.camera.matrix, world_from_camera)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.dense import DenseSubmap
-from pipeline.depth_maps import read_confidence, read_depth
 from pipeline.frames import Frames
 from pipeline.surface import Surface
 from pipeline.workspace import Workspace
@@ -71,10 +70,8 @@ def measure_believed(part: DenseSubmap, surface: Surface) -> tuple[Coverage, Sur
     submap = part.submap.scaled(factor)
     witness = SurfaceWitness(surface.mesh)
     for row in part.rows:
-        index = int(submap.frames[row])
-        depth = read_depth(part.workspace.depth_path(index)) * np.float32(factor)
-        confidence = read_confidence(part.workspace.confidence_path(index))
-        witness.add(depth, confidence, part.camera.matrix, submap.world_from_camera[row])
+        depth, confidence, _ = part.depth(int(row))
+        witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
     half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()

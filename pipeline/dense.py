@@ -55,13 +55,14 @@ class DenseSubmap:
 
     def keyframe(self, row: int) -> Keyframe:
         index = int(self.submap.frames[row])
-        return Keyframe(
-            index,
-            self.rectifier.image(read_image(self.workspace.image_path(index))),
-            read_depth(self.workspace.depth_path(index)),
-            read_confidence(self.workspace.confidence_path(index)),
-            self.submap.world_from_camera[row],
-        )
+        rgb = self.rectifier.image(read_image(self.workspace.image_path(index)))
+        return Keyframe(index, rgb, *self.depth(row))
+
+    def depth(self, row: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+        """Depth, confidence and pose of a keyframe, without its image."""
+        index = int(self.submap.frames[row])
+        depth = read_depth(self.workspace.depth_path(index))
+        return depth, read_confidence(self.workspace.confidence_path(index)), self.submap.world_from_camera[row]
 
 
 def complete_depth(

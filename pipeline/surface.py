@@ -87,11 +87,11 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     fusion, check, left_out = SurfaceFusion(settings), _check(part, config), []
     with progress.bar(label, len(part)) as advance:
         for place, keyframe in enumerate(part):
-            confidence = check.confidence(place, keyframe.confidence)
+            confidence, pose = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
             if confidence is None:
                 left_out.append(keyframe.index)
-                continue
-            fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera)
+            else:
+                fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, pose)
             advance(place + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, config.fusion.min_component)
@@ -109,7 +109,7 @@ def _check(part: DenseSubmap, config: Config) -> ConsistencyCheck:
 def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
     """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
     step = max(1, len(part) // VOXEL_SAMPLES)
-    depths = [part.keyframe(int(row)).depth for row in part.rows[::step]]
+    depths = [part.depth(int(row))[0] for row in part.rows[::step]]
     if not any((depth > 0).any() for depth in depths):
         return None
     median = float(np.median(np.concatenate([d[d > 0] for d in depths])))

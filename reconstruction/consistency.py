@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -30,6 +31,14 @@ class DepthView:
     depth: Depth
     intrinsics: NDArray[np.float64]
     world_from_camera: NDArray[np.float64]
+
+    @cached_property
+    def extremes(self) -> tuple[Depth, Depth]:
+        """Nearest and farthest known depth in each 3x3 window; 0 where a window holds an unknown one."""
+        window = np.ones((3, 3), np.uint8)
+        nearest = cv2.erode(self.depth, window, borderType=cv2.BORDER_REPLICATE)
+        farthest = cv2.dilate(self.depth, window, borderType=cv2.BORDER_REPLICATE)
+        return nearest, np.where(nearest > 0, farthest, 0)
 
 
 @dataclass(frozen=True)
@@ -70,10 +79,9 @@ def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, st
     depth = view.depth[np.ix_(rows, columns)]
     x, y = np.meshgrid(columns + 0.5, rows + 0.5)
     points = _in_world(view, x, y, depth)
-    near, far = _extremes(view.depth)
     votes, voters = np.zeros((2, *depth.shape), np.int16), 0
     for other in others:
-        support, contradiction = _judge(points, depth > 0, (near, far, view), other, tolerance)
+        support, contradiction = _judge(points, depth > 0, view, other, tolerance)
         votes += np.stack([support, contradiction])
         voters += int((support | contradiction).sum() > MIN_SHARE_OF_VOTER * (depth > 0).sum())
     height, width = view.depth.shape
@@ -82,11 +90,11 @@ def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, st
 
 
 def _judge(
-    points: NDArray[np.float32], known: Mask, own: tuple[Depth, Depth, DepthView], other: DepthView, tolerance: float
+    points: NDArray[np.float32], known: Mask, view: DepthView, other: DepthView, tolerance: float
 ) -> tuple[Mask, Mask]:
     """(support, contradiction) of one other frame for world points (h,w,3)."""
     rows, columns, z, inside = _project(other, points)
-    nearest, farthest = (extreme[rows, columns] for extreme in _extremes(other.depth))
+    nearest, farthest = (extreme[rows, columns] for extreme in other.extremes)
     seen = known & inside & (farthest > 0) & (nearest > 0)
     # Between the nearest and farthest depth around the pixel: a fold's edge is never met to the pixel.
     through = seen & (z < nearest * (1 - tolerance))
@@ -94,9 +102,8 @@ def _judge(
     support = seen & ~through & ~behind
     # The surface that seems to hide the point, carried back: does this frame look through it?
     hiding = _in_world(other, columns + 0.5, rows + 0.5, other.depth[rows, columns])
-    near, _, view = own
     back_rows, back_columns, back_z, back_inside = _project(view, hiding)
-    own_nearest = near[back_rows, back_columns]
+    own_nearest = view.extremes[0][back_rows, back_columns]
     looked_through = behind & back_inside & (own_nearest > 0) & (back_z < own_nearest * (1 - tolerance))
     return support, through | looked_through
 
@@ -120,11 +127,3 @@ def _project(view: DepthView, points: NDArray[np.float32]) -> tuple[NDArray[np.i
     height, width = view.depth.shape
     inside = (z > 1e-9) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return np.where(inside, row, 0).astype(np.int32), np.where(inside, column, 0).astype(np.int32), z, inside
-
-
-def _extremes(depth: Depth) -> tuple[Depth, Depth]:
-    """Nearest and farthest known depth in each 3x3 window; 0 where a window holds an unknown one."""
-    window = np.ones((3, 3), np.uint8)
-    nearest = cv2.erode(depth, window, borderType=cv2.BORDER_REPLICATE)
-    farthest = cv2.dilate(depth, window, borderType=cv2.BORDER_REPLICATE)
-    return nearest, np.where(nearest > 0, farthest, 0)

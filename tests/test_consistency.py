@@ -119,10 +119,10 @@ class Keyframes:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def keyframe(self, row: int) -> SimpleNamespace:
+    def depth(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         frame = self.frames[row]
         confidence = self.confidences.get(row, np.full((SIZE, SIZE), 0.8, np.float32))
-        return SimpleNamespace(depth=frame.depth, confidence=confidence, world_from_camera=frame.world_from_camera)
+        return frame.depth, confidence, frame.world_from_camera
 
 
 def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> None:
