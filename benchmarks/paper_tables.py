@@ -9,7 +9,8 @@ as "a decaying factor of 10" is read here: a short run that ends at the full rat
 Each network of `--size small` (what that cuts is in completion/models.py) or `paper`. Each scene is trained for itself,
 as in the paper, or with `--joint` one network for all of them. Judged on meshes that were never trained on, 100 uniform
 points, each frame on its own, then the mean over frames (the paper's lineage); then mean and spread over seeds. Linear
-interpolation, which needs no training, is the floor. A stopped run goes on where it was.
+interpolation, which needs no training, is the floor. "residual": the U-Net corrects MSC's depth, which is not in the
+paper (completion/network.py). A stopped run goes on where it was.
 """
 
 import argparse
@@ -32,8 +33,22 @@ from completion.train_config import TrainConfig, make_config
 from record import environment
 
 ROWS = {
-    1: {"StD-ResNet18": "std18", "StD-ResNet50": "std50", "GAENet": "gaenet", "NLSPN": "nlspn", "MSCSA-Net": "mscsa"},
-    2: {"baseline": "unet", "+SA": "unet+sa", "+MSC": "unet+msc", "full": "mscsa"},
+    1: {
+        "StD-ResNet18": "std18",
+        "StD-ResNet50": "std50",
+        "GAENet": "gaenet",
+        "NLSPN": "nlspn",
+        "MSCSA-Net": "mscsa",
+        "MSCSA-Net, residual": "mscsa+residual",
+    },
+    2: {
+        "baseline": "unet",
+        "+SA": "unet+sa",
+        "+MSC": "unet+msc",
+        "full": "mscsa",
+        "+MSC, residual": "unet+msc+residual",
+        "full, residual": "mscsa+residual",
+    },
 }
 DECAY_AT = 0.7
 FIGURES = ("rmse", "abs_rel", "mae", "delta_1", "delta_2")

@@ -40,8 +40,9 @@ class _Entry:
     small: dict[str, Any]
 
 
-def _mscsa(use_msc: bool, use_sa: bool) -> _Entry:
-    return _Entry(MSCSAModel, MSCSAConfig, {"use_msc": use_msc, "use_sa": use_sa}, {"width": 8})
+def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False) -> _Entry:
+    switches = {"use_msc": use_msc, "use_sa": use_sa, "residual": residual}
+    return _Entry(MSCSAModel, MSCSAConfig, switches, {"width": 8})
 
 
 # "small": networks that one CPU thread can train at 160 to 192 px, of about the cost of MSCSA-Net at half its width
@@ -52,6 +53,8 @@ REGISTRY: dict[str, _Entry] = {
     "unet+sa": _mscsa(False, True),
     "unet+msc": _mscsa(True, False),
     "mscsa": _mscsa(True, True),
+    "unet+msc+residual": _mscsa(True, False, residual=True),
+    "mscsa+residual": _mscsa(True, True, residual=True),
     "std18": _Entry(StDNet, StDConfig, {"layers": 18}, {"base": 48}),
     "std50": _Entry(StDNet, StDConfig, {"layers": 50}, {"base": 24}),
     "nlspn": _Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.attention import StructureAwareness
+from completion.errors import CompletionError
 from completion.nconv import MultiScaleConfidence
 from completion.padding import pad_to_multiple
 
@@ -74,6 +75,7 @@ class MSCSAConfig:
     width: int = 16  # channels of the first level; 16 gives 3 M parameters
     use_msc: bool = True
     use_sa: bool = True
+    residual: bool = False  # the U-Net corrects MSC's depth; not in the paper, see `MSCSANet`
 
     def to_dict(self) -> dict[str, object]:
         return asdict(self)
@@ -83,12 +85,16 @@ class MSCSANet(nn.Module):
     """The paper's network: metric sparse depth in, metric dense depth out.
 
     U-Net input: MSC's depth and confidence, RGB and the raw sparse depth (six channels, Fig. 2); without MSC the
-    four of RGB-SD.
+    four of RGB-SD. As the paper is written the U-Net's output is the depth, and it must first learn to pass through the
+    depth that it is given. With `residual` its output is added to MSC's depth, which it learns far sooner (figures in
+    docs/completion.md).
     """
 
     def __init__(self, config: MSCSAConfig | None = None) -> None:
         super().__init__()
         self.config = config or MSCSAConfig()
+        if self.config.residual and not self.config.use_msc:
+            raise CompletionError("'residual' corrects MSC's depth, and there is no MSC in this network")
         self.msc = MultiScaleConfidence(levels=3) if self.config.use_msc else None
         attention = StructureAwareness() if self.config.use_sa else None
         self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention)
@@ -97,8 +103,11 @@ class MSCSANet(nn.Module):
         """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit."""
         height, width = rgb.shape[2:]
         rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
-        channels = [rgb, sparse_depth]
-        if self.msc is not None:
-            with torch.autocast(rgb.device.type, enabled=False):
-                channels += self.msc(sparse_depth.float(), (sparse_depth > 0).float())
-        return self.unet(torch.cat(channels, dim=1))[..., :height, :width]
+        if self.msc is None:
+            return self.unet(torch.cat([rgb, sparse_depth], dim=1))[..., :height, :width]
+        with torch.autocast(rgb.device.type, enabled=False):
+            depth, confidence = self.msc(sparse_depth.float(), (sparse_depth > 0).float())
+        out = self.unet(torch.cat([rgb, sparse_depth, depth, confidence], dim=1))
+        if self.config.residual:
+            out = out.float() + depth
+        return out[..., :height, :width]

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.special import softmax
+from torch import nn
 
 from completion.attention import StructureAwareness
+from completion.errors import CompletionError
 from completion.infer import DepthCompleter
 from completion.nconv import MultiScaleConfidence, NormalizedConv2d, confidence_pool
 from completion.network import MSCSAConfig, MSCSANet
@@ -116,6 +118,17 @@ def test_paper_network_keeps_the_image_size(msc, sa):
     network = MSCSANet(MSCSAConfig(width=4, use_msc=msc, use_sa=sa)).eval()
     rgb, sparse = torch.rand(2, 3, 50, 70), torch.rand(2, 1, 50, 70) * (torch.rand(2, 1, 50, 70) < 0.05)
     assert network(rgb, sparse).shape == (2, 1, 50, 70)
+
+
+def test_residual_network_corrects_the_depth_of_msc():
+    network = MSCSANet(MSCSAConfig(width=4, residual=True)).eval()
+    nn.init.zeros_(network.unet.head.weight)
+    nn.init.constant_(network.unet.head.bias, 0.25)
+    rgb, sparse = torch.rand(1, 3, 64, 64), torch.rand(1, 1, 64, 64) * (torch.rand(1, 1, 64, 64) < 0.1)
+    depth, _ = network.msc(sparse, (sparse > 0).float())
+    torch.testing.assert_close(network(rgb, sparse), depth + 0.25)
+    with pytest.raises(CompletionError, match="no MSC"):
+        MSCSANet(MSCSAConfig(use_msc=False, residual=True))
 
 
 def sparse_frame(height=96, width=112, points=60, seed=0):

@@ -11,7 +11,7 @@ from completion.resnet import resnet_stages
 from completion.std import UpProj
 
 TINY = {
-    **{name: {"width": 4} for name in ("unet", "unet+sa", "unet+msc", "mscsa", "full")},
+    **{name: {"width": 4} for name in NAMES if name.startswith(("unet", "mscsa", "full"))},
     "std18": {"base": 8},
     "std50": {"base": 4},
     "nlspn": {"base": 4, "layers": 18, "steps": 3},
