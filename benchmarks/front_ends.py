@@ -9,10 +9,12 @@ tracking (`used`), the share of them that is posed in any submap, submaps; then 
 submap for itself: ATE RMSE over all posed frames, the largest submap's ATE, and the median rotation error. A run counts
 as wrong where a submap's median rotation error exceeds 5 degrees. Speed is the structure stage alone (images read from
 disk, tracking, adjustment, joining, evidence): frames per second of wall time and processor milliseconds per frame; the
-latter is the fairer one on a machine that does other work.
+latter is the fairer one on a machine that does other work. `--guess 100` hides the camera: a guess of so many degrees
+across the image takes its place, and the error of the focal length found is printed.
 """
 
 import argparse
+import dataclasses
 import json
 import os
 import tempfile
@@ -23,6 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from pipeline.camera import guess_camera
 from pipeline.config import Config, FrameSettings
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_frames
@@ -49,9 +52,13 @@ def processor_seconds() -> float:
     return spent.user + spent.system + spent.children_user + spent.children_system
 
 
-def run(folder: Path, config: Config, truth: np.ndarray) -> dict[str, Any]:
+def run(folder: Path, config: Config, truth: np.ndarray, guess_deg: float | None = None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         frames, workspace = store(folder, config, Path(scratch) / "run")
+        true = frames.camera
+        if guess_deg is not None:
+            guess = guess_camera(true.width, true.height, (0, 0, true.width, true.height), guess_deg)
+            frames = dataclasses.replace(frames, camera=guess)
         wall, busy = time.perf_counter(), processor_seconds()
         try:
             submaps = solve_structure(frames, config, workspace, SilentProgress())
@@ -66,7 +73,14 @@ def run(folder: Path, config: Config, truth: np.ndarray) -> dict[str, Any]:
         "frames_per_s": count / wall,
         "processor_ms_per_frame": 1e3 * busy / count,
         **errors_of(submaps, truth),
+        **({} if guess_deg is None else lens_of(submaps[0], true.focal[0])),
     }
+
+
+def lens_of(submap: Submap, true_focal: float) -> dict[str, Any]:
+    """The focal length found, its error, and the standard deviation that it came with (for one pixel of noise)."""
+    focal, sigma = submap.camera_params[0], submap.camera_sigma[0] if submap.camera_sigma else float("nan")
+    return {"focal_px": focal, "focal_sigma_px": sigma, "focal_error_percent": 100 * (focal / true_focal - 1)}
 
 
 def errors_of(submaps: list[Submap], truth: np.ndarray) -> dict[str, Any]:
@@ -90,6 +104,7 @@ def errors_of(submaps: list[Submap], truth: np.ndarray) -> dict[str, Any]:
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Median and spread of each figure over the seeds that gave it."""
     names = ("posed_share", "submaps", "ate_mm", "rotation_deg", "frames_per_s", "processor_ms_per_frame")
+    names += ("focal_px", "focal_sigma_px", "focal_error_percent")
     found = {name: [run[name] for run in runs if name in run] for name in names}
     return {name: spread(values) for name, values in found.items() if values} | {
         "wrong": sum(run.get("wrong", True) for run in runs),
@@ -105,6 +120,9 @@ def print_row(sequence: str, front_end: str, figures: dict[str, Any]) -> None:
         print(f", ATE {medians['ate_mm']:.3f} mm, rotation {medians['rotation_deg']:.2f} deg", end="")
         print(f", {medians['frames_per_s']:.1f} frames/s", end="")
         print(f", {medians['processor_ms_per_frame']:.1f} ms of processor a frame", end="")
+    if "focal_px" in medians:
+        error, sigma = medians["focal_error_percent"], medians["focal_sigma_px"]
+        print(f", focal length {medians['focal_px']:.1f} px ({error:+.1f} %, sigma {sigma:.2g} px)", end="")
     print(f", wrong {figures['wrong']} of {len(figures['runs'])}", flush=True)
 
 
@@ -114,6 +132,7 @@ def main() -> None:
     parser.add_argument("--front-ends", nargs="+", default=["sfm", "odometry"], choices=["sfm", "odometry"])
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", type=int, help="the first so many frames only")
+    parser.add_argument("--guess", type=float, metavar="DEG", help="hide the camera behind a guessed field of view")
     parser.add_argument("--threads", type=int, default=1, help="of OpenCV")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -127,10 +146,13 @@ def main() -> None:
             runs = []
             for seed in range(arguments.seeds):
                 config = Config(front_end=front_end, seed=seed, frames=FrameSettings(end_s=end))
-                runs.append({"seed": seed} | run(folder, config, truth))
+                runs.append({"seed": seed} | run(folder, config, truth, arguments.guess))
             figures.setdefault(folder.name, {})[front_end] = summary(runs)
             print_row(folder.name, front_end, figures[folder.name][front_end])
-    write(arguments.json, {"seeds": arguments.seeds, "frames": arguments.frames, "figures": figures})
+    write(
+        arguments.json,
+        {"seeds": arguments.seeds, "frames": arguments.frames, "guess_deg": arguments.guess, "figures": figures},
+    )
 
 
 if __name__ == "__main__":

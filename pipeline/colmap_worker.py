@@ -1,4 +1,4 @@
-"""COLMAP in a process of its own: `python -m pipeline.colmap_worker match|map|scale JOB.json`.
+"""COLMAP in a process of its own: `python -m pipeline.colmap_worker match|map|scale|calibrate JOB.json`.
 
 A process of its own for three reasons: Ctrl-C stops it at once, where C++ inside our process would not listen; a crash
 in it is a sentence, not the end of the run; and importing pycolmap before OpenCV makes OpenCV's PNG writer abort
@@ -172,6 +172,23 @@ def camera_sigma(model: pycolmap.Reconstruction) -> NDArray[np.float64]:
     return np.sqrt(np.maximum(np.diag(covariance), 0))
 
 
+def calibrate(job: dict[str, Any]) -> None:
+    """Bundle adjustment of one model with focal length and radial terms free; their values and standard deviations."""
+    pycolmap.set_random_seed(job["seed"])
+    model = pycolmap.Reconstruction(job["model"])
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_focal_length = options.refine_extra_params = True
+    options.refine_principal_point = False
+    options.print_summary = False
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = job["loss_px"]
+    options.ceres.solver_options.num_threads = REPEATABLE_THREADS
+    pycolmap.bundle_adjustment(model, options)
+    camera = next(iter(model.cameras.values()))
+    found = {"params": [float(p) for p in camera.params], "sigma": [float(s) for s in camera_sigma(model)]}
+    Path(job["output"]).write_text(json.dumps(found))
+
+
 def scale_models(job: dict[str, Any]) -> None:
     """Write each model in another unit: a similarity that only scales."""
     for entry in job["models"]:
@@ -225,7 +242,7 @@ def main() -> None:
     action, job_file = sys.argv[1:]
     job = json.loads(Path(job_file).read_text())
     pycolmap.logging.minloglevel = 1
-    {"match": extract_and_match, "map": map_scene, "scale": scale_models}[action](job)
+    {"match": extract_and_match, "map": map_scene, "scale": scale_models, "calibrate": calibrate}[action](job)
 
 
 if __name__ == "__main__":

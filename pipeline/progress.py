@@ -9,9 +9,9 @@ logger = logging.getLogger(__name__)
 
 
 class Advance(Protocol):
-    """Told how many steps are done, and their number if it was not known before."""
+    """Told how many steps are done, their number if it was not known before, and a few words on how it goes."""
 
-    def __call__(self, done: int, total: int | None = None) -> None: ...
+    def __call__(self, done: int, total: int | None = None, note: str = "") -> None: ...
 
 
 class Progress(Protocol):
@@ -27,7 +27,7 @@ class SilentProgress:
 
     @contextmanager
     def bar(self, label: str, total: int | None) -> Iterator[Advance]:
-        yield lambda done, total=None: None
+        yield lambda done, total=None, note="": None
 
     def say(self, sentence: str) -> None:
         logger.info(sentence)
@@ -51,10 +51,11 @@ class TerminalProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[note]}"),
         )
         with RichProgress(*columns, console=self.console) as bars:
-            task = bars.add_task(label, total=total)
-            yield lambda done, total=total: bars.update(task, completed=done, total=total)
+            task = bars.add_task(label, total=total, note="")
+            yield lambda done, total=total, note="": bars.update(task, completed=done, total=total, note=note)
             reached = bars.tasks[0].completed or 1
             bars.update(task, completed=reached, total=reached)
 

@@ -19,13 +19,14 @@ from pipeline.frames import Frames, read_image
 from pipeline.isolation import run_isolated
 from pipeline.odometry.colmap_text import write_model
 from pipeline.odometry.front_end import track_frames
+from pipeline.odometry.self_calibration import MAX_FOCAL_SIGMA
 from pipeline.progress import Progress
 from pipeline.submap import Submap, read_submap
 from pipeline.workspace import Workspace, damage_named
 
 WORKER = "pipeline.colmap_worker"
 MIN_SUBMAP = 3  # frames
-MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
+MOST_SFM_FRAMES = 3000  # COLMAP needs half a second a frame and more; `auto` takes odometry for longer videos
 Judged = tuple[Submap, Evidence, Path]
 
 
@@ -33,48 +34,53 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
     """Submaps, the largest first, each in units of its own median depth; loads them if this stage is done."""
     if workspace.is_done("structure"):
         return load_structure(workspace)
-    if config.front_end == "odometry":
-        return _solve_by_odometry(frames, config, workspace, progress)
-    job = _job(frames, config, workspace)
-    run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
-    mapped = {"global": _map("global", job, workspace, progress)}
-    if _is_doubtful(mapped["global"], len(frames.index), config):
-        mapped["incremental"] = _map("incremental", job, workspace, progress)
+    mapped = _maps(frames, config, workspace, progress)
     chosen = max(mapped, key=lambda method: _score(mapped[method], len(frames.index)))
     models = mapped[chosen][:1]
     models += [model for model in mapped[chosen][1:] if model[1].contrary <= config.structure.max_dark_near]
     if not models:
-        if all((workspace.log / f"{method}.failed").exists() for method in mapped):
-            raise HaustraError(f"COLMAP failed to map the frames; its logs are in {workspace.log}")
-        raise HaustraError(
-            "no two frames could be related: too few features, or a camera that does not move "
-            f"({len(frames.index)} frames tried)"
-        )
+        raise HaustraError(_why_no_model(mapped, len(frames.index), workspace))
     _keep(models, workspace)
     evidence = {method: [e.to_dict() for _, e, _ in found] for method, found in mapped.items()}
     _record(models, chosen, evidence, frames, config, workspace, progress)
     return load_structure(workspace)
 
 
-def _solve_by_odometry(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Submap]:
-    """Submaps by streaming odometry, judged and kept as COLMAP's are."""
+def _maps(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> dict[str, list[Judged]]:
+    """The models of each mapper that was asked: another one where those before it leave doubt."""
+    count = len(frames.index)
+    if config.front_end == "odometry" or (config.front_end == "auto" and count > MOST_SFM_FRAMES):
+        return {"odometry": _map_by_odometry(frames, config, workspace, progress)}
+    job = _job(frames, config, workspace)
+    run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
+    mapped = {"global": _map("global", job, workspace, progress)}
+    if _is_doubtful(mapped["global"], count, config):
+        mapped["incremental"] = _map("incremental", job, workspace, progress)
+    if config.front_end == "auto" and all(_is_doubtful(models, count, config) for models in mapped.values()):
+        mapped["odometry"] = _map_by_odometry(frames, config, workspace, progress)
+    return mapped
+
+
+def _why_no_model(mapped: dict[str, list[Judged]], count: int, workspace: Workspace) -> str:
+    if all((workspace.log / f"{method}.failed").exists() for method in mapped):
+        return f"COLMAP failed to map the frames; its logs are in {workspace.log}"
+    if list(mapped) == ["odometry"]:
+        return f"odometry could not begin: too few features, or a camera that does not move ({count} frames tried)"
+    return f"no two frames could be related: too few features, or a camera that does not move ({count} frames tried)"
+
+
+def _map_by_odometry(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Judged]:
+    """Submaps by streaming odometry, judged and written as COLMAP's are."""
     tracked = track_frames(frames, config.frames.stride, config.seed, workspace, progress)
-    images = _image_reader(workspace)
-    judged = [(submap, judge_submap(submap, images), workspace.log / "odometry") for submap in tracked.submaps]
-    models = judged[:1] + [model for model in judged[1:] if model[1].contrary <= config.structure.max_dark_near]
-    if not models:
-        raise HaustraError(
-            "odometry could not begin: too few features, or a camera that does not move "
-            f"({len(frames.index)} frames tried)"
-        )
-    shutil.rmtree(workspace.models, ignore_errors=True)
-    for number, (submap, _, _) in enumerate(models):
-        write_model(submap, frames.camera, workspace.models / str(number))
     joined = f"; {tracked.joins} of {tracked.maps} submaps joined to another" if tracked.maps > 1 else ""
     progress.say(f"odometry at {tracked.frames_per_second:.1f} frames a second{joined}")
-    evidence = {"odometry": [e.to_dict() for _, e, _ in models]}
-    _record(models, "odometry", evidence, frames, config, workspace, progress)
-    return load_structure(workspace)
+    output = workspace.log / "odometry"
+    shutil.rmtree(output, ignore_errors=True)
+    images, judged = _image_reader(workspace), []
+    for number, submap in enumerate(tracked.submaps):
+        write_model(submap, frames.camera, output / str(number))
+        judged.append((submap, judge_submap(submap, images), output / str(number)))
+    return judged
 
 
 def _record(
@@ -124,8 +130,9 @@ def camera_trust(guess: Camera, submap: Submap) -> str:
     """What became of a guessed camera, and how far to believe it."""
     focal, start = submap.camera_params[0], guess.focal[0]
     sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
-    text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after SfM"
+    text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after adjustment"
     if not np.isfinite(sigma):
+        text = f"camera: focal length {start:.1f} px guessed" if focal == start else text
         return text + "; the motion does not determine it: shapes may be stretched along the view"
     text += f" (sigma {sigma:.2g} px for 1 px of noise)"
     if sigma > MAX_FOCAL_SIGMA * focal:

@@ -146,7 +146,7 @@ class StopAtOnce(SilentProgress):
 
     @contextmanager
     def bar(self, label, total):
-        def advance(done, total=None):
+        def advance(done, total=None, note=""):
             if label == "features and matches":
                 raise KeyboardInterrupt
 

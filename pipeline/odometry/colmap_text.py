@@ -18,7 +18,10 @@ CAMERA_ID = 1
 
 
 def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
-    """cameras.txt, images.txt, points3D.txt and model.npz; image and point numbers are rows plus one."""
+    """cameras.txt, images.txt, points3D.txt, model.npz and, of a refined lens, camera_sigma.txt.
+
+    Image and point numbers are rows plus one.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{index:06d}.jpg" for index in submap.frames]
     np.savez(
@@ -32,6 +35,8 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
         pixels=submap.pixels,
         camera_params=np.array(submap.camera_params),
     )
+    if submap.camera_sigma:
+        (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
     params = " ".join(repr(float(p)) for p in submap.camera_params)
     (folder / "cameras.txt").write_text(f"{CAMERA_ID} {camera.model} {camera.width} {camera.height} {params}\n")
     order = np.argsort(submap.observations[:, 0], kind="stable")

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
+from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.merging import polish_and_merge
 from pipeline.odometry.odometry import Odometry
-from pipeline.odometry.outcome import to_submap
+from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.rays import RayTable
+from pipeline.odometry.self_calibration import refine_lens
 from pipeline.progress import Progress
 from pipeline.submap import Submap
 from pipeline.workspace import Workspace
@@ -32,29 +34,46 @@ class Tracked:
 
 
 def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, progress: Progress) -> Tracked:
-    """Pose the stored working frames one after the other, then polish each map."""
+    """Pose the stored working frames one after the other, then polish each map; a guessed lens is refined with them."""
 
     def read(index: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         return read_image(workspace.image_path(index)), _read_mask(workspace, index)
 
     odometry = Odometry(RayTable(frames.camera), seed, stride)
-    started, submaps = time.perf_counter(), 0
+    started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:
         for done, index in enumerate(frames.index.tolist(), start=1):
-            odometry.feed(index, *read(index))
-            advance(done)
-            if odometry.submaps > submaps:
-                submaps = odometry.submaps
-                pace = done / max(time.perf_counter() - started, 1e-9)
-                progress.say(f"frame {index}: tracking in submap {submaps}, {pace:.0f} frames a second")
+            state = odometry.feed(index, *read(index))
+            pace = done / max(time.perf_counter() - started, 1e-9)
+            advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
     rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
     maps = odometry.finish()
     with progress.bar("joining submaps", None):
         merged, joins = polish_and_merge(maps, read, seed)
-    found = [to_submap(local_map, frames.camera.params) for local_map in merged]
+    found = _submaps(merged, frames.camera.params)
+    if found and not frames.camera.trusted:
+        found = _with_better_lens(found[0], merged, frames, seed, workspace, progress)
+    return Tracked(found, rate, len(maps), joins)
+
+
+def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = ()) -> list[Submap]:
+    """Of the maps that are long enough, most frames first."""
+    found = [to_submap(local_map, params, sigma) for local_map in maps]
     kept = [submap for submap in found if submap is not None and len(submap.frames) >= MIN_FRAMES]
-    kept.sort(key=lambda submap: -len(submap.frames))
-    return Tracked(kept, rate, len(maps), joins)
+    return sorted(kept, key=lambda submap: -len(submap.frames))
+
+
+def _with_better_lens(
+    largest: Submap, maps: list[LocalMap], frames: Frames, seed: int, workspace: Workspace, progress: Progress
+) -> list[Submap]:
+    """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not."""
+    lens = refine_lens(largest, frames.camera, seed, workspace.log, progress)
+    if lens.determined:
+        rays = RayTable(lens.camera)
+        for local_map in maps:
+            local_map.recalibrate(rays)
+            polish(local_map, changed=True)
+    return _submaps(maps, lens.camera.params, lens.sigma)
 
 
 def _read_mask(workspace: Workspace, index: int) -> NDArray[np.uint8]:

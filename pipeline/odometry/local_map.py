@@ -88,6 +88,12 @@ class LocalMap:
         keyframe.pixels = np.concatenate([keyframe.pixels, pixels])
         keyframe.seen, keyframe.gain = np.concatenate([keyframe.seen, seen]), np.concatenate([keyframe.gain, gain])
 
+    def recalibrate(self, rays: RayTable) -> None:
+        """Another lens: what the keyframes saw, in new rays. Poses and points must then be adjusted."""
+        self.rays = rays
+        for keyframe in self.keyframes:
+            keyframe.seen, keyframe.gain = rays.look_up(keyframe.pixels)
+
     def add_posed(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
         relative = pose @ inverse(self.keyframes[-1].pose)
         self.posed.append(

@@ -58,7 +58,7 @@ def polish_and_merge(maps: list[LocalMap], read: ReadFrame, seed: int) -> tuple[
     merged = merge_maps(maps, read, seed)
     for local_map, joins in merged:
         if joins:
-            polish(local_map, joined=True)
+            polish(local_map, changed=True)
     return [local_map for local_map, _ in merged], sum(joins for _, joins in merged)
 
 

@@ -17,18 +17,21 @@ MIN_SEEN = 8  # points that a frame must see to be called posed
 CHUNK = 500  # frames refined at once
 
 
-def polish(local_map: LocalMap, joined: bool = False) -> None:
+def polish(local_map: LocalMap, changed: bool = False) -> None:
     """Adjust all keyframes and points together, cull, and adjust what is left.
 
-    A map just joined from two is first let settle: its ties start some pixels off, and must not be culled for that.
+    A map that was just `changed`, joined from two or given another lens, is first let settle: it starts some pixels
+    off, and must not be culled for that.
     """
-    for loss_px, max_error_px in SETTLING * joined + 2 * ((LOSS_PX, MAX_ERROR_PX),):
+    for loss_px, max_error_px in SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),):
         count = len(local_map.keyframes)
         for end in sorted({*range(WHOLE, count, WHOLE // 2), count}):
             local_map.adjust(min(end, WHOLE), FINAL_ITERATIONS, end, loss_px, max_error_px, HELD)
 
 
-def to_submap(local_map: LocalMap, camera_params: tuple[float, ...]) -> Submap | None:
+def to_submap(
+    local_map: LocalMap, camera_params: tuple[float, ...], camera_sigma: tuple[float, ...] = ()
+) -> Submap | None:
     """The result; None if no frame sees enough."""
     frames, poses, counts, ids, pixels = _gather(local_map)
     row = np.repeat(np.arange(len(frames)), counts)
@@ -54,6 +57,7 @@ def to_submap(local_map: LocalMap, camera_params: tuple[float, ...]) -> Submap |
         np.stack([frame, point], axis=1),
         pixels[good].astype(np.float64),
         camera_params,
+        camera_sigma,
     )
 
 

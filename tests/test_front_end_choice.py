@@ -1,0 +1,60 @@
+"""`--front-end auto`: COLMAP for clips, odometry for long videos and where COLMAP's models leave doubt."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline import structure
+from pipeline.config import Config
+from pipeline.evidence import Evidence
+from pipeline.progress import SilentProgress
+
+GOOD = (None, Evidence(90, 600, 0.5, 5.0, -0.9, 0.0, 90), None)
+DARK = (None, Evidence(90, 600, 0.3, 5.0, -0.2, 0.4, 90), None)
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path):
+    """Call `_maps` with mappers that find what is given; returns the mappers asked, in order, and the best one."""
+
+    def call(front_end, frames, found):
+        asked = []
+
+        def look_up(method):
+            asked.append(method)
+            return found[method]
+
+        monkeypatch.setattr(structure, "_job", lambda *_: {})
+        monkeypatch.setattr(structure, "run_isolated", lambda *_: None)
+        monkeypatch.setattr(structure, "_map", lambda method, *_: look_up(method))
+        monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: look_up("odometry"))
+        many = SimpleNamespace(index=np.arange(frames))
+        maps = structure._maps(many, Config(front_end=front_end), SimpleNamespace(log=tmp_path), SilentProgress())
+        assert list(maps) == asked
+        return asked, max(maps, key=lambda method: structure._score(maps[method], frames))
+
+    return call
+
+
+def test_a_good_global_model_is_enough(asked):
+    assert asked("auto", 100, {"global": [GOOD]}) == (["global"], "global")
+
+
+def test_a_long_video_goes_to_odometry_at_once(asked):
+    assert asked("auto", structure.MOST_SFM_FRAMES + 1, {"odometry": [GOOD]}) == (["odometry"], "odometry")
+
+
+def test_odometry_is_asked_where_both_mappers_leave_doubt(asked):
+    found = {"global": [], "incremental": [DARK], "odometry": [GOOD]}
+    assert asked("auto", 100, found) == (["global", "incremental", "odometry"], "odometry")
+
+
+def test_odometry_that_finds_nothing_does_not_win(asked):
+    found = {"global": [], "incremental": [DARK], "odometry": []}
+    assert asked("auto", 100, found)[1] == "incremental"
+
+
+def test_who_asks_for_sfm_gets_sfm(asked):
+    assert asked("sfm", 100, {"global": [], "incremental": [DARK]})[0] == ["global", "incremental"]
+    assert asked("sfm", structure.MOST_SFM_FRAMES + 1, {"global": [], "incremental": []})[0][0] == "global"

@@ -1,0 +1,116 @@
+"""The lens from the map: a focal length that is a sixth off is found where the motion determines it, and only there."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.camera import Camera
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.rays import RayTable
+from pipeline.odometry.self_calibration import MAX_FOCAL_SIGMA, MIN_VIEWS, refine_lens, thinned
+from pipeline.progress import SilentProgress
+from pipeline.submap import Submap
+
+TRUE = Camera("SIMPLE_RADIAL", 320, 320, (160.0, 160.0, 160.0, -0.05))
+GUESS = Camera("SIMPLE_RADIAL", 320, 320, (134.0, 160.0, 160.0, 0.0), trusted=False)
+
+
+def filmed(centres, turns_deg, noise_px=0.2, points=300):
+    """Points of a bent wall seen through the true lens, given with the poses and points of the truth."""
+    rng = np.random.default_rng(0)
+    wall = np.stack([rng.uniform(-2, 2, points), rng.uniform(-2, 2, points), np.zeros(points)], axis=1)
+    wall[:, 2] = 3 + 0.5 * np.sin(2 * wall[:, 0]) + 0.4 * np.cos(3 * wall[:, 1])
+    poses, observations, pixels = [], [], []
+    for row, (centre, turn) in enumerate(zip(centres, turns_deg, strict=True)):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_euler("xyz", turn, degrees=True).as_matrix(), centre
+        seen = TRUE.project((wall - pose[:3, 3]) @ pose[:3, :3])
+        inside = np.flatnonzero(((seen > 0) & (seen < 320)).all(axis=1))
+        poses.append(pose)
+        observations.append(np.stack([np.full(len(inside), row), inside], axis=1))
+        pixels.append(seen[inside] + rng.normal(0, noise_px, (len(inside), 2)))
+    error = np.full(points, 0.3)
+    return Submap(
+        np.arange(len(poses)),
+        np.stack(poses),
+        wall,
+        error,
+        np.concatenate(observations),
+        np.concatenate(pixels),
+        GUESS.params,
+    )
+
+
+def wandering(count=14):
+    """A camera that moves and turns about both axes, as an endoscope in search does."""
+    t = np.linspace(0, 1, count)
+    centres = np.stack([np.sin(4 * t), 0.7 * np.cos(5 * t), 0.8 * t], axis=1)
+    return centres, np.stack([15 * np.sin(5 * t), 20 * np.cos(4 * t), 25 * t], axis=1)
+
+
+def test_focal_length_and_radial_term_are_found(tmp_path):
+    lens = refine_lens(filmed(*wandering()), GUESS, 0, tmp_path, SilentProgress())
+    assert lens.determined
+    focal, k1 = lens.camera.params[0], lens.camera.params[3]
+    # sigma is for one pixel of noise, and 0.2 px were added: four sigmas of that.
+    assert abs(focal - 160) < max(4 * 0.2 * lens.sigma[0], 0.05)
+    assert abs(k1 + 0.05) < 0.01
+    assert lens.sigma[0] < MAX_FOCAL_SIGMA * focal
+    again = refine_lens(filmed(*wandering()), GUESS, 0, tmp_path, SilentProgress())
+    assert again == lens
+
+
+def test_a_motion_that_does_not_determine_the_lens_leaves_the_guess(tmp_path):
+    count = 8
+    centres = np.stack([np.linspace(0, 0.01, count), np.zeros(count), np.zeros(count)], axis=1)
+    lens = refine_lens(filmed(centres, np.zeros((count, 3)), points=12), GUESS, 0, tmp_path, SilentProgress())
+    assert not lens.determined
+    assert lens.camera == GUESS
+
+
+def test_a_failing_adjustment_is_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.odometry.self_calibration.write_model", lambda *_: (tmp_path / "lens").mkdir())
+    said = []
+
+    class Listening(SilentProgress):
+        def say(self, sentence):
+            said.append(sentence)
+
+    lens = refine_lens(filmed(*wandering()), GUESS, 0, tmp_path, Listening())
+    assert not lens.determined
+    assert "the guessed lens stays" in said[0]
+
+
+@pytest.mark.parametrize("most", [3, 5, 100])
+def test_thinning_keeps_frames_apart_and_points_seen_often_enough(most):
+    whole = filmed(*wandering())
+    thin = thinned(whole, most)
+    assert len(thin.frames) == min(most, len(whole.frames))
+    assert {int(thin.frames[0]), int(thin.frames[-1])} == {0, len(whole.frames) - 1}
+    assert len(thin.points) == 0 or thin.track_lengths().min() >= MIN_VIEWS
+    row, point = thin.observations.T
+    originals = {tuple(p) for p in whole.pixels}
+    assert all(tuple(p) in originals for p in thin.pixels)
+    seen = TRUE.project(
+        np.einsum("mij,mi->mj", thin.world_from_camera[row, :3, :3], thin.points[point] - thin.centres[row])
+    )
+    assert np.abs(seen - thin.pixels).max() < 2  # each pixel still belongs to its point and frame
+
+
+def test_recalibration_moves_rays_and_not_pixels():
+    first, second = RayTable(GUESS), RayTable(TRUE)
+    local_map = LocalMap(first)
+    pixels = np.random.default_rng(1).uniform(40, 280, (30, 2))
+    local_map.add_keyframe(0, np.eye(4), np.arange(30), pixels)
+    local_map.recalibrate(second)
+    np.testing.assert_array_equal(local_map.keyframes[0].pixels, pixels)
+    back = TRUE.project(np.concatenate([local_map.keyframes[0].seen, np.ones((30, 1))], axis=1))
+    assert np.abs(back - pixels).max() < 0.05
+
+
+def test_job_and_log_stay_in_the_run_folder(tmp_path):
+    refine_lens(filmed(*wandering()), GUESS, 0, tmp_path, SilentProgress())
+    assert {p.name for p in tmp_path.iterdir()} == {"lens", "lens.log", "lens.job.json"}
+    assert set(json.loads((tmp_path / "lens" / "lens.json").read_text())) == {"params", "sigma"}
