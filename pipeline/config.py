@@ -73,7 +73,17 @@ class FusionSettings(Settings):
     min_observations: int = Field(3, ge=1, description="frames that must agree before a surface is believed")
     min_confidence: float = Field(0.1, ge=0, le=1)
     max_depth_ratio: float = Field(2.0, gt=0, description="times the median depth; farther is seen better later")
+    delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
     min_component: float = Field(0.02, ge=0, le=1, description="share of the area; smaller pieces float")
+
+
+class PoseGraphSettings(Settings):
+    """Places seen twice, and the poses that follow from them."""
+
+    enabled: bool = True
+    join: bool = Field(False, description="make one of submaps that show the same places")
+    max_places: int = Field(60, ge=2, description="keyframes of a submap, evenly spaced, that are compared")
+    per_place: int = Field(3, ge=1, description="look-alikes tried for each")
 
 
 class ConsistencySettings(Settings):
@@ -101,6 +111,7 @@ class Config(Settings):
     structure: StructureSettings = StructureSettings()
     sparse: SparseSettings = SparseSettings()
     depth: DepthSettings = DepthSettings()
+    pose_graph: PoseGraphSettings = PoseGraphSettings()
     consistency: ConsistencySettings = ConsistencySettings()
     fusion: FusionSettings = FusionSettings()
 

@@ -1,6 +1,6 @@
 """Stage 4: keyframes' dense depth to one surface per submap, in the output unit, with the camera path in it."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,11 @@ from pipeline.scale import SCENE, Scale, find_scale
 from pipeline.workspace import Workspace, open_workspace
 from reconstruction.export import read_mesh, write_mesh
 from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
+from reconstruction.lamp import Lamp, fit_lamp
 from reconstruction.mesh import SurfaceMesh, drop_small_components
 
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
+LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Surface:
     voxel_size: float  # output units
     dropped_share: float  # of the area, in pieces too small to keep
     left_out: tuple[int, ...] = ()  # frame numbers of keyframes whose depth the others contradict
+    lamp: Lamp | None = None  # divided out of the colours; None if they are as filmed
 
 
 def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress) -> list[Surface]:
@@ -54,6 +57,7 @@ def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, p
                 "voxel_size": surface.voxel_size,
                 "dropped_share": surface.dropped_share,
                 "left_out": list(surface.left_out),
+                "lamp": None if surface.lamp is None else asdict(surface.lamp),
             }
         )
     workspace.finish("surface", surfaces=records)
@@ -70,6 +74,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),
+            Lamp(**record["lamp"]) if record.get("lamp") else None,
         )
         for number, record in enumerate(workspace.result("surface")["surfaces"])
     ]
@@ -85,13 +90,15 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     if settings is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
     fusion, check, left_out = SurfaceFusion(settings), _check(part, config), []
+    lamp = _lamp(part, config)
     with progress.bar(label, len(part)) as advance:
         for place, keyframe in enumerate(part):
             confidence, pose = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
             if confidence is None:
                 left_out.append(keyframe.index)
             else:
-                fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, pose)
+                rgb = lamp.delit(keyframe.rgb, keyframe.depth, part.camera.matrix) if lamp else keyframe.rgb
+                fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, pose)
             advance(place + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, config.fusion.min_component)
@@ -99,7 +106,16 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
     voxel_size = settings.voxel_size * scale.factor
-    return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out))
+    return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
+
+
+def _lamp(part: DenseSubmap, config: Config) -> Lamp | None:
+    """What the lamp does in this film, from keyframes spread over it."""
+    if not config.fusion.delight:
+        return None
+    spread = np.unique(np.linspace(0, len(part) - 1, min(LAMP_SAMPLES, len(part))).astype(int))
+    keyframes = (part.keyframe(int(part.rows[place])) for place in spread)
+    return fit_lamp(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, config.seed)
 
 
 def _check(part: DenseSubmap, config: Config) -> ConsistencyCheck:
