@@ -16,6 +16,7 @@ from reconstruction.export import read_mesh, write_mesh
 from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.lamp import Lamp, fit_lamp
 from reconstruction.mesh import SurfaceMesh, drop_small_components
+from reconstruction.texture import simplified, textured, write_textured
 
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
 LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
@@ -146,10 +147,21 @@ def _sentence(surface: Surface) -> str:
     )
 
 
-def export_mesh(run: Path, target: Path) -> Path:
-    """Write a finished run's mesh in the format of `target`'s suffix."""
+def export_mesh(run: Path, target: Path, max_error: float | None = None, texture: bool = False) -> str:
+    """Write a finished run's mesh in the format of `target`'s suffix and say what was written.
+
+    max_error: largest distance, in the run's unit, of the full mesh from one with fewer triangles. texture: its colours
+    as a picture (.glb, .obj) instead of one for each vertex.
+    """
     workspace = open_workspace(run)
     if not workspace.is_done("surface"):
         raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
-    write_mesh(read_mesh(workspace.mesh), target)
-    return target
+    mesh, unit = read_mesh(workspace.mesh), load_surfaces(workspace)[0].scale.unit
+    light, error = (mesh, 0.0) if max_error is None else simplified(mesh, max_error)
+    if texture:
+        write_textured(textured(light, mesh), target)
+    else:
+        write_mesh(light, target)
+    if light is mesh:
+        return str(target)
+    return f"{target}: {len(light.faces)} of {len(mesh.faces)} triangles, at most {error:.2g} {unit} off"
