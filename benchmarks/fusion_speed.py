@@ -6,8 +6,8 @@ RGB-D folder with true depth and poses. Peers: Open3D's tensor `VoxelBlockGrid.i
 blocks that a frame touches, without which it cannot be called) and the legacy `ScalableTSDFVolume.integrate`. Neither
 weighs its observations; ours does, per pixel, and keeps confidence and counts as well. Reading images is not timed. The
 first frame warms up and is left out. A peer whose surface has less than half of our triangles did not do the work; its
-time is marked so (Open3D 0.20.0's legacy volume on the machine of the stated figures is one). Memory: of our voxels at the end, and what that makes for a metre of a lumen 46 mm
-wide by the area of the surface.
+time is marked so (Open3D 0.20.0's legacy volume on the machine of the stated figures is one). Memory: of our voxels at
+the end, and what that makes for a metre of a lumen 46 mm wide by the area of the surface.
 """
 
 import argparse
