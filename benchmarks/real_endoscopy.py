@@ -1,6 +1,7 @@
 """35 in-vivo sinus frames against the poses that their authors published.
 
     python benchmarks/real_endoscopy.py ../shared/data/sinus --json sinus.json
+    python benchmarks/real_endoscopy.py ../shared/data/sinus --front-end odometry
 
 The authors' poses are themselves SfM (`motion.yaml`, no unit), so the figure is an agreement, not an error: distances
 of camera centres after Sim(3), as a share of the authors' path length and of its extent; angles of orientations after
@@ -52,6 +53,7 @@ def write_camera(folder: Path, target: Path) -> Path:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--front-end", choices=["sfm", "odometry"], default="sfm")
     parser.add_argument("--output", type=Path, help="keep the run folder here")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -59,7 +61,7 @@ def main() -> None:
         output = arguments.output or Path(scratch) / "run"
         video = encode_video(sorted(arguments.folder.glob("*.jpg")), Path(scratch) / "sinus.mp4", FPS)
         camera = write_camera(arguments.folder, Path(scratch) / "camera.json")
-        result = reconstruct(video, output, Config(camera=str(camera)), overwrite=True)
+        result = reconstruct(video, output, Config(camera=str(camera), front_end=arguments.front_end), overwrite=True)
         seconds, poses = read_tum(output / "trajectory.tum")
     truth = read_motion(arguments.folder / "motion.yaml")
     theirs = truth[np.round(seconds * FPS).astype(int)]
@@ -78,7 +80,8 @@ def main() -> None:
     }
     for name, value in figures.items():
         print(f"{name:26} {value:.4g}")
-    write(arguments.json, {"protocol": "Sim(3) on camera centres against motion.yaml", "figures": figures})
+    protocol = f"{arguments.front_end}; Sim(3) on camera centres against motion.yaml"
+    write(arguments.json, {"protocol": protocol, "figures": figures})
 
 
 if __name__ == "__main__":

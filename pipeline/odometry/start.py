@@ -16,7 +16,7 @@ from pipeline.odometry.two_view import Hypothesis, Sight, parallax_px, start_pos
 
 MIN_COMMON = 60  # tracks between the two frames,
 MIN_COMMON_SHARE = 0.4  # and their share of those in the second
-MIN_PARALLAX_SHARE = 0.02  # of the width
+MIN_PARALLAX_PX = 6.4  # some twenty times the error of a track, which does not grow with the image
 ANCHOR_MOTION_SHARE = 0.03  # of the width, after which the anchor follows
 MIN_FOUND_SHARE = 0.6  # of the anchor's tracks; fewer, and the anchor follows
 MIN_TRACKS = 40  # fewer than this in a frame: what was followed so far is lost
@@ -83,7 +83,7 @@ class Start:
             return None
         first, second, third = (self._sight(self.waiting[k], common) for k in (number, -1, middle))
         focal = self.rays.focal_px
-        if parallax_px(first, second, focal) < MIN_PARALLAX_SHARE * rgb.shape[1]:
+        if parallax_px(first, second, focal) < MIN_PARALLAX_PX:
             return None
         hypothesis = start_pose(first, second, third, self._brightness(common, rgb), focal, self.rng)
         return None if hypothesis is None else self._build(number, common, hypothesis)
