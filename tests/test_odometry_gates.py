@@ -128,7 +128,7 @@ def test_a_link_needs_matches_agreement_and_spread():
 
 
 @pytest.mark.parametrize(("apart", "joined"), [(0.0, False), (1.0, False), (10.0, True)])
-def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
+def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, changed):
     """Two keyframes of each map, so many mm apart along a lumen whose points lie some 50 mm ahead."""
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
     maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -1.0)]
@@ -153,7 +153,7 @@ def test_a_pair_of_places_is_compared_once_and_only_joined_maps_are_adjusted_aga
     polished = []
     monkeypatch.setattr(merging, "find_places", lambda m, read: shown[id(m)])
     monkeypatch.setattr(merging, "_link", link)
-    monkeypatch.setattr(merging, "polish", lambda m, joined=False: polished.append((m, joined)))
+    monkeypatch.setattr(merging, "polish", lambda m, changed=False: polished.append((m, changed)))
     assert [joins for _, joins in merge_maps(maps, None, 0)] == [1, 0]
     assert len(set(seen)) == len(seen) == 12
     polished.clear()
