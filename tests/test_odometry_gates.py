@@ -128,7 +128,7 @@ def test_a_link_needs_matches_agreement_and_spread():
 
 
 @pytest.mark.parametrize(("apart", "joined"), [(0.0, False), (1.0, False), (10.0, True)])
-def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, changed):
+def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     """Two keyframes of each map, so many mm apart along a lumen whose points lie some 50 mm ahead."""
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
     maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -1.0)]
