@@ -23,6 +23,7 @@ from pipeline.config import Config
 from pipeline.consistency import ConsistencyCheck
 from pipeline.dense import DenseSubmap, Keyframe, planned_keyframes
 from pipeline.frames import load_frames
+from pipeline.refinement import refined_keyframes
 from pipeline.sparse_depth import SparseDepthMaker
 from pipeline.structure import load_structure
 from pipeline.surface import fusion_settings
@@ -70,7 +71,7 @@ def main() -> None:
     arguments = parser.parse_args()
     workspace = open_workspace(arguments.run)
     frames, config = load_frames(workspace), workspace.config
-    part = planned_keyframes(frames, load_structure(workspace), workspace)[0]
+    part = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)[0]
     seconds, poses = read_tum(arguments.folder / "trajectory.txt")
     mine = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])
     pairs = associate(mine, seconds, 0.5 * float(np.median(np.diff(seconds))))

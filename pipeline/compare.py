@@ -12,6 +12,7 @@ from pipeline.coverage import measure_submap
 from pipeline.dense import planned_keyframes
 from pipeline.errors import HaustraError
 from pipeline.frames import load_frames
+from pipeline.refinement import refined_keyframes
 from pipeline.structure import load_structure
 from pipeline.surface import load_surfaces
 from pipeline.workspace import Workspace, damage_named, open_workspace
@@ -111,7 +112,7 @@ def _coverage(workspace: Workspace, truth_from_run: NDArray[np.float64], truth: 
     if wall is None:
         return None
     frames = load_frames(workspace)
-    part = planned_keyframes(frames, load_structure(workspace), workspace)[0]
+    part = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)[0]
     try:
         coverage = measure_submap(part, load_surfaces(workspace)[0])
     except NotATube as reason:

@@ -41,6 +41,7 @@ class DenseSubmap:
     rectifier: Rectifier
     rows: NDArray[np.int64]  # of the keyframes in the submap
     workspace: Workspace
+    depth_scale: NDArray[np.float64] | None = None  # (N,) for every frame of the submap: factor on its stored depth
 
     @property
     def camera(self) -> Camera:
@@ -62,6 +63,8 @@ class DenseSubmap:
         """Depth, confidence and pose of a keyframe, without its image."""
         index = int(self.submap.frames[row])
         depth = read_depth(self.workspace.depth_path(index))
+        if self.depth_scale is not None:
+            depth *= np.float32(self.depth_scale[row])
         return depth, read_confidence(self.workspace.confidence_path(index)), self.submap.world_from_camera[row]
 
 

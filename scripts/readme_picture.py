@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.dense import planned_keyframes
 from pipeline.frames import load_frames
+from pipeline.refinement import refined_keyframes
 from pipeline.sparse_depth import SparseDepthMaker
 from pipeline.structure import load_structure
 from pipeline.surface import load_surfaces
@@ -27,7 +28,8 @@ def main() -> None:
     parser.add_argument("target", type=Path)
     arguments = parser.parse_args()
     workspace = open_workspace(arguments.run)
-    part = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)[0]
+    planned = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)
+    part = refined_keyframes(planned, workspace)[0]
     surface = load_surfaces(workspace)[0]
     row = int(part.rows[len(part.rows) // 2])
     keyframe = part.keyframe(row)

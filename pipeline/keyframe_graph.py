@@ -1,0 +1,187 @@
+"""A submap as a pose graph: its keyframes tied by the points they share, and everything else moved with them."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.dense import DenseSubmap
+from pipeline.loops import Link, Place
+from pipeline.sparse_depth import SparseDepthMaker
+from reconstruction.pose_graph import (
+    Edge,
+    between,
+    misfit,
+    scale_of,
+    solve_pose_graph,
+    supported,
+    tie_information,
+)
+
+MIN_TIE = 20  # points that two keyframes share; consecutive ones are tied by however few
+PIXEL_NOISE = 0.5  # px, across
+SLACK = 4.0  # on the sigmas of ties: points that keyframes share err together along the path
+FULFILLED = 7.0  # squared sigmas in seven directions: a map that misses a loop by less knows better than the loop
+REACH = 12  # keyframes within which two loops can support each other
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A submap after its loops: `proposed` links fitted two images, `supported` had company, `kept` were believed.
+
+    Supported loops that the map fulfils already are believed too, but nothing is kept of them and nothing moves.
+    """
+
+    part: DenseSubmap
+    proposed: int
+    supported: int
+    kept: tuple[tuple[int, int], ...]  # frame numbers
+
+
+def close_loops(part: DenseSubmap, places: list[Place], links: list[Link]) -> Closed:
+    """Move the submap by those of its own links that can be believed; it comes back as it is if there are none."""
+    poses = part.submap.world_from_camera[part.rows]
+    loops = _edges(part, places, part, places, links)
+    good = [loop for loop, yes in zip(loops, supported(loops, poses, poses, REACH), strict=True) if yes]
+    if not good or np.median([misfit(poses, loop) for loop in good]) < FULFILLED:
+        return Closed(part, len(links), len(good), ())
+    solution = solve_pose_graph(poses, point_ties(part), good)
+    kept = tuple(
+        (int(part.submap.frames[part.rows[loop.first]]), int(part.submap.frames[part.rows[loop.second]]))
+        for loop, keep in zip(good, solution.kept, strict=True)
+        if keep
+    )
+    return Closed(moved(part, part.rows, solution.world_from_node) if kept else part, len(links), len(good), kept)
+
+
+def join(
+    parts: tuple[DenseSubmap, DenseSubmap], places: tuple[list[Place], list[Place]], links: list[Link]
+) -> DenseSubmap | None:
+    """The second submap in the frame and scale of the first, both bent to agree; None without enough evidence."""
+    first, second = parts
+    if first.camera != second.camera:
+        return None
+    nodes = [part.submap.world_from_camera[part.rows] for part in parts]
+    loops = _edges(first, places[0], second, places[1], links)
+    good = [loop for loop, yes in zip(loops, supported(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
+    if not good:
+        return None
+    start = first_from_second(good, nodes[0], nodes[1])
+    offset = len(nodes[0])
+    ties = point_ties(first) + [
+        replace(tie, first=tie.first + offset, second=tie.second + offset) for tie in point_ties(second)
+    ]
+    shifted = [replace(loop, second=loop.second + offset) for loop in good]
+    solution = solve_pose_graph(np.concatenate([nodes[0], start @ nodes[1]]), ties, shifted)
+    if solution.kept.sum() < 2:
+        return None
+    first, second = (
+        moved(first, first.rows, solution.world_from_node[:offset]),
+        moved(second, second.rows, solution.world_from_node[offset:]),
+    )
+    return united(first, second)
+
+
+def first_from_second(loops: list[Edge], first_nodes: Array, second_nodes: Array) -> Array:
+    """`first_from_second` (4,4) of the two worlds by the loop that most others agree with, in scale and shift."""
+    guesses = np.stack(
+        [first_nodes[e.first] @ e.first_from_second @ np.linalg.inv(second_nodes[e.second]) for e in loops]
+    )
+    centres = second_nodes[[e.second for e in loops]][:, :3, 3]
+    landed = np.einsum("gij,nj->gni", guesses[:, :3, :3], centres) + guesses[:, None, :3, 3]
+    off = np.linalg.norm(landed[:, None] - landed[None], axis=3).mean(axis=2)
+    return guesses[int(np.median(off, axis=1).argmin())]
+
+
+def point_ties(part: DenseSubmap) -> list[Edge]:
+    """Relations of keyframes as the map has them, with the information of the points that both saw.
+
+    A point of m keyframes ties m (m - 1) / 2 pairs, but links m frames: each pair has 2 / m of it. Its sigma along
+    the ray is the depth error that its triangulation left.
+    """
+    submap = part.submap
+    maker = SparseDepthMaker(submap, part.camera, part.workspace.config.sparse)
+    seen = [np.unique(maker.seen_by(int(row))) for row in part.rows]
+    times = np.bincount(np.concatenate(seen), minlength=len(submap.points))
+    ties = []
+    for one in range(len(seen)):
+        for other in range(one + 1, len(seen)):
+            shared = np.intersect1d(seen[one], seen[other], assume_unique=True)
+            if len(shared) < MIN_TIE and other > one + 1:
+                continue
+            rows = int(part.rows[one]), int(part.rows[other])
+            points = submap.points_in_camera(rows[1], submap.points[shared])
+            distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+            less = SLACK * np.sqrt(times[shared] / 2) * distance
+            across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
+            information = tie_information(points, across, np.maximum(maker.error[shared], 1e-4) * less)
+            relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
+            ties.append(Edge(one, other, relation, information))
+    return ties
+
+
+def moved(part: DenseSubmap, rows: NDArray[np.int64], world_from_node: Array) -> DenseSubmap:
+    """The submap with those of its frames at the nodes (K,4,4), Sim(3); what else it holds follows.
+
+    A frame between two nodes follows both, by its share of the way; a point follows the nearest frame that saw it.
+    """
+    submap = part.submap
+    change = world_from_node @ np.linalg.inv(submap.world_from_camera[rows])
+    of_frame = _spread(change, rows, len(submap.frames))
+    scale = scale_of(of_frame)
+    poses = of_frame @ submap.world_from_camera
+    poses[:, :3, :3] /= scale[:, None, None]
+    frame, point = submap.observations.T
+    distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)
+    order = np.lexsort((distance, point))
+    first = np.unique(point[order], return_index=True)
+    guide = np.zeros(len(submap.points), np.int64)
+    guide[first[0]] = frame[order][first[1]]
+    points = np.einsum("nij,nj->ni", of_frame[guide, :3, :3], submap.points) + of_frame[guide, :3, 3]
+    before = np.ones(len(scale)) if part.depth_scale is None else part.depth_scale
+    return replace(part, submap=replace(submap, world_from_camera=poses, points=points), depth_scale=before * scale)
+
+
+def united(first: DenseSubmap, second: DenseSubmap) -> DenseSubmap:
+    """Two submaps of one frame, scale and camera as one, frames in order."""
+    one, other = first.submap, second.submap
+    frames = np.concatenate([one.frames, other.frames])
+    order = np.argsort(frames, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    observations = np.concatenate([one.observations, other.observations + np.array([len(one.frames), len(one.points)])])
+    observations[:, 0] = place[observations[:, 0]]
+    submap = replace(
+        one,
+        frames=frames[order],
+        world_from_camera=np.concatenate([one.world_from_camera, other.world_from_camera])[order],
+        points=np.concatenate([one.points, other.points]),
+        error_px=np.concatenate([one.error_px, other.error_px]),
+        observations=observations,
+        pixels=np.concatenate([one.pixels, other.pixels]),
+    )
+    scales = [np.ones(len(p.submap.frames)) if p.depth_scale is None else p.depth_scale for p in (first, second)]
+    rows = np.sort(place[np.concatenate([first.rows, second.rows + len(one.frames)])])
+    return replace(first, submap=submap, rows=rows, depth_scale=np.concatenate(scales)[order])
+
+
+def _spread(change: Array, rows: NDArray[np.int64], count: int) -> Array:
+    """(count,4,4) change of each frame from those of the keyframes (K,4,4) at `rows`."""
+    result = np.empty((count, 4, 4))
+    result[: rows[0]], result[rows[-1] :] = change[0], change[-1]
+    for k, (begin, end) in enumerate(pairwise(rows)):
+        for row in range(begin, end):
+            result[row] = between(change[k], change[k + 1], (row - begin) / (end - begin))
+    return result
+
+
+def _edges(
+    first: DenseSubmap, first_places: list[Place], second: DenseSubmap, second_places: list[Place], links: list[Link]
+) -> list[Edge]:
+    """Links between places as edges between keyframe numbers."""
+    here = np.searchsorted(first.rows, [place.row for place in first_places])
+    there = np.searchsorted(second.rows, [place.row for place in second_places])
+    return [Edge(int(here[k.first]), int(there[k.second]), k.first_from_second, k.information) for k in links]

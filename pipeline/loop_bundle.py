@@ -1,0 +1,168 @@
+"""A submap whose loops were closed, adjusted to its images: SIFT features of all keyframes, joined over the loops.
+
+The front end follows its corners from frame to frame, and what that adds to their places is not noise: it bends the
+scale along the path by the direction of the motion, the same on the way out and back, so that no loop shows it.
+Features found anew in each keyframe do not. They alone make this bundle, seeded by the pose graph.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pipeline.dense import DenseSubmap
+from pipeline.loops import Link, Place
+from pipeline.odometry.bundle import Bundle, adjust
+from pipeline.odometry.places import match, rooted
+from reconstruction.pose_graph import scale_of
+
+AHEAD = 5  # keyframes with which each one's features are compared
+MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
+SETTLING = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
+ITERATIONS = 25
+MIN_SEEN = 20  # features of a keyframe in the bundle; another keyframe follows those beside it
+MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle together
+MAX_GAP = 5  # keyframes in a row that may follow
+MAX_KEYFRAMES = 600  # the normal equations are one full matrix
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Points (T,3) in the world; observations (M,): track, number of the place, feature in it."""
+
+    points: Array
+    track: NDArray[np.int64]
+    place: NDArray[np.int64]
+    feature: NDArray[np.int64]
+
+
+def adjust_nodes(
+    part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
+) -> tuple[NDArray[np.int64], Array] | None:
+    """Numbers of keyframes and their nodes (.,4,4), Sim(3), as the images have them; None if the features do not hold.
+
+    `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
+    places, are believed.
+    """
+    if len(places) > MAX_KEYFRAMES:
+        return None
+    tracks = tie_tracks(part, places, links, world_from_node)
+    number = well_seen(tracks, len(places))
+    if len(number) < 2 or not holds(tracks, number, len(places)):
+        return None
+    scale = scale_of(world_from_node)
+    poses = world_from_node.copy()
+    poses[:, :3, :3] /= scale[:, None, None]
+    camera = np.full(len(places), -1)
+    camera[number] = np.arange(len(number))
+    held = np.flatnonzero(camera[tracks.place] >= 0)
+    held = held[np.argsort(tracks.place[held], kind="stable")]
+    place, feature = tracks.place[held], tracks.feature[held]
+    rotation = np.swapaxes(poses[number, :3, :3], 1, 2)
+    local = _all(places, place, feature)
+    bundle = Bundle(
+        rotation,
+        -np.einsum("nij,nj->ni", rotation, poses[number, :3, 3]),
+        tracks.points,
+        camera[place],
+        tracks.track[held],
+        local[:, :2] / local[:, 2:],
+        np.broadcast_to(np.diag(part.camera.focal), (len(held), 2, 2)),
+        np.arange(len(number)) == 0,
+    )
+    bundle, depth = _at(bundle, local[:, 2], np.arange(len(held)))
+    for loss_px, max_error_px in SETTLING:
+        bundle = adjust(bundle, ITERATIONS, loss_px)
+        bundle, depth = _at(bundle, depth, np.flatnonzero(bundle.errors() < max_error_px))
+    return _nodes(bundle, depth, number)
+
+
+def tie_tracks(part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array) -> Tracks:
+    """Features that look alike and lie where the map has them, or that a link matched, are one point."""
+    starts = np.concatenate([[0], np.cumsum([len(place.pixels) for place in places])])
+    pairs = [np.column_stack([link.rows[0] + starts[link.first], link.rows[1] + starts[link.second]]) for link in links]
+    for one in range(len(places)):
+        for other in range(one + 1, min(len(places), one + AHEAD + 1)):
+            pairs.append(_followed(part, places[one], places[other]) + starts[[one, other]])
+    count, ties = int(starts[-1]), np.concatenate(pairs)
+    graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    place = np.repeat(np.arange(len(places)), np.diff(starts))
+    _, same, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(times[same.ravel()] == 1)  # two features of one picture are not one point
+    seen = np.bincount(label[single], minlength=count)
+    chosen = single[seen[label[single]] >= 2]
+    track = np.unique(label[chosen], return_inverse=True)[1]
+    place, feature = place[chosen], chosen - starts[place[chosen]]
+    nodes = world_from_node[place]
+    world = np.einsum("nij,nj->ni", nodes[:, :3, :3], _all(places, place, feature)) + nodes[:, :3, 3]
+    total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
+    return Tracks(total / np.bincount(track)[:, None], track, place, feature)
+
+
+def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:
+    """Numbers of the places that enough tracks fix."""
+    return np.flatnonzero(np.bincount(tracks.place, minlength=count) >= MIN_SEEN)
+
+
+def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
+    """Whether shared tracks tie each of the places to the one before, and no long stretch is left out."""
+    if np.diff(np.concatenate([[-1], number, [count]])).max() > MAX_GAP + 1:
+        return False
+    seen = coo_array((np.ones(len(tracks.track)), (tracks.place, tracks.track)), shape=(count, len(tracks.points)))
+    seen = seen.tocsr()[number]
+    return bool((seen[1:].multiply(seen[:-1]).sum(axis=1) >= MIN_SHARED).all())
+
+
+def _followed(part: DenseSubmap, here: Place, there: Place) -> NDArray[np.int64]:
+    """(K,2) features of two near keyframes that look alike and lie where the map says."""
+    pairs = match(rooted(here.descriptors), rooted(there.descriptors))
+    if len(pairs) == 0:
+        return pairs
+    pose = part.submap.world_from_camera[here.row]
+    world = here.points[pairs[:, 0]] @ pose[:3, :3].T + pose[:3, 3]
+    local = part.submap.points_in_camera(there.row, world)
+    front = local[:, 2] > 1e-6
+    local[:, 2] = np.where(front, local[:, 2], 1.0)
+    off = np.linalg.norm(part.camera.project(local) - there.pixels[pairs[:, 1]], axis=1)
+    return pairs[front & (off < MAX_OFF_PX)]
+
+
+def _all(places: list[Place], place: NDArray[np.int64], feature: NDArray[np.int64]) -> Array:
+    """(M,3) points of features in their cameras' axes."""
+    starts = np.concatenate([[0], np.cumsum([len(p.points) for p in places])])
+    return np.concatenate([p.points for p in places])[starts[place] + feature]
+
+
+def _at(bundle: Bundle, depth: Array, rows: NDArray[np.int64]) -> tuple[Bundle, Array]:
+    """The same cameras and points with some of the observations; a point that one alone would hold loses it too."""
+    times = np.bincount(bundle.point[rows], minlength=len(bundle.points))
+    rows = rows[times[bundle.point[rows]] >= 2]
+    camera, point, seen, gain = (a[rows] for a in (bundle.camera, bundle.point, bundle.seen, bundle.gain))
+    return replace(bundle, camera=camera, point=point, seen=seen, gain=gain), depth[rows]
+
+
+def _nodes(bundle: Bundle, depth: Array, number: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array] | None:
+    """Nodes of the keyframes that are still well seen: the scale is the median of adjusted over mapped depth."""
+    world_from_camera = np.swapaxes(bundle.rotation, 1, 2)
+    local = np.einsum("mij,mj->mi", bundle.rotation[bundle.camera], bundle.points[bundle.point])
+    found = local[:, 2] + bundle.translation[bundle.camera, 2]
+    starts = np.searchsorted(bundle.camera, np.arange(len(number) + 1))
+    kept, nodes = [], []
+    for camera, (begin, end) in enumerate(zip(starts, starts[1:], strict=False)):
+        if end - begin < MIN_SEEN:
+            continue
+        node = np.eye(4)
+        scale = np.exp(np.median(np.log(np.maximum(found[begin:end], 1e-9) / depth[begin:end])))
+        node[:3, :3] = scale * world_from_camera[camera]
+        node[:3, 3] = -world_from_camera[camera] @ bundle.translation[camera]
+        kept.append(camera)
+        nodes.append(node)
+    if len(kept) < 2 or np.diff(number[kept]).max() > MAX_GAP + 1:
+        return None
+    return number[kept], np.stack(nodes)
