@@ -12,6 +12,7 @@ import typer
 
 from completion.errors import CompletionError
 from phantom.errors import PhantomError
+from pipeline import cli_runs
 from pipeline.errors import HaustraError
 from reconstruction.errors import ReconstructionError
 
@@ -24,6 +25,9 @@ app = typer.Typer(
     add_completion=False,
     help="Dense colon reconstruction from endoscope video, on a CPU.",
 )
+
+app.command()(cli_runs.view)
+app.command()(cli_runs.batch)
 
 Source = Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="run folder; NAME_run beside you if not given")]
@@ -84,12 +88,21 @@ def reconstruct(
 @app.command()
 def export(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    target: Annotated[Path, typer.Argument(help="out.ply, .glb, .obj or .stl")],
+    target: Annotated[Path, typer.Argument(help="out.ply, .glb, .obj or .stl; .rrd: everything, for Rerun")],
+    max_error: Annotated[
+        float | None, typer.Option(help="fewer triangles, none farther off than this, in the run's unit")
+    ] = None,
+    texture: Annotated[bool, typer.Option(help="colours as a picture laid over the mesh; .glb and .obj")] = False,
 ) -> None:
-    """Write a run's mesh in another format."""
+    """Write a run's mesh in another format, or the whole run as a Rerun recording."""
+    if target.suffix.lower() == ".rrd":
+        from pipeline.rerun_export import export_rerun
+
+        print(export_rerun(run, target))
+        return
     from pipeline.surface import export_mesh
 
-    print(export_mesh(run, target))
+    print(export_mesh(run, target, max_error, texture))
 
 
 @app.command()

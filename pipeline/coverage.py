@@ -25,10 +25,12 @@ SEGMENT_RADII = 2.0
 
 @dataclass(frozen=True)
 class Judgement:
-    """Figures of one submap for `metrics.json`; `picture` is None where nothing could be judged."""
+    """Figures of one submap for `metrics.json`; `picture` is None where nothing could be judged. `missed` are the
+    closing's surfaces over the listed regions, in their order."""
 
     record: dict[str, Any]
     picture: Path | None
+    missed: tuple[SurfaceMesh, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -104,7 +106,8 @@ def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -
         "segments": [{"start": s.start, "end": s.end, "covered_percent": 100 * s.share} for s in segments],
         "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
     }
-    return Judgement(record, picture)
+    patches = tuple(coverage.closure.surface.with_faces(coverage.region == k) for k in range(len(listed)))
+    return Judgement(record, picture, patches)
 
 
 def _row(number: int, region: MissedRegion, frames: Frames, part: DenseSubmap) -> dict[str, Any]:

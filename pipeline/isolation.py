@@ -1,6 +1,10 @@
 """Run a module in a process of its own, with progress, a log file, and a clean stop."""
 
+import ctypes
 import json
+import os
+import runpy
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,18 +13,24 @@ from typing import Any
 from pipeline.errors import HaustraError
 from pipeline.progress import Progress
 
+SIGNAL_AT_PARENTS_DEATH = 1  # Linux, prctl(2): PR_SET_PDEATHSIG
+
 
 def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label: str, progress: Progress) -> None:
     """`python -m module action job.json`; raises `HaustraError` naming the log if it fails.
 
-    The child writes "done total" lines to standard output. On Ctrl-C it is killed before the interrupt goes on.
+    The child writes "done total" lines to standard output. On Ctrl-C it is killed before the interrupt goes on; on
+    Linux it also dies with a parent that is killed, so that nobody else writes where a resumed run goes on.
     """
     job_file = log.with_suffix(".job.json")
     job_file.write_text(json.dumps(job, indent=1))
     with log.open("w") as errors, progress.bar(label, None) as advance:
         # -P: the working directory must not shadow installed packages.
-        command = [sys.executable, "-P", "-m", module, action, str(job_file)]
-        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True)
+        command = [sys.executable, "-P", "-m", __name__, module, action, str(job_file)]
+        environment = os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
+        child = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment, start_new_session=True
+        )
         try:
             assert child.stdout is not None
             for line in child.stdout:
@@ -34,3 +44,19 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
             raise
     if code != 0:
         raise HaustraError(f"{label} failed (exit code {code}); its log is {log}")
+
+
+def _main() -> None:
+    """The child's side: tie its life to the parent's, then be the module that it was started for."""
+    parent = int(os.environ.get("HAUSTRA_PARENT", os.getppid()))
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(SIGNAL_AT_PARENTS_DEATH, signal.SIGKILL)
+        if os.getppid() != parent:  # it died before it could be tied to
+            sys.exit(1)
+    module = sys.argv[1]
+    sys.argv = sys.argv[1:]
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,6 +1,6 @@
 """Stage 5: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from pipeline.frames import Frames
 from pipeline.isolation import run_isolated
 from pipeline.page import write_page
 from pipeline.progress import Progress
+from pipeline.refinement import model_sources
 from pipeline.structure import camera_trust
 from pipeline.surface import Surface, mesh_path
 from pipeline.workspace import Workspace, write_json
@@ -86,6 +87,7 @@ def _submap_record(number: int, pair: tuple[DenseSubmap, Surface]) -> dict[str, 
         "depth_png_step": DEPTH_STEP * surface.scale.factor,
         "camera": camera_path(part.workspace, number).name,
         "keyframes": part.submap.frames[part.rows].tolist(),
+        "depth_scale": None if part.depth_scale is None else part.depth_scale[part.rows].tolist(),
     }
 
 
@@ -99,15 +101,10 @@ def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: in
 
 
 def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progress) -> None:
-    """Bring the COLMAP models to output units, from the untouched ones that the structure stage keeps."""
-    units = workspace.result("structure")["units"]
+    """Bring the COLMAP models to output units, from those that the stages before keep in units of their own."""
     models = [
-        {
-            "source": str(workspace.models / str(k)),
-            "target": str(workspace.sparse / str(k)),
-            "factor": s.scale.factor / u,
-        }
-        for k, (s, u) in enumerate(zip(surfaces, units, strict=True))
+        {"source": str(source), "target": str(workspace.sparse / str(k)), "factor": surface.scale.factor / unit}
+        for k, (surface, (source, unit)) in enumerate(zip(surfaces, model_sources(workspace), strict=True))
     ]
     run_isolated(
         "pipeline.colmap_worker",
@@ -128,7 +125,10 @@ def collect_metrics(
 ) -> dict[str, Any]:
     """Every figure of the run, with unit and count."""
     structure = workspace.result("structure")
+    refinement = workspace.result("refinement") if workspace.is_done("refinement") else {"submaps": [], "warnings": []}
+    # What speaks for a submap that others were joined to is said of its first part.
     evidence = structure["evidence"][structure["mapper"]]
+    evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
     submaps = []
     for part, surface, judgement, witness in zip(dense, surfaces, coverage, evidence, strict=False):
         mesh, submap = surface.mesh, part.submap.scaled(surface.scale.factor)
@@ -144,6 +144,7 @@ def collect_metrics(
                 "voxel_size": surface.voxel_size,
                 "dropped_area_share": surface.dropped_share,
                 "contradicted_keyframes": list(surface.left_out),
+                "lamp": None if surface.lamp is None else asdict(surface.lamp),
                 "unit": surface.scale.unit,
                 "coverage": judgement.record,
                 "scale": surface.scale.origin,
@@ -168,7 +169,8 @@ def collect_metrics(
         "camera": workspace.result("frames")["camera_origin"],
         "front_end": "odometry" if structure["mapper"] == "odometry" else "sfm",
         "mapper": structure["mapper"],
-        "warnings": structure["warnings"],
+        "warnings": [*structure["warnings"], *refinement["warnings"]],
+        "loops": refinement["submaps"],
         "model": workspace.record["config"]["model"],
         "submaps": submaps,
         "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],

@@ -9,6 +9,7 @@ from pipeline.coverage import judge_coverage
 from pipeline.dense import complete_depth
 from pipeline.frames import read_frames
 from pipeline.progress import Progress, SilentProgress
+from pipeline.refinement import refine_poses
 from pipeline.report import RunResult, write_report
 from pipeline.scale import check_scale_file
 from pipeline.structure import solve_structure
@@ -41,10 +42,11 @@ def reconstruct(
         workspace = resume_workspace(Path(output), video.path, config)
     else:
         workspace = create_workspace(Path(output), video.path, config, overwrite)
-
-    frames = read_frames(video, config, workspace, progress)
-    submaps = solve_structure(frames, config, workspace, progress)  # poses and sparse points
-    dense = complete_depth(frames, submaps, config, workspace, progress)  # sparse depth, completed
-    surfaces = fuse_depth(dense, config, workspace, progress)
-    coverage = judge_coverage(frames, dense, surfaces, workspace)  # what was not seen
-    return write_report(frames, dense, surfaces, coverage, workspace, progress)
+    with workspace:  # nobody else works in the folder meanwhile
+        frames = read_frames(video, config, workspace, progress)
+        submaps = solve_structure(frames, config, workspace, progress)  # poses and sparse points
+        dense = complete_depth(frames, submaps, config, workspace, progress)  # sparse depth, completed
+        dense = refine_poses(frames, dense, config, workspace, progress)  # places seen twice close the path
+        surfaces = fuse_depth(dense, config, workspace, progress)
+        coverage = judge_coverage(frames, dense, surfaces, workspace)  # what was not seen
+        return write_report(frames, dense, surfaces, coverage, workspace, progress)

@@ -21,8 +21,10 @@ import yaml
 
 from pipeline.config import Config, validate_config
 from pipeline.errors import HaustraError
+from pipeline.run_lock import NAME as LOCK_NAME
+from pipeline.run_lock import RunLock
 
-PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "opencv-python-headless", "av")
+PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "gtsam", "opencv-python-headless", "av")
 
 
 class Workspace:
@@ -49,6 +51,14 @@ class Workspace:
         self.report = root / "report.html"
         self.record_path = root / "run.yaml"
         self.record: dict[str, Any] = {"stages": {}}
+        self.lock: RunLock | None = None  # held where this process writes
+
+    def __enter__(self) -> "Workspace":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.lock is not None:
+            self.lock.release()
 
     def image_path(self, index: int) -> Path:
         return self.images / f"{index:06d}.jpg"
@@ -83,29 +93,41 @@ class Workspace:
 
 
 def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:
-    """A fresh run folder; refuses one that holds a run already unless `overwrite`."""
+    """A fresh run folder, locked; refuses one that holds a run already unless `overwrite`."""
     if root.exists() and not root.is_dir():
         raise HaustraError(f"the output {root} is a file; give a folder")
     workspace = Workspace(root)
-    if workspace.record_path.exists():
-        if not overwrite:
-            raise HaustraError(f"{root} already holds a run; add --resume to go on with it or --overwrite to redo it")
-        _clear(workspace)
-    elif root.exists() and any(root.iterdir()):
+    strangers = root.exists() and any(path.name != LOCK_NAME for path in root.iterdir())
+    if strangers and not workspace.record_path.exists():
         raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
-    identity = {"path": str(source.resolve()), "sha256": _identity(source, config)}
     try:
         root.mkdir(parents=True, exist_ok=True)
-        workspace.log.mkdir(exist_ok=True)
+        workspace.lock = RunLock(root)
     except OSError as error:
         raise HaustraError(f"cannot create the output folder {root}: {error.strerror}") from error
+    try:
+        _fill(workspace, source, config, overwrite)
+    except BaseException:
+        workspace.lock.release()
+        raise
+    return workspace
+
+
+def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
+    if workspace.record_path.exists():
+        if not overwrite:
+            raise HaustraError(
+                f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
+            )
+        _clear(workspace)
+    identity = {"path": str(source.resolve()), "sha256": _identity(source, config)}
+    workspace.log.mkdir(exist_ok=True)
     workspace.record |= {
         "source": identity,
         "versions": _versions(),
         "config": config.model_dump(mode="json"),
     }
     workspace.save()
-    return workspace
 
 
 def open_workspace(root: Path) -> Workspace:
@@ -122,9 +144,21 @@ def open_workspace(root: Path) -> Workspace:
 
 
 def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
-    """An existing run of the same source and settings, to go on with."""
-    workspace = open_workspace(root)
-    now, then = _identity(source, config), workspace.record["source"]["sha256"]
+    """An existing run of the same source and settings, locked, to go on with."""
+    open_workspace(root)  # says so if it is none
+    lock = RunLock(root)
+    try:
+        workspace = open_workspace(root)  # as the process before left it
+        workspace.lock = lock
+        _check_same(workspace, source, config)
+    except BaseException:
+        lock.release()
+        raise
+    return workspace
+
+
+def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
+    root, now, then = workspace.root, _identity(source, config), workspace.record["source"]["sha256"]
     if now["source"] != then["source"]:
         raise HaustraError(f"{root} is a run of another video; --resume needs the same one")
     if workspace.config != config:
@@ -132,7 +166,6 @@ def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
     for name in now:
         if now[name] != then.get(name):
             raise HaustraError(f"{root} was run with another {name}; its contents have changed since")
-    return workspace
 
 
 def _identity(source: Path, config: Config) -> dict[str, str]:

@@ -73,7 +73,7 @@ class Lamp:
         known = distance > 0
         ratio = np.where(known, distance / self.reference, 1)
         shade = self.distance * np.log(ratio) + self.slant * np.log(np.maximum(cosine, MIN_COSINE))
-        return shade + self.axis * np.log(ahead), known
+        return (shade + self.axis * np.log(ahead)).astype(np.float32), known
 
 
 def geometry(
@@ -112,7 +112,8 @@ def fit_lamp(
     reference = float(np.median(distance))
     shades = [sample[:, 0] - (sample[:, 1:] - (reference, 0, 0)) @ solved for sample in used]
     level = float(np.mean([np.median(shade) for shade in shades]))
-    return Lamp(*map(float, solved), level, float(np.exp(reference)), len(used))
+    by_distance, by_slant, by_axis = map(float, solved)
+    return Lamp(by_distance, by_slant, by_axis, level, float(np.exp(reference)), len(used))
 
 
 def _samples(
@@ -126,7 +127,7 @@ def _samples(
     chosen = rng.choice(usable, min(SAMPLES, len(usable)), replace=False)
     bright = _linear(rgb.reshape(-1, 3)[chosen]) @ LUMA
     columns = (bright, *(image.ravel()[chosen] for image in (distance, cosine, ahead)))
-    return np.log(np.stack(columns, axis=1, dtype=np.float64))
+    return np.log(np.stack(columns, axis=1).astype(np.float64))
 
 
 def _is_exposed(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -135,4 +136,4 @@ def _is_exposed(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return (np.asarray(rgb, np.float32) / 255) ** np.float32(GAMMA)
+    return np.power(rgb.astype(np.float32) / np.float32(255), np.float32(GAMMA), dtype=np.float32)

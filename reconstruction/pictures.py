@@ -42,7 +42,7 @@ def render_mesh(
     if not len(mesh.faces):
         raise ReconstructionError("a mesh without faces cannot be drawn")
     pose = outside_view(mesh, width, height, fov_deg) if world_from_camera is None else world_from_camera
-    paint = _brightened(mesh.colours) if colours is None else colours.astype(np.float32)
+    paint = brightened(mesh.colours) if colours is None else colours.astype(np.float32)
     scene = _scene(mesh)
     total = np.zeros((height * width, 3), np.float32)
     for shift in SUBPIXELS:
@@ -69,7 +69,7 @@ def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> 
     return pose
 
 
-def _brightened(colours: NDArray[np.uint8]) -> Floats:
+def brightened(colours: NDArray[np.uint8]) -> Floats:
     """Scaled so that all but the brightest twentieth keep below `BRIGHT`: an endoscope's far walls are dark."""
     gain = max(1.0, BRIGHT / max(1.0, float(np.percentile(colours.max(axis=1), 95))))
     return np.minimum(colours * np.float32(gain), WHITE)

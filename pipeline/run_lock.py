@@ -1,0 +1,31 @@
+"""One process at a time works in a run folder; the system forgets the lock when that process dies, however it dies."""
+
+from pathlib import Path
+from typing import IO
+
+from pipeline.errors import HaustraError
+
+NAME = ".lock"  # stays in the folder: deleting it while another process waits for it would let both in
+
+
+class RunLock:
+    """Held from its making until `release`."""
+
+    def __init__(self, root: Path) -> None:
+        self._file: IO[bytes] | None = (root / NAME).open("ab")
+        try:
+            import fcntl
+        except ImportError:  # Windows: two runs in one folder are then the user's to avoid
+            return
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self.release()
+            raise HaustraError(f"another process is working in {root}; wait for it, or give another folder") from error
+        except OSError:  # a file system without locks
+            return
+
+    def release(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
