@@ -1,117 +1,145 @@
 """How well the lamp is divided out: one place of the wall in two pictures should have one colour.
 
-    python benchmarks/delighting.py FOLDERS... --json delighting.json
+    python benchmarks/delighting.py RUN RGBD_FOLDER --json delighting.json
 
-RGB-D folders with true depth and poses. Pairs of frames 5, 10 and 20 apart: every fourth pixel of one is carried into
-the other by the true depth; kept where it meets the true depth there to 2 %, neither pixel is burnt or black, and the
-distance has changed by a tenth or more, since otherwise there is nothing to take out. Printed: the median of |ln of the
-luminances' ratio| as filmed; with each frame's gain removed (the median ratio of the pair), which is the fair rival;
-with the lamp removed by the textbook's exponents (-2, 1, 0); and by the exponents fitted to the film. In all but the
-first the pair's median ratio is removed.
+RUN is a finished run of the folder's frames (pinhole camera); up to 24 of its keyframes, each with the three after it.
+Every fourth pixel of one is carried into the other by *true* depth and poses; kept where it meets the true depth there
+to 2 %, neither pixel is burnt or black as filmed, and the distance has changed by a tenth or more, since otherwise
+there is nothing to take out. Printed: the median of |ln of the luminances' ratio|
+
+  as filmed                 what the mesh's colours are made of without de-lighting
+  frame's gain alone        each frame brought to the film's median, nothing else
+  completed depth           `Lamp.delit` as the pipeline calls it
+  ... without slant         the same with the slant's exponent 0
+  true depth                the same from true depth: what better completion could give
+
+each twice: as it is, which is what shows in the mesh, and with each pair's median ratio removed, which leaves what
+varies within a picture.
 """
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from pipeline.camera import read_camera
+from pipeline.dense import planned_keyframes
+from pipeline.frames import load_frames
+from pipeline.refinement import refined_keyframes
+from pipeline.structure import load_structure
+from pipeline.workspace import open_workspace
 from reconstruction.lamp import BURNT, DARK, GAMMA, LUMA, MIN_COSINE, Lamp, fit_lamp, geometry
 from reconstruction.trajectory import read_tum
 from record import write
 
-APART, STRIDE = (5, 10, 20), 4
+KEYFRAMES, AFTER, STRIDE = 24, 3, 4
 SAME, CHANGED = 0.02, 0.1  # relative: depth that meets the truth, distance that has changed
-TEXTBOOK, NONE = (-2.0, 1.0, 0.0), (0.0, 0.0, 0.0)
+UNIT_MM = 0.01  # a step of the depth PNG in every RGB-D folder that the phantom writes
+MIN_PLACES = 50  # of a pair
+Pair = tuple[int, int, np.ndarray, np.ndarray]  # keyframes, flat pixels in the one and the other
 
 
-def read(folder: Path, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """Picture and true depth in the PNG's unit, which drops out."""
-    rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{index:05d}.png")), cv2.COLOR_BGR2RGB)
-    return rgb, cv2.imread(str(folder / "depth" / f"{index:05d}.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
+def same_places(depths: list[np.ndarray], poses: list[np.ndarray], fair: list[np.ndarray], k: np.ndarray) -> list[Pair]:
+    """Pixels of one place in two pictures, by true depth and poses (mm)."""
+    found = []
+    for one in range(len(depths)):
+        for other in range(one + 1, min(one + 1 + AFTER, len(depths))):
+            first, second = _carried(depths[one], depths[other], poses[one], poses[other], k)
+            kept = fair[one].ravel()[first] & fair[other].ravel()[second]
+            if kept.sum() >= MIN_PLACES:
+                found.append((one, other, first[kept], second[kept]))
+    return found
 
 
-def observed(rgb: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """(H,W,4) ln luminance, and what it depends on; NaN where a pixel tells nothing."""
-    distance, cosine, ahead = geometry(depth, intrinsics)
-    bright = rgb.max(axis=-1)
-    fair = (distance > 0) & (cosine > MIN_COSINE) & (bright < BURNT) & (bright > DARK)
-    values = np.stack([((rgb / 255.0) ** GAMMA) @ LUMA, distance, cosine, ahead], axis=-1)
-    return np.log(np.where(fair[..., None], values, np.nan))
-
-
-def matched(first: tuple, second: tuple, intrinsics: np.ndarray, unit: float) -> np.ndarray:
-    """(N,2,4) what the same places of the wall looked like in both; each side (picture, depth, pose in `unit`)."""
-    (rgb, depth, pose), (other_rgb, other_depth, other_pose) = first, second
+def _carried(
+    depth: np.ndarray, other: np.ndarray, pose: np.ndarray, other_pose: np.ndarray, k: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     row, column = np.nonzero(depth[::STRIDE, ::STRIDE])
     row, column = row * STRIDE, column * STRIDE
     ray = np.stack([column + 0.5, row + 0.5, np.ones(len(row))]) * depth[row, column]
-    local = (np.linalg.inv(intrinsics) @ ray).T * unit
-    world = local @ pose[:3, :3].T + pose[:3, 3]
-    there = (world - other_pose[:3, 3]) @ other_pose[:3, :3] / unit
-    x, y, z = (there @ intrinsics.T).T
+    world = (np.linalg.inv(k) @ ray).T @ pose[:3, :3].T + pose[:3, 3]
+    there = (world - other_pose[:3, 3]) @ other_pose[:3, :3]
+    x, y, z = (there @ k.T).T
     u, v = np.floor(x / np.maximum(z, 1e-9)).astype(int), np.floor(y / np.maximum(z, 1e-9)).astype(int)
-    inside = (z > 0) & (u >= 0) & (v >= 0) & (u < depth.shape[1]) & (v < depth.shape[0])
-    row, column, u, v, z = row[inside], column[inside], u[inside], v[inside], z[inside]
-    met = np.abs(other_depth[v, u] / z - 1) < SAME
-    pairs = np.stack(
-        [observed(rgb, depth, intrinsics)[row, column], observed(other_rgb, other_depth, intrinsics)[v, u]]
-    )
-    pairs = np.swapaxes(pairs, 0, 1)[met]
-    pairs = pairs[np.isfinite(pairs).all(axis=(1, 2))]
-    return pairs[np.abs(pairs[:, 0, 1] - pairs[:, 1, 1]) > CHANGED]
+    height, width = depth.shape
+    inside = (z > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    row, column, u, v, z, there = row[inside], column[inside], u[inside], v[inside], z[inside], there[inside]
+    far = np.linalg.norm(world[inside] - pose[:3, 3], axis=1)
+    changed = np.abs(np.log(np.linalg.norm(there, axis=1) / far)) > CHANGED
+    kept = (np.abs(other[v, u] / z - 1) < SAME) & changed
+    return (row * width + column)[kept], (v * width + u)[kept]
 
 
-def differences(pairs: list[np.ndarray], exponents: tuple[float, ...], centred: bool = True) -> np.ndarray:
-    """|ln ratio| of all matched places once the exponents are applied."""
-    found = []
-    for pair in pairs:
-        bare = pair[:, :, 0] - pair[:, :, 1:] @ np.array(exponents)
-        change = bare[:, 0] - bare[:, 1]
-        found.append(np.abs(change - np.median(change) if centred else change))
-    return np.concatenate(found)
-
-
-def judge(folder: Path, step: int) -> dict[str, float]:
-    camera = read_camera(folder / "camera.json")
-    _, poses = read_tum(folder / "trajectory.txt")
-    unit = 0.01  # mm in a step of the depth PNG, in every RGB-D folder that the phantom writes
-    frames = [(*read(folder, k), poses[k]) for k in range(0, len(poses), step)]
-    lamp = fit_lamp([(rgb, depth) for rgb, depth, _ in frames[:: max(1, len(frames) // 60)]], camera.matrix)
-    assert isinstance(lamp, Lamp)
-    pairs = [
-        matched(frames[k], frames[k + apart // step], camera.matrix, unit)
-        for apart in APART
-        for k in range(0, len(frames) - apart // step, max(1, 10 // step))
-    ]
-    pairs = [pair for pair in pairs if len(pair) > 50]
+def difference(pictures: list[np.ndarray], pairs: list[Pair]) -> dict[str, float]:
+    """Median |ln ratio| of luminance over all places, as it is and with each pair's median removed."""
+    bright = [np.log(np.maximum(((p / 255.0) ** GAMMA) @ LUMA, 1e-4)).ravel() for p in pictures]
+    ratios = [bright[one][first] - bright[other][second] for one, other, first, second in pairs]
+    centred = [ratio - np.median(ratio) for ratio in ratios]
     return {
+        "as_it_is": float(np.median(np.abs(np.concatenate(ratios)))),
+        "pair_removed": float(np.median(np.abs(np.concatenate(centred)))),
+    }
+
+
+def with_exponents(lamp: Lamp, rgbs: list[np.ndarray], depths: list[np.ndarray], k: np.ndarray, **exponents) -> Lamp:
+    """The lamp with other exponents, and the level that belongs to them."""
+    changed = dataclasses.replace(lamp, **exponents, level=0.0)
+    gains = [changed.gain(rgb, depth, k) for rgb, depth in zip(rgbs, depths, strict=True)]
+    return dataclasses.replace(changed, level=float(np.mean([g for g in gains if g is not None])))
+
+
+def judge(run: Path, folder: Path) -> dict[str, object]:
+    workspace = open_workspace(run)
+    planned = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)
+    part = refined_keyframes(planned, workspace)[0]
+    _, truth = read_tum(folder / "trajectory.txt")
+    k = part.camera.matrix
+    chosen = [part.keyframe(int(row)) for row in part.rows[:: max(1, len(part.rows) // KEYFRAMES)]]
+    rgbs, depths = [c.rgb for c in chosen], [c.depth for c in chosen]
+    raw = [cv2.imread(str(folder / "depth" / f"{c.index:05d}.png"), cv2.IMREAD_UNCHANGED) for c in chosen]
+    true = [image.astype(np.float32) * np.float32(UNIT_MM) for image in raw]
+    fair = [
+        (rgb.max(axis=-1) < BURNT) & (rgb.max(axis=-1) > DARK) & (geometry(depth, k, 0)[1] > MIN_COSINE)
+        for rgb, depth in zip(rgbs, true, strict=True)
+    ]
+    pairs = same_places(true, [truth[c.index] for c in chosen], fair, k)
+    lamp, best = fit_lamp(zip(rgbs, depths, strict=True), k), fit_lamp(zip(rgbs, true, strict=True), k)
+    assert lamp is not None
+    assert best is not None
+
+    def delit(of: Lamp, by: list[np.ndarray]) -> dict[str, float]:
+        return difference([of.delit(rgb, depth, k) for rgb, depth in zip(rgbs, by, strict=True)], pairs)
+
+    return {
+        "keyframes": len(chosen),
         "pairs": len(pairs),
-        "places": sum(map(len, pairs)),
-        "distance_exponent": lamp.distance,
-        "slant_exponent": lamp.slant,
-        "axis_exponent": lamp.axis,
-        "as_filmed": float(np.median(differences(pairs, NONE, centred=False))),
-        "gain_removed": float(np.median(differences(pairs, NONE))),
-        "textbook": float(np.median(differences(pairs, TEXTBOOK))),
-        "fitted": float(np.median(differences(pairs, (lamp.distance, lamp.slant, lamp.axis)))),
+        "places": sum(len(pair[2]) for pair in pairs),
+        "exponents": {
+            "completed": [lamp.distance, lamp.slant, lamp.axis],
+            "true": [best.distance, best.slant, best.axis],
+        },
+        "as filmed": difference(rgbs, pairs),
+        "frame's gain alone": delit(with_exponents(lamp, rgbs, depths, k, distance=0.0, slant=0.0, axis=0.0), depths),
+        "completed depth": delit(lamp, depths),
+        "completed depth, without slant": delit(with_exponents(lamp, rgbs, depths, k, slant=0.0), depths),
+        "true depth": delit(best, true),
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+")
-    parser.add_argument("--step", type=int, default=5, help="frames between those that are read")
+    parser.add_argument("run", type=Path)
+    parser.add_argument("folder", type=Path)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    figures = {folder.name: judge(folder, arguments.step) for folder in arguments.folders}
+    figures = judge(arguments.run, arguments.folder)
+    print(f"{figures['places']} places in {figures['pairs']} pairs of {figures['keyframes']} keyframes")
+    for name, exponents in figures["exponents"].items():
+        print(f"exponents from {name} depth: " + ", ".join(f"{e:.2f}" for e in exponents))
     for name, of in figures.items():
-        print(
-            f"{name}: median |ln ratio| as filmed {of['as_filmed']:.3f}, gain removed {of['gain_removed']:.3f}, "
-            f"textbook {of['textbook']:.3f}, fitted {of['fitted']:.3f} (exponents {of['distance_exponent']:.2f}, "
-            f"{of['slant_exponent']:.2f}, {of['axis_exponent']:.2f}); {of['places']} places in {of['pairs']} pairs"
-        )
+        if isinstance(of, dict) and "as_it_is" in of:
+            print(f"{name:32} {of['as_it_is']:.3f}   pair's median removed {of['pair_removed']:.3f}")
     write(arguments.json, {"figures": figures})
 
 

@@ -62,7 +62,8 @@ def _maps(frames: Frames, config: Config, workspace: Workspace, progress: Progre
 
 
 def _why_no_model(mapped: dict[str, list[Judged]], count: int, workspace: Workspace) -> str:
-    if all((workspace.log / f"{method}.failed").exists() for method in mapped):
+    by_colmap = [method for method in mapped if method != "odometry"]
+    if by_colmap and all((workspace.log / f"{method}.failed").exists() for method in by_colmap):
         return f"COLMAP failed to map the frames; its logs are in {workspace.log}"
     if list(mapped) == ["odometry"]:
         return f"odometry could not begin: too few features, or a camera that does not move ({count} frames tried)"
@@ -131,8 +132,9 @@ def camera_trust(guess: Camera, submap: Submap) -> str:
     focal, start = submap.camera_params[0], guess.focal[0]
     sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
     text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after adjustment"
+    if focal == start:
+        text = f"camera: focal length {start:.1f} px guessed and kept"
     if not np.isfinite(sigma):
-        text = f"camera: focal length {start:.1f} px guessed" if focal == start else text
         return text + "; the motion does not determine it: shapes may be stretched along the view"
     text += f" (sigma {sigma:.2g} px for 1 px of noise)"
     if sigma > MAX_FOCAL_SIGMA * focal:

@@ -164,4 +164,10 @@ def export_mesh(run: Path, target: Path, max_error: float | None = None, texture
         write_mesh(light, target)
     if light is mesh:
         return str(target)
-    return f"{target}: {len(light.faces)} of {len(mesh.faces)} triangles, at most {error:.2g} {unit} off"
+    return f"{target}: {len(light.faces)} of {len(mesh.faces)} triangles, at most {_rounded_up(error)} {unit} off"
+
+
+def _rounded_up(length: float) -> str:
+    """Two digits, never less than the length itself."""
+    step = 10.0 ** (np.floor(np.log10(length)) - 1)
+    return f"{np.ceil(length / step) * step:.2g}"

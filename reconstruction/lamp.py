@@ -8,9 +8,11 @@ its own for each frame:
     log luminance = gain_frame + a log r + b log cos(theta) + c log cos(phi),     phi between ray and optical axis;
 
 a = -2, b = 1, c = 0 for a bare point lamp. Without the third term a camera that backs away takes the corners' darkness
-for nearness (benchmarks/delighting.py).
+for nearness.
 
-That mucosa has no reason to be paler where it is near is all that the fit assumes.
+Two things are assumed of the mucosa: that it is not paler where it is near, and that each frame sees on the whole the
+same colour, since each frame's median is brought to the film's: the camera's automatic gain cannot be told from a
+stretch of pale or of inflamed wall. Colours may be compared within a view, not between far stretches of a video.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 
 from reconstruction.depth_frame import view_cosine
@@ -30,8 +33,9 @@ DARK, BURNT = 12, 248  # grey levels between which a pixel says how bright its w
 MIN_COSINE = 0.15  # flatter slopes of completed depth are mostly its error
 MIN_PIXELS = 200  # of a frame that takes part in the fit
 SAMPLES = 2000  # pixels of each frame
+SMOOTH_SHARE = 0.02  # of the width: normals of completed depth are too rough to divide by (benchmarks/delighting.py)
 RANGES = ((-3.0, 0.0), (0.0, 2.0), (-1.0, 6.0))  # of the exponents; light does not grow with distance
-MAX_GAIN = 6.0  # a pixel is brightened or darkened by no more: beyond, only its noise would show
+MOST = np.log(6.0)  # a pixel is brightened or darkened by no more: beyond, only its noise would show
 NOISE = 0.15  # of log luminance by the mucosa's own pattern; residuals beyond count less (soft L1)
 
 
@@ -58,13 +62,19 @@ class Lamp:
         shade, known = self._log_shade(depth, intrinsics)
         if known.sum() < MIN_PIXELS:
             return rgb
+        gain = self.gain(rgb, depth, intrinsics)
+        factor = np.exp(np.clip((gain is not None) * (self.level - (gain or 0.0)) - shade, -MOST, MOST))
         linear = _linear(rgb)
-        bright = np.log(np.maximum(linear @ LUMA, 1e-4))
-        judged = known & _is_exposed(rgb)
-        gain = np.median((bright - shade)[judged]) - self.level if judged.sum() >= MIN_PIXELS else 0.0
-        factor = np.exp(np.clip(-shade - gain, -np.log(MAX_GAIN), np.log(MAX_GAIN)))
         result = np.where(known[..., None], linear * factor[..., None], linear)
         return np.rint(255 * np.clip(result, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
+
+    def gain(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]) -> float | None:
+        """The frame's median log luminance with the lamp divided out; None if too few pixels tell."""
+        shade, known = self._log_shade(depth, intrinsics)
+        judged = known & _is_exposed(rgb)
+        if judged.sum() < MIN_PIXELS:
+            return None
+        return float(np.median((np.log(np.maximum(_linear(rgb) @ LUMA, 1e-4)) - shade)[judged]))
 
     def _log_shade(
         self, depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
@@ -77,10 +87,10 @@ class Lamp:
 
 
 def geometry(
-    depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
+    depth: NDArray[np.float32], intrinsics: NDArray[np.float64], smooth_share: float = SMOOTH_SHARE
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Distance along the ray and cosine of the slant, 0 where there is no depth, and cosine of the angle off the
-    optical axis; (H,W) each."""
+    optical axis; (H,W) each. The slant is that of depth blurred by a Gaussian of `smooth_share` of the width."""
     clean = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     centred = np.array(intrinsics, np.float64)
     centred[:2, 2] -= 0.5
@@ -88,7 +98,17 @@ def geometry(
     x = (np.arange(width) - centred[0, 2]) / centred[0, 0]
     y = (np.arange(height) - centred[1, 2]) / centred[1, 1]
     ray = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + 1).astype(np.float32)
-    return clean * ray, view_cosine(clean, centred), 1 / ray
+    return clean * ray, view_cosine(_blurred(clean, smooth_share * width), centred), 1 / ray
+
+
+def _blurred(depth: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Logarithm of depth averaged over the known pixels around; 0 stays 0."""
+    if sigma_px == 0:
+        return depth
+    known = (depth > 0).astype(np.float32)
+    log = np.log(np.where(known > 0, depth, 1))
+    mean = gaussian_filter(log * known, sigma_px) / np.maximum(gaussian_filter(known, sigma_px), 1e-6)
+    return np.where(known > 0, np.exp(mean), 0).astype(np.float32)
 
 
 def fit_lamp(

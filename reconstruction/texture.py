@@ -1,7 +1,7 @@
 """A light mesh that looks like the fine one: fewer triangles within a stated error, colours in a picture laid over it.
 
 Charts and their packing are xatlas's. The picture is filled from the fine mesh: every texel knows its place on the
-light surface and takes the colour of the fine mesh there. Nothing is painted where the fine mesh has no surface.
+light surface and takes the colour of the fine mesh's nearest vertices.
 """
 
 from __future__ import annotations
@@ -41,8 +41,11 @@ class TexturedMesh:
 
 
 def simplified(mesh: SurfaceMesh, max_error: float) -> tuple[SurfaceMesh, float]:
-    """The mesh with as few triangles as halving allows, no vertex of `mesh` farther than `max_error` (its unit) from
-    the result; and that largest distance. The mesh itself and 0 where even half the triangles would err more."""
+    """The mesh with as few triangles as halving allows, and how far the two are apart: no more than `max_error`.
+
+    Measured both ways, at every vertex and at the middle of every edge and face: the largest distance, in the mesh's
+    unit. The mesh itself and 0 where even half the triangles would err more.
+    """
     if not 0 < max_error < np.inf:
         raise ReconstructionError(f"the largest error must be a positive length, not {max_error}")
     best, error = mesh, 0.0
@@ -50,11 +53,23 @@ def simplified(mesh: SurfaceMesh, max_error: float) -> tuple[SurfaceMesh, float]
         candidate = decimated(mesh, len(mesh.faces) >> halving)
         if not len(candidate.faces):
             break
-        distance = float(distance_to_surface(mesh.vertices, candidate).max())
+        distance = apart(mesh, candidate)
         if distance > max_error:
             break
         best, error = candidate, distance
     return best, error
+
+
+def apart(first: SurfaceMesh, second: SurfaceMesh) -> float:
+    """Largest distance of vertices, edges' middles and faces' middles of either from the other's surface."""
+    ways = ((first, second), (second, first))
+    return max(float(distance_to_surface(_samples(one), other).max()) for one, other in ways)
+
+
+def _samples(mesh: SurfaceMesh) -> NDArray[np.float64]:
+    corners = mesh.vertices[mesh.faces]
+    edges = (corners + np.roll(corners, -1, axis=1)) / 2
+    return np.concatenate([mesh.vertices, edges.reshape(-1, 3), corners.mean(axis=1)])
 
 
 def distance_to_surface(points: NDArray[np.float64], mesh: SurfaceMesh) -> NDArray[np.float64]:
@@ -84,7 +99,8 @@ def textured(light: SurfaceMesh, fine: SurfaceMesh, side: int | None = None) -> 
 
 
 def write_textured(mesh: TexturedMesh, path: Path) -> Path:
-    """GLB with the picture inside, or OBJ with MTL and PNG beside it."""
+    """GLB with the picture inside, or OBJ with `NAME.mtl` and `NAME_texture.png` beside it; these must not exist yet
+    unless an export of the same name made them: they are not what the user named."""
     import trimesh
     from PIL import Image
 
@@ -96,7 +112,10 @@ def write_textured(mesh: TexturedMesh, path: Path) -> Path:
         )
     elif path.suffix.lower() == ".obj":
         material = trimesh.visual.material.SimpleMaterial(image=picture, diffuse=[255, 255, 255, 255])
-        material.name = path.stem
+        material.name = f"{path.stem}_texture"
+        beside = [path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")]
+        if not path.exists() and (taken := [p.name for p in beside if p.exists()]):
+            raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
     else:
         raise ReconstructionError(f"{path.name}: a texture goes into .glb or .obj")
     visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)

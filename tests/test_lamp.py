@@ -104,9 +104,28 @@ def test_the_unit_of_depth_does_not_matter(scale, seed):
 
 def test_geometry_of_a_tube_is_exact():
     depth, distance, cosine = tube(20, 0.5, 0.1)
-    got = geometry(depth, K)
+    got = geometry(depth, K, 0)
     np.testing.assert_allclose(got[0], distance, rtol=1e-5)
     np.testing.assert_allclose(got[1][2:-2, 2:-2], cosine[2:-2, 2:-2], atol=5e-3)
+
+
+def test_rough_depth_hardly_changes_the_picture():
+    """Completed depth is a few percent rough; its raw normals would paint that roughness onto the wall."""
+    rng = np.random.default_rng(0)
+    rgb, depth, _ = lit(*TUBES[0], (-2.0, 1.0, 0.0))
+    lamp = fit_lamp([(rgb, depth)], K)
+    rough = (depth * (1 + 0.02 * rng.normal(size=depth.shape))).astype(np.float32)
+    change = lamp.delit(rgb, rough, K).astype(int) - lamp.delit(rgb, depth, K)
+    assert np.median(np.abs(change)) <= 4
+
+
+def test_each_frame_is_brought_to_the_films_median():
+    """The stated price of not knowing the camera's gain: half the reflectance looks like half the gain."""
+    shape = TUBES[0]
+    lamp = fit_lamp([lit(*shape, (-2.0, 1.0, 0.0))[:2]], K)
+    darker = (*shape[:3], shape[3] / 2)
+    one, other = (lamp.delit(*lit(*s, (-2.0, 1.0, 0.0))[:2], K) for s in (shape, darker))
+    assert np.median(np.abs(one.astype(int) - other)) <= 2
 
 
 def test_two_fits_agree():

@@ -99,6 +99,31 @@ def test_thinning_keeps_frames_apart_and_points_seen_often_enough(most):
     assert np.abs(seen - thin.pixels).max() < 2  # each pixel still belongs to its point and frame
 
 
+def test_a_long_submap_is_thinned_to_the_stretch_that_turns_most():
+    """Every point is seen by 12 frames in a row: spread over all, no two frames would share one."""
+    frames, span = 400, 12
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    turn = np.zeros(frames)
+    turn[250:300] = np.radians(2)
+    poses[:, :3, :3] = Rotation.from_rotvec(np.cumsum(turn)[:, None] * [0, 1, 0]).as_matrix()
+    point, offset = np.divmod(np.arange((frames - span) * span), span)
+    long = Submap(
+        np.arange(frames),
+        poses,
+        np.zeros((frames - span, 3)),
+        np.zeros(frames - span),
+        np.stack([point + offset, point], axis=1),
+        np.zeros((len(point), 2)),
+        GUESS.params,
+    )
+    few = thinned(long, 20, widest_step=4)
+    assert len(few.frames) == 20
+    assert np.diff(few.frames).max() <= 5
+    assert few.frames[0] <= 250
+    assert few.frames[-1] >= 290
+    assert len(few.points) > 40
+
+
 def test_recalibration_moves_rays_and_not_pixels():
     first, second = RayTable(GUESS), RayTable(TRUE)
     local_map = LocalMap(first)

@@ -19,7 +19,8 @@ from pipeline.odometry.colmap_text import write_model
 from pipeline.progress import Progress
 from pipeline.submap import Submap
 
-MOST_FRAMES = 100  # that determine the lens, spread over the submap: more cost minutes and add little
+MOST_FRAMES = 100  # that determine the lens: more cost minutes and add little
+WIDEST_STEP = 10  # frames between two of them; points are followed over some tens of frames
 MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
 MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
 LOSS_PX = 0.8
@@ -57,12 +58,27 @@ def refine_lens(submap: Submap, camera: Camera, seed: int, scratch: Path, progre
     return Lens(replace(camera, params=params) if determined else camera, sigma, determined)
 
 
-def thinned(submap: Submap, most: int) -> Submap:
-    """At most so many of its frames, spread evenly, and the points that enough of them see."""
-    rows = np.unique(np.linspace(0, len(submap.frames) - 1, most).round().astype(int))
-    dropped = np.setdiff1d(np.arange(len(submap.frames)), rows)
+def thinned(submap: Submap, most: int, widest_step: int = WIDEST_STEP) -> Submap:
+    """At most so many of its frames and the points that enough of them see.
+
+    Spread evenly over the submap, or, where that would part them farther than their common points reach, over the
+    stretch of it in which the camera turns most: turning is what tells a focal length.
+    """
+    count, reach = len(submap.frames), most * widest_step
+    first = _liveliest(submap, reach) if count > reach else 0
+    rows = np.unique(np.linspace(first, min(first + reach, count) - 1, most).round().astype(int))
+    dropped = np.setdiff1d(np.arange(count), rows)
     few = submap.without_frames(set(submap.frames[dropped].tolist()))
     return _without_points(few, few.track_lengths() < MIN_VIEWS)
+
+
+def _liveliest(submap: Submap, length: int) -> int:
+    """First row of the stretch of that length with the most turning, from frame to frame added up."""
+    turns = submap.world_from_camera[:, :3, :3]
+    cosine = (np.einsum("nij,nij->n", turns[1:], turns[:-1]) - 1) / 2
+    turned = np.concatenate([[0], np.cumsum(np.arccos(np.clip(cosine, -1, 1)))])
+    starts = np.append(np.arange(0, len(turns) - length, max(1, length // 2)), len(turns) - length)
+    return int(starts[np.argmax(turned[starts + length - 1] - turned[starts])])
 
 
 def _without_points(submap: Submap, drop: NDArray[np.bool_]) -> Submap:
