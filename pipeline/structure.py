@@ -26,7 +26,7 @@ from pipeline.workspace import Workspace, damage_named
 
 WORKER = "pipeline.colmap_worker"
 MIN_SUBMAP = 3  # frames
-MOST_SFM_FRAMES = 3000  # COLMAP needs half a second a frame and more; `auto` takes odometry for longer videos
+MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` takes odometry for longer videos
 Judged = tuple[Submap, Evidence, Path]
 
 
@@ -51,13 +51,27 @@ def _maps(frames: Frames, config: Config, workspace: Workspace, progress: Progre
     count = len(frames.index)
     if config.front_end == "odometry" or (config.front_end == "auto" and count > MOST_SFM_FRAMES):
         return {"odometry": _map_by_odometry(frames, config, workspace, progress)}
-    job = _job(frames, config, workspace)
-    run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
-    mapped = {"global": _map("global", job, workspace, progress)}
-    if _is_doubtful(mapped["global"], count, config):
-        mapped["incremental"] = _map("incremental", job, workspace, progress)
+    mapped = _maps_by_colmap(frames, config, workspace, progress)
     if config.front_end == "auto" and all(_is_doubtful(models, count, config) for models in mapped.values()):
         mapped["odometry"] = _map_by_odometry(frames, config, workspace, progress)
+    return mapped
+
+
+def _maps_by_colmap(
+    frames: Frames, config: Config, workspace: Workspace, progress: Progress
+) -> dict[str, list[Judged]]:
+    """Of the global mapper, and of the incremental one where that leaves doubt; none if matching fails under `auto`."""
+    job = _job(frames, config, workspace)
+    try:
+        run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
+    except HaustraError as error:
+        if config.front_end != "auto":
+            raise
+        progress.say(str(error))
+        return {}
+    mapped = {"global": _map("global", job, workspace, progress)}
+    if _is_doubtful(mapped["global"], len(frames.index), config):
+        mapped["incremental"] = _map("incremental", job, workspace, progress)
     return mapped
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from pipeline import structure
 from pipeline.config import Config
+from pipeline.errors import HaustraError
 from pipeline.evidence import Evidence
 from pipeline.progress import SilentProgress
 
@@ -53,6 +54,29 @@ def test_odometry_is_asked_where_both_mappers_leave_doubt(asked):
 def test_odometry_that_finds_nothing_does_not_win(asked):
     found = {"global": [], "incremental": [DARK], "odometry": []}
     assert asked("auto", 100, found)[1] == "incremental"
+
+
+def test_auto_survives_a_matcher_that_fails(asked, monkeypatch):
+    def fail(*_):
+        raise HaustraError("features and matches failed")
+
+    def call(front_end):
+        monkeypatch.setattr(structure, "_job", lambda *_: {})
+        monkeypatch.setattr(structure, "run_isolated", fail)
+        monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: [GOOD])
+        few = SimpleNamespace(index=np.arange(100))
+        return structure._maps(few, Config(front_end=front_end), SimpleNamespace(log=None), SilentProgress())
+
+    assert list(call("auto")) == ["odometry"]
+    with pytest.raises(HaustraError, match="failed"):
+        call("sfm")
+
+
+def test_both_mappers_crashing_names_their_logs(tmp_path):
+    for method in ("global", "incremental"):
+        (tmp_path / f"{method}.failed").touch()
+    mapped = {"global": [], "incremental": [], "odometry": []}
+    assert "logs are in" in structure._why_no_model(mapped, 100, SimpleNamespace(log=tmp_path))
 
 
 def test_who_asks_for_sfm_gets_sfm(asked):
