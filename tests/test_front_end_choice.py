@@ -56,7 +56,7 @@ def test_odometry_that_finds_nothing_does_not_win(asked):
     assert asked("auto", 100, found)[1] == "incremental"
 
 
-def test_auto_survives_a_matcher_that_fails(asked, monkeypatch):
+def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
     def fail(*_):
         raise HaustraError("features and matches failed")
 
@@ -65,7 +65,7 @@ def test_auto_survives_a_matcher_that_fails(asked, monkeypatch):
         monkeypatch.setattr(structure, "run_isolated", fail)
         monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: [GOOD])
         few = SimpleNamespace(index=np.arange(100))
-        return structure._maps(few, Config(front_end=front_end), SimpleNamespace(log=None), SilentProgress())
+        return structure._maps(few, Config(front_end=front_end), SimpleNamespace(log=tmp_path), SilentProgress())
 
     assert list(call("auto")) == ["odometry"]
     with pytest.raises(HaustraError, match="failed"):
