@@ -5,9 +5,10 @@
     python benchmarks/pose_graph.py LOOPS/long_c SUITE/easy_withdrawal --kidnapped --json kidnapped.json
 
 Each folder's frames go through `odometry` and completion with the folder's own camera; then the largest submap's loops
-are closed. End to start: each of the last 15 % of the frames relative to that of the first 15 % which is truly nearest,
-against truth, median; the unit of length comes from one Sim(3) over the whole path. A link is false if its own relative
-pose is off by more than 5 degrees or a tenth of the median depth. Surface: F-score at 1 mm as `haustra compare` has it.
+are closed: `graph` is what the pose graph alone makes of it, `after` is adjusted to the images. End to start: each of
+the last 15 % of the frames relative to that of the first 15 % which is truly nearest, against truth, median; the unit
+of length comes from one Sim(3) over the whole path. A link is false if its own relative pose is off by more than
+5 degrees or a tenth of the median depth. Surface: F-score at 1 mm as `haustra compare` has it.
 
 `--kidnapped` cuts the film in two halves that share a tenth of it, reconstructs each alone, the second in another unit
 (halved), and joins them. Scale error: the factor that brings the joined second half to truth over that of the first.
@@ -29,6 +30,7 @@ from pipeline.dense import DenseSubmap, complete_depth
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_frames
 from pipeline.keyframe_graph import close_loops, join
+from pipeline.loop_bundle import adjust_loops
 from pipeline.loops import Link, Place, find_links, find_places, join_candidates, loop_candidates
 from pipeline.progress import SilentProgress
 from pipeline.structure import solve_structure
@@ -122,7 +124,10 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     at = {k: (places[0][link.first].row, places[1][link.second].row) for k, link in enumerate(links)}
     false = {k: is_false(link, at[k], part, truth, unit_mm) for k, link in enumerate(links)}
     kept = {k for k in at if tuple(int(part.submap.frames[row]) for row in at[k]) in closed.kept}
-    states = {"before": part} | ({"after": closed.part} if closed.kept else {})
+    adjusted = adjust_loops(part, closed, places[0], frames) if closed.kept else None
+    states = (
+        {"before": part} | ({"graph": closed.part} if closed.kept else {}) | ({"after": adjusted} if adjusted else {})
+    )
     figures: dict[str, Any] = {
         "frames": len(part.submap.frames),
         "submaps": len(dense),

@@ -80,7 +80,7 @@ class FusionSettings(Settings):
 class PoseGraphSettings(Settings):
     """Places seen twice, and the poses that follow from them."""
 
-    enabled: bool = Field(False, description="drift falls 7 to 13 times, but the surface lost on two films of three")
+    enabled: bool = Field(True, description="close loops inside a submap, then adjust it to its images")
     join: bool = Field(True, description="make one of submaps that show the same places")
     max_places: int = Field(60, ge=2, description="keyframes of a submap, evenly spaced, that are compared")
     per_place: int = Field(3, ge=1, description="look-alikes tried for each")

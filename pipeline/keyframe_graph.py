@@ -1,7 +1,7 @@
 """A submap as a pose graph: its keyframes tied by the points they share, and everything else moved with them."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Closed:
-    """A submap after its loops: `proposed` links fitted two images, `supported` had company, `kept` were believed.
+    """A submap after its loops: `proposed` links fitted two images, `supported` had company, `links` were believed.
 
     Supported loops that the map fulfils already are believed too, but nothing is kept of them and nothing moves.
     """
@@ -38,23 +38,25 @@ class Closed:
     part: DenseSubmap
     proposed: int
     supported: int
-    kept: tuple[tuple[int, int], ...]  # frame numbers
+    links: tuple[Link, ...]
+    kept: tuple[tuple[int, int], ...]  # frame numbers of `links`
 
 
 def close_loops(part: DenseSubmap, places: list[Place], links: list[Link]) -> Closed:
     """Move the submap by those of its own links that can be believed; it comes back as it is if there are none."""
     poses = part.submap.world_from_camera[part.rows]
     loops = _edges(part, places, part, places, links)
-    good = [loop for loop, yes in zip(loops, supported(loops, poses, poses, REACH), strict=True) if yes]
+    company = supported(loops, poses, poses, REACH)
+    good, theirs = list(compress(loops, company)), list(compress(links, company))
     if not good or np.median([misfit(poses, loop) for loop in good]) < FULFILLED:
-        return Closed(part, len(links), len(good), ())
+        return Closed(part, len(links), len(good), (), ())
     solution = solve_pose_graph(poses, point_ties(part), good)
-    kept = tuple(
-        (int(part.submap.frames[part.rows[loop.first]]), int(part.submap.frames[part.rows[loop.second]]))
-        for loop, keep in zip(good, solution.kept, strict=True)
-        if keep
-    )
-    return Closed(moved(part, part.rows, solution.world_from_node) if kept else part, len(links), len(good), kept)
+    if not solution.kept.any():
+        return Closed(part, len(links), len(good), (), ())
+    believed = tuple(compress(theirs, solution.kept))
+    number = part.submap.frames[[place.row for place in places]]
+    kept = tuple((int(number[link.first]), int(number[link.second])) for link in believed)
+    return Closed(moved(part, part.rows, solution.world_from_node), len(links), len(good), believed, kept)
 
 
 def join(
@@ -143,6 +145,15 @@ def moved(part: DenseSubmap, rows: NDArray[np.int64], world_from_node: Array) ->
     points = np.einsum("nij,nj->ni", of_frame[guide, :3, :3], submap.points) + of_frame[guide, :3, 3]
     before = np.ones(len(scale)) if part.depth_scale is None else part.depth_scale
     return replace(part, submap=replace(submap, world_from_camera=poses, points=points), depth_scale=before * scale)
+
+
+def nodes_of(before: DenseSubmap, after: DenseSubmap) -> Array:
+    """(K,4,4) Sim(3) nodes at which `moved` put the keyframes of `after`."""
+    nodes = after.submap.world_from_camera[before.rows].copy()
+    if after.depth_scale is not None:
+        was = 1.0 if before.depth_scale is None else before.depth_scale[before.rows]
+        nodes[:, :3, :3] *= (after.depth_scale[before.rows] / was)[:, None, None]
+    return nodes
 
 
 def united(first: DenseSubmap, second: DenseSubmap) -> DenseSubmap:

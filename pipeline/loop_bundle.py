@@ -7,6 +7,7 @@ Features found anew in each keyframe do not. They alone make this bundle, seeded
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pipeline.dense import DenseSubmap
-from pipeline.loops import Link, Place
+from pipeline.frames import Frames
+from pipeline.keyframe_graph import Closed, moved, nodes_of
+from pipeline.loops import Link, Place, every_place
 from pipeline.odometry.bundle import Bundle, adjust
 from pipeline.odometry.places import match, rooted
 from reconstruction.pose_graph import scale_of
@@ -24,6 +27,7 @@ MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
 SETTLING = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
 ITERATIONS = 25
 MIN_SEEN = 20  # features of a keyframe in the bundle; another keyframe follows those beside it
+TYPICAL = 150  # features of the median keyframe; pale films have about 100 and gain nothing, others over 300
 MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle together
 MAX_GAP = 5  # keyframes in a row that may follow
 MAX_KEYFRAMES = 600  # the normal equations are one full matrix
@@ -41,6 +45,17 @@ class Tracks:
     feature: NDArray[np.int64]
 
 
+def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
+    """The submap `part`, whose loops the graph `closed`, adjusted to its images; None if the features do not hold."""
+    if len(part) > MAX_KEYFRAMES:
+        return None
+    every = every_place(part, places, frames)
+    number = np.searchsorted(part.rows, [place.row for place in places])
+    links = [replace(k, first=int(number[k.first]), second=int(number[k.second])) for k in closed.links]
+    found = adjust_nodes(part, every, links, nodes_of(part, closed.part))
+    return None if found is None else moved(part, part.rows[found[0]], found[1])
+
+
 def adjust_nodes(
     part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
 ) -> tuple[NDArray[np.int64], Array] | None:
@@ -49,8 +64,6 @@ def adjust_nodes(
     `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
     places, are believed.
     """
-    if len(places) > MAX_KEYFRAMES:
-        return None
     tracks = tie_tracks(part, places, links, world_from_node)
     number = well_seen(tracks, len(places))
     if len(number) < 2 or not holds(tracks, number, len(places)):
@@ -111,7 +124,9 @@ def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:
 
 
 def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
-    """Whether shared tracks tie each of the places to the one before, and no long stretch is left out."""
+    """Whether there are enough, they tie each of the places to the one before, and no long stretch is left out."""
+    if np.median(np.bincount(tracks.place, minlength=count)[number]) < TYPICAL:
+        return False
     if np.diff(np.concatenate([[-1], number, [count]])).max() > MAX_GAP + 1:
         return False
     seen = coo_array((np.ones(len(tracks.track)), (tracks.place, tracks.track)), shape=(count, len(tracks.points)))
@@ -143,8 +158,14 @@ def _at(bundle: Bundle, depth: Array, rows: NDArray[np.int64]) -> tuple[Bundle, 
     """The same cameras and points with some of the observations; a point that one alone would hold loses it too."""
     times = np.bincount(bundle.point[rows], minlength=len(bundle.points))
     rows = rows[times[bundle.point[rows]] >= 2]
-    camera, point, seen, gain = (a[rows] for a in (bundle.camera, bundle.point, bundle.seen, bundle.gain))
-    return replace(bundle, camera=camera, point=point, seen=seen, gain=gain), depth[rows]
+    kept = replace(
+        bundle,
+        camera=bundle.camera[rows],
+        point=bundle.point[rows],
+        seen=bundle.seen[rows],
+        gain=bundle.gain[rows],
+    )
+    return kept, depth[rows]
 
 
 def _nodes(bundle: Bundle, depth: Array, number: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array] | None:
@@ -154,7 +175,7 @@ def _nodes(bundle: Bundle, depth: Array, number: NDArray[np.int64]) -> tuple[NDA
     found = local[:, 2] + bundle.translation[bundle.camera, 2]
     starts = np.searchsorted(bundle.camera, np.arange(len(number) + 1))
     kept, nodes = [], []
-    for camera, (begin, end) in enumerate(zip(starts, starts[1:], strict=False)):
+    for camera, (begin, end) in enumerate(pairwise(starts)):
         if end - begin < MIN_SEEN:
             continue
         node = np.eye(4)

@@ -67,6 +67,13 @@ def find_places(part: DenseSubmap, frames: Frames, settings: PoseGraphSettings) 
     return [_place(part, maker, int(row), frames) for row in part.rows[::step]]
 
 
+def every_place(part: DenseSubmap, places: list[Place], frames: Frames) -> list[Place]:
+    """All keyframes of the submap; those that are known already are not looked at again."""
+    known = {place.row: place for place in places}
+    maker = SparseDepthMaker(part.submap, part.camera, part.workspace.config.sparse)
+    return [known.get(row) or _place(part, maker, row, frames) for row in map(int, part.rows)]
+
+
 def loop_candidates(part: DenseSubmap, places: list[Place], settings: PoseGraphSettings, seed: int) -> list[tuple]:
     """Pairs of places that no sparse point ties: those whose poses say that they overlap, and the most alike."""
     poses = part.submap.world_from_camera[[place.row for place in places]]

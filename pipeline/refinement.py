@@ -14,6 +14,7 @@ from pipeline.config import Config
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
 from pipeline.keyframe_graph import close_loops, join
+from pipeline.loop_bundle import adjust_loops
 from pipeline.loops import Place, find_links, find_places, join_candidates, loop_candidates
 from pipeline.odometry.colmap_text import write_model
 from pipeline.progress import Progress
@@ -23,6 +24,7 @@ from pipeline.workspace import Workspace, damage_named
 from reconstruction.errors import ReconstructionError
 
 FAILURES = (ReconstructionError, np.linalg.LinAlgError)
+UNHELD = "too few features hold its keyframes together, or there are too many keyframes to adjust at once"
 
 
 @dataclass
@@ -52,7 +54,7 @@ def refine_poses(
     if config.pose_graph.join:
         pieces = _joined(frames, pieces, config, warnings)
     for piece in pieces:
-        _close(piece, config, warnings)
+        _close(piece, frames, config, warnings)
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
     for piece, before in zip(pieces, records, strict=True):
         if before["moved"]:
@@ -114,17 +116,21 @@ def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings:
     return _Piece(part, base.members + other.members, find_places(part, frames, config.pose_graph))
 
 
-def _close(piece: _Piece, config: Config, warnings: list[str]) -> None:
+def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -> None:
     pairs = loop_candidates(piece.part, piece.places, config.pose_graph, config.seed)
     both = (piece.part, piece.part), (piece.places, piece.places)
     links = [link for link in find_links(*both, pairs, config.seed) if link is not None]
     try:
         closed = close_loops(piece.part, piece.places, links)
+        piece.proposed, piece.supported = closed.proposed, closed.supported
+        adjusted = adjust_loops(piece.part, closed, piece.places, frames) if closed.kept else piece.part
     except FAILURES as error:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {error}")
         return
-    piece.part, piece.loops = closed.part, list(closed.kept)
-    piece.proposed, piece.supported = closed.proposed, closed.supported
+    if adjusted is None:
+        warnings.append(f"the loops of submap {piece.members[0]} were not closed: {UNHELD}")
+        return
+    piece.part, piece.loops = adjusted, list(closed.kept)
 
 
 def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) -> dict[str, Any]:

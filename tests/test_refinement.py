@@ -103,6 +103,7 @@ def seen_twice(monkeypatch):
     monkeypatch.setattr(pipeline.refinement, "find_places", lambda part, *_: places(part))
     monkeypatch.setattr(pipeline.refinement, "loop_candidates", lambda *_: [])
     monkeypatch.setattr(pipeline.refinement, "find_links", lambda *_: iter(true_links()))
+    monkeypatch.setattr(pipeline.refinement, "adjust_loops", lambda _, closed, *__: closed.part)
 
 
 def gap(submap: Submap) -> float:
@@ -126,7 +127,7 @@ def test_scale_drift_is_closed_and_everything_follows(workspace):
 def test_moving_keeps_each_point_where_its_nearest_frame_saw_it(workspace):
     part = dense(workspace)
     nodes = part.submap.world_from_camera[part.rows] @ exponential(np.array([0.1, 0, 0.2, 0.3, 0, 0, 0.2]))
-    after = moved(part, nodes)
+    after = moved(part, part.rows, nodes)
     before, now = part.submap, after.submap
     np.testing.assert_allclose(np.linalg.det(now.world_from_camera[:, :3, :3]), 1)
     np.testing.assert_allclose(after.depth_scale[part.rows], np.exp(0.2))
@@ -222,6 +223,15 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
         "the loops of submap 0 were not closed: the pose graph has no solution"
     ]
     assert model_sources(workspace) == [(workspace.models / "0", 2.0)]
+
+
+def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice, monkeypatch):
+    monkeypatch.setattr(pipeline.refinement, "adjust_loops", lambda *_: None)
+    part = dense(workspace)
+    assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
+    record = workspace.result("refinement")
+    assert record["submaps"][0]["loops"] == []
+    assert record["warnings"] == [f"the loops of submap 0 were not closed: {pipeline.refinement.UNHELD}"]
 
 
 def test_without_the_stage_nothing_changes(workspace, frames):
