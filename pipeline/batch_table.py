@@ -10,6 +10,8 @@ from typing import Any
 
 from pipeline.workspace import Workspace, write_json, write_text
 
+KEPT = "kept"
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -29,27 +31,33 @@ class Outcome:
     @property
     def sentence(self) -> str:
         tail = f": {self.message}" if self.message else ""
-        return f"{Path(self.video).name} {self.status}{tail}"
+        return f"{self.name} {self.status}{tail}"
+
+    @property
+    def name(self) -> str:
+        """Of the video, in letters that any file takes: names on disk are bytes."""
+        return _printable(Path(self.video).name)
 
 
-def finished_outcome(video: Path, folder: Path, status: str = "kept", minutes: float | None = None) -> Outcome:
+def finished_outcome(video: Path, folder: Path, status: str = KEPT, minutes: float | None = None) -> Outcome:
     """The figures of a finished run."""
     try:
         metrics: dict[str, Any] = json.loads(Workspace(folder).metrics.read_text())
         main = metrics["submaps"][0]
+        covered = main["coverage"].get("covered_percent")
         return Outcome(
             str(video),
             str(folder),
             status,
             minutes,
-            metrics["frames"]["posed"],
-            metrics["frames"]["total"],
-            main["area"],
-            main["unit"],
-            main["coverage"].get("covered_percent"),
+            int(metrics["frames"]["posed"]),
+            int(metrics["frames"]["total"]),
+            float(main["area"]),
+            str(main["unit"]),
+            None if covered is None else float(covered),
             "; ".join(metrics["warnings"]),
         )
-    except (OSError, ValueError, KeyError, IndexError) as error:
+    except Exception as error:  # noqa: BLE001 # whatever a file may hold
         return Outcome(str(video), str(folder), "failed", minutes, message=f"its metrics.json cannot be read ({error})")
 
 
@@ -60,7 +68,7 @@ def write_table(outcomes: list[Outcome], output: Path) -> None:
     table = csv.DictWriter(text, names, lineterminator="\n")
     table.writeheader()
     table.writerows(asdict(outcome) for outcome in outcomes)
-    write_text(output / "batch.csv", text.getvalue())
+    write_text(output / "batch.csv", _printable(text.getvalue()))
     write_json(output / "batch.json", [asdict(outcome) for outcome in outcomes])
 
 
@@ -68,6 +76,7 @@ def print_table(outcomes: list[Outcome]) -> None:
     """On standard output."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text  # unlike a string, it holds no markup
 
     counts = ", ".join(f"{n} {status}" for status, n in Counter(outcome.status for outcome in outcomes).items())
     table = Table(title=f"{len(outcomes)} videos: {counts}", title_justify="left")
@@ -75,22 +84,19 @@ def print_table(outcomes: list[Outcome]) -> None:
         table.add_column(name, justify="right" if name in ("min", "posed", "area", "seen") else "left")
     for o in outcomes:
         table.add_row(
-            Path(o.video).name,
-            f"[red]{o.status}[/red]" if o.status == "failed" else o.status,
+            Text(o.name),
+            Text(o.status, style="red" if o.status == "failed" else ""),
             _shown(o.minutes, "{:.1f}"),
             "" if o.posed is None else f"{o.posed}/{o.frames}",
             _shown(o.area, "{:.4g} " + ("mm²" if o.unit == "mm" else "units²")),
             _shown(o.covered_percent, "{:.0f} %"),
-            _plain(o.message),
+            Text(o.message),
         )
     Console(highlight=False).print(table)
 
 
-def _plain(text: str) -> str:
-    """Brackets in a message are no markup."""
-    from rich.markup import escape
-
-    return escape(text)
+def _printable(text: str) -> str:
+    return text.encode(errors="backslashreplace").decode()
 
 
 def _shown(value: float | None, form: str) -> str:

@@ -39,7 +39,7 @@ def reconstruct(
     output: Output = None,
     demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
     camera: Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")] = None,
-    front_end: Annotated[str | None, typer.Option(help="auto (= sfm), sfm, or odometry: several times faster")] = None,
+    front_end: cli_runs.FrontEnd = None,
     model: Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")] = None,
     lumen_mm: Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")] = None,
     scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,

@@ -2,11 +2,18 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pipeline.errors import HaustraError
+
+if TYPE_CHECKING:
+    from pipeline.config import Config
+
+FrontEnd = Annotated[
+    str | None, typer.Option(help="auto: sfm, or odometry for long videos and where sfm leaves doubt; sfm; odometry")
+]
 
 
 def view(
@@ -28,12 +35,15 @@ def batch(
         str | None, typer.Option(help="address of a Ray cluster, or local; needs the extra: cluster")
     ] = None,
     camera: Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")] = None,
-    front_end: Annotated[str | None, typer.Option(help="auto (= sfm), sfm, or odometry")] = None,
+    front_end: FrontEnd = None,
     model: Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")] = None,
     lumen_mm: Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings")] = None,
     seed: Annotated[int | None, typer.Option(help="of every random step")] = None,
     device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="replace runs of another video or with other settings; keep the rest")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but the table")] = False,
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
@@ -46,18 +56,14 @@ def batch(
     given: dict[str, Any] = {"camera": camera, "front_end": front_end, "model": model, "lumen_mm": lumen_mm}
     given |= {"seed": seed, "device": device}
     settings = load_config(config, **given)
-    given["config"] = config
-    words = [
-        word
-        for name, value in given.items()
-        if value is not None
-        # Tasks may run elsewhere: files by their full paths.
-        for word in (f"--{name.replace('_', '-')}", str(value.resolve() if isinstance(value, Path) else value))
-    ]
+    given |= files_in_full(settings)
+    settings = load_config(config, **given)
+    words = options_of(given | {"config": None if config is None else str(config.resolve())})
     workers = jobs or max(1, (os.cpu_count() or 2) // 2)
     pool = process_pool(workers) if ray is None else ray_pool(ray, workers)
     try:
-        outcomes = run_batch(videos, output, words, settings, pool, SilentProgress() if quiet else TerminalProgress())
+        progress = SilentProgress() if quiet else TerminalProgress()
+        outcomes = run_batch(videos, output, words, settings, pool, progress, overwrite)
     except KeyboardInterrupt:
         print(f"what was finished is in {output / 'batch.csv'}")
         raise
@@ -65,3 +71,28 @@ def batch(
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if failed:
         raise HaustraError(f"{failed} of {len(outcomes)} videos failed; the same command tries them again")
+
+
+def files_in_full(settings: "Config") -> dict[str, str]:
+    """The settings that are files, by their full paths: a task may run in another folder or on another machine."""
+    from completion.shipped import MODELS
+    from pipeline.presets import PRESETS
+
+    names = {"auto", *PRESETS, *MODELS}
+    chosen = {"camera": settings.camera, "model": settings.model, "scale_file": settings.scale_file}
+    return {
+        name: str(Path(value).resolve())
+        for name, value in chosen.items()
+        if value is not None and value not in names and Path(value).is_file()
+    }
+
+
+def options_of(given: dict[str, Any]) -> list[str]:
+    """The words of `reconstruct`'s command line."""
+    options = {"scale_file": "--scale"}
+    return [
+        word
+        for name, value in given.items()
+        if value is not None
+        for word in (options.get(name, "--" + name.replace("_", "-")), str(value))
+    ]

@@ -25,11 +25,13 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
     job_file = log.with_suffix(".job.json")
     job_file.write_text(json.dumps(job, indent=1))
     with log.open("w") as errors, progress.bar(label, None) as advance:
-        # -P: the working directory must not shadow installed packages.
-        command = [sys.executable, "-P", "-m", __name__, module, action, str(job_file)]
-        environment = os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
         child = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment, start_new_session=True
+            tied_command(module, action, str(job_file)),
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            env=tied_environment(),
+            start_new_session=True,
         )
         try:
             assert child.stdout is not None
@@ -46,8 +48,21 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
         raise HaustraError(f"{label} failed (exit code {code}); its log is {log}")
 
 
+def tied_command(module: str, *words: str) -> list[str]:
+    """`python -m module words` that, started with `tied_environment`, on Linux dies with the thread that starts it."""
+    # -P: the working directory must not shadow installed packages.
+    return [sys.executable, "-P", "-m", __name__, module, *words]
+
+
+def tied_environment() -> dict[str, str]:
+    """Of a child of this process."""
+    return os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
+
+
 def _main() -> None:
     """The child's side: tie its life to the parent's, then be the module that it was started for."""
+    # A shell that starts a batch in the background has it ignore Ctrl-C; here it comes from the parent alone.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     parent = int(os.environ.get("HAUSTRA_PARENT", os.getppid()))
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(SIGNAL_AT_PARENTS_DEATH, signal.SIGKILL)

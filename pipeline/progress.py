@@ -47,11 +47,11 @@ class TerminalProgress:
         from rich.progress import Progress as RichProgress
 
         columns = (
-            TextColumn("{task.description:<22}"),
+            TextColumn("{task.description:<22}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
         )
         with RichProgress(*columns, console=self.console) as bars:
             task = bars.add_task(label, total=total, note="")
@@ -60,4 +60,4 @@ class TerminalProgress:
             bars.update(task, completed=reached, total=reached)
 
     def say(self, sentence: str) -> None:
-        self.console.print(f"  {sentence}", soft_wrap=True)
+        self.console.print(f"  {sentence}", soft_wrap=True, markup=False)  # brackets in data are no markup

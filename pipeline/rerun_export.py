@@ -3,6 +3,7 @@
 Needs the extra `[rerun]`.
 """
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from pipeline.frames import Frames, load_frames
 from pipeline.refinement import refined_keyframes
 from pipeline.structure import load_structure
 from pipeline.surface import Surface, load_surfaces
-from pipeline.workspace import open_workspace
+from pipeline.workspace import Workspace, open_workspace
 
 SUFFIX = ".rrd"
 TIMELINE = "video"
@@ -38,7 +39,7 @@ def export_rerun(run: Path, target: Path) -> Path:
         raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
     frames = load_frames(workspace)
     dense = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)
-    recording = rerun.RecordingStream("haustra", recording_id=run.resolve().name)
+    recording = rerun.RecordingStream("haustra", recording_id=recording_id(workspace))
     recording.save(str(target))
     for number, (part, surface) in enumerate(zip(dense, load_surfaces(workspace), strict=True)):
         # Submaps that could not be joined share no frame: each has a root of its own.
@@ -46,6 +47,13 @@ def export_rerun(run: Path, target: Path) -> Path:
     recording.flush()
     recording.disconnect()
     return target
+
+
+def recording_id(workspace: Workspace) -> str:
+    """The same for each export of a run, and another for every other run: Rerun shows recordings of one id as one."""
+    source = workspace.record["source"]
+    told = "\n".join((str(workspace.root.resolve()), str(source["path"]), source["sha256"]["source"]))
+    return hashlib.sha256(told.encode()).hexdigest()[:32]
 
 
 def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: DenseSubmap, surface: Surface) -> None:

@@ -5,7 +5,6 @@ stopped anywhere goes on after its last finished stage. Records and depth maps a
 stopped is done again.
 """
 
-import hashlib
 import importlib.metadata
 import json
 import os
@@ -21,10 +20,15 @@ import yaml
 
 from pipeline.config import Config, validate_config
 from pipeline.errors import HaustraError
+from pipeline.run_inputs import changed_inputs, record_inputs
 from pipeline.run_lock import NAME as LOCK_NAME
 from pipeline.run_lock import RunLock
 
 PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "gtsam", "opencv-python-headless", "av")
+RECORD_NAME = "run.yaml"
+PARTIAL = ".partial"  # ends the name of a text file that is being written
+UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL)  # all that a stop before the first record leaves
+CLEARING = "clearing"  # in the record while what an earlier run left is being removed
 
 
 class Workspace:
@@ -49,7 +53,7 @@ class Workspace:
         self.coverage = root / "coverage.png"
         self.metrics = root / "metrics.json"
         self.report = root / "report.html"
-        self.record_path = root / "run.yaml"
+        self.record_path = root / RECORD_NAME
         self.record: dict[str, Any] = {"stages": {}}
         self.lock: RunLock | None = None  # held where this process writes
 
@@ -97,7 +101,7 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
     if root.exists() and not root.is_dir():
         raise HaustraError(f"the output {root} is a file; give a folder")
     workspace = Workspace(root)
-    strangers = root.exists() and any(path.name != LOCK_NAME for path in root.iterdir())
+    strangers = root.exists() and any(path.name not in UNFINISHED_START for path in root.iterdir())
     if strangers and not workspace.record_path.exists():
         raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
     try:
@@ -114,20 +118,23 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
 
 
 def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
-    if workspace.record_path.exists():
-        if not overwrite:
-            raise HaustraError(
-                f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
-            )
-        _clear(workspace)
-    identity = {"path": str(source.resolve()), "sha256": _identity(source, config)}
-    workspace.log.mkdir(exist_ok=True)
+    """The record comes before anything else, and says so while an earlier run is being removed: whenever this is
+    stopped, the folder is a run that can be gone on with or overwritten."""
+    replaced = workspace.record_path.exists()
+    if replaced and not overwrite:
+        raise HaustraError(
+            f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
+        )
     workspace.record |= {
-        "source": identity,
+        "source": record_inputs(source, config),  # before the earlier run goes: this may fail
         "versions": _versions(),
         "config": config.model_dump(mode="json"),
     }
+    if replaced:
+        workspace.record[CLEARING] = True
     workspace.save()
+    _clear_if_begun(workspace)
+    workspace.log.mkdir(exist_ok=True)
 
 
 def open_workspace(root: Path) -> Workspace:
@@ -138,7 +145,9 @@ def open_workspace(root: Path) -> Workspace:
     try:
         workspace.record = yaml.safe_load(workspace.record_path.read_text())
         workspace.record["stages"], workspace.record["config"], workspace.record["source"]["sha256"]["source"]
-    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError) as error:
+    except OSError as error:
+        raise HaustraError(f"{workspace.record_path} cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise HaustraError(f"{workspace.record_path} is damaged; start the run anew with --overwrite") from error
     return workspace
 
@@ -151,6 +160,8 @@ def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
         workspace = open_workspace(root)  # as the process before left it
         workspace.lock = lock
         _check_same(workspace, source, config)
+        _clear_if_begun(workspace)
+        workspace.log.mkdir(exist_ok=True)
     except BaseException:
         lock.release()
         raise
@@ -158,50 +169,34 @@ def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
 
 
 def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
-    root, now, then = workspace.root, _identity(source, config), workspace.record["source"]["sha256"]
-    if now["source"] != then["source"]:
-        raise HaustraError(f"{root} is a run of another video; --resume needs the same one")
+    root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
+    if "source" in changed:
+        raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
     if workspace.config != config:
         raise HaustraError(f"{root} was run with other settings; repeat them, or use --overwrite")
-    for name in now:
-        if now[name] != then.get(name):
-            raise HaustraError(f"{root} was run with another {name}; its contents have changed since")
+    if changed:
+        raise HaustraError(f"{root} was run with another {changed[0]}; its contents have changed since")
 
 
-def _identity(source: Path, config: Config) -> dict[str, str]:
-    """SHA-256 of everything outside the run folder that the run depends on."""
-    files = {"camera file": config.camera, "scale file": config.scale_file, "model file": config.model}
-    if source.is_dir():
-        files["camera file"] = str(source / "camera.json") if config.camera == "auto" else config.camera
-    found = {name: digest(Path(path)) for name, path in files.items() if path is not None and Path(path).is_file()}
-    return {"source": digest(source), **found}
+def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
+    """Whether a run is of this source, these settings and these files; those that look untouched are not read."""
+    return workspace.config == config and not changed_inputs(source, config, workspace.record["source"], True)
 
 
-def _clear(workspace: Workspace) -> None:
-    """Remove what a run writes, and nothing else that a user may have put there; its record first, so that a stop in
-    between leaves no record of stages whose files are gone."""
-    workspace.record_path.unlink()
+def _clear_if_begun(workspace: Workspace) -> None:
+    """Remove what an earlier run wrote where the record says that this is under way, and nothing else that a user may
+    have put there."""
+    if CLEARING not in workspace.record:
+        return
     for path in vars(workspace).values():
-        if isinstance(path, Path) and path != workspace.root:
+        if isinstance(path, Path) and path not in (workspace.root, workspace.record_path):
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     further = ("mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json", "coverage_*.png")
     for pattern in ("features.db-*", *further):
         for path in workspace.root.glob(pattern):
             path.unlink()
-
-
-def digest(source: Path) -> str:
-    """SHA-256 of a video; of an image folder, of its file names and sizes."""
-    sha = hashlib.sha256()
-    if source.is_dir():
-        for path in sorted(source.rglob("*")):
-            if path.is_file():
-                sha.update(f"{path.relative_to(source)} {path.stat().st_size}\n".encode())
-        return sha.hexdigest()
-    with source.open("rb") as file:
-        while block := file.read(1 << 20):
-            sha.update(block)
-    return sha.hexdigest()
+    del workspace.record[CLEARING]
+    workspace.save()
 
 
 def _versions() -> dict[str, str]:
@@ -216,7 +211,7 @@ def _versions() -> dict[str, str]:
 
 def write_text(path: Path, text: str) -> None:
     """Replace a text file as a whole."""
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(path.name + PARTIAL)
     partial.write_text(text)
     os.replace(partial, path)
 

@@ -1,11 +1,13 @@
 """Tiny seeded inputs shared by the tests."""
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
+import psutil
 import pytest
 from numpy.typing import NDArray
 
@@ -43,3 +45,20 @@ def textured_frames(count: int, size: int = 160, seed: int = 0, step: int = 4) -
     # Grey-pink, since video stores colour at half the resolution.
     texture = np.clip((110 + 22 * texture)[..., None] * (1.0, 0.8, 0.75), 0, 235).astype(np.uint8)
     return [np.ascontiguousarray(texture[:, i * step : i * step + size]) for i in range(count)]
+
+
+def alive(folder):
+    """Processes whose command names the folder."""
+    found = psutil.process_iter(["cmdline", "status"])
+    return [
+        p
+        for p in found
+        if any(str(folder) in word for word in p.info["cmdline"] or []) and p.info["status"] != "zombie"
+    ]
+
+
+def wait_for(condition, seconds=120):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never came to pass"
+        time.sleep(0.05)

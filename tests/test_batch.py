@@ -2,22 +2,24 @@
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from conftest import textured_frames, write_video
-from pipeline import batch, cli
-from pipeline.batch import Children, Job, is_finished, plan_jobs, process_pool, run_batch, run_job
-from pipeline.batch_table import Outcome, finished_outcome, print_table
+from conftest import alive, textured_frames, wait_for, write_video
+from pipeline import batch, cli, cli_runs, run_inputs
+from pipeline.batch import Children, Job, kept_outcome, plan_jobs, process_pool, run_batch, run_job
+from pipeline.batch_table import Outcome, finished_outcome, print_table, write_table
 from pipeline.config import load_config
 from pipeline.errors import HaustraError
-from pipeline.progress import SilentProgress
+from pipeline.progress import SilentProgress, TerminalProgress
 from pipeline.workspace import create_workspace, write_json
 
 METRICS = {
@@ -59,13 +61,51 @@ def test_each_video_has_a_folder_of_its_own_that_it_keeps(videos, tmp_path):
 
 
 def test_only_whole_runs_with_the_same_settings_count_as_finished(videos, tmp_path):
-    config = load_config(None)
-    finish(videos[0], tmp_path / "run")
-    assert is_finished(tmp_path / "run", config)
-    assert not is_finished(tmp_path / "run", load_config(None, seed=3))
-    assert not is_finished(tmp_path / "nowhere", config)
+    config, job = load_config(None), Job(videos[0], tmp_path / "run")
+    finish(*job_parts(job))
+    assert kept_outcome(job, config).area == 3.5
+    assert kept_outcome(job, load_config(None, seed=3)) is None
+    assert kept_outcome(Job(videos[0], tmp_path / "nowhere"), config) is None
     (tmp_path / "run" / "metrics.json").unlink()
-    assert not is_finished(tmp_path / "run", config)
+    assert kept_outcome(job, config) is None
+
+
+def job_parts(job):
+    return job.video, job.folder
+
+
+@pytest.mark.parametrize("metrics", ["[]", "{", '{"frames": {"posed": "many"}}', '{"submaps": [{"area": []}]}'])
+def test_damaged_figures_are_a_failed_row_and_the_run_is_gone_on_with(videos, tmp_path, metrics):
+    job = Job(videos[0], tmp_path / "run")
+    finish(*job_parts(job))
+    (job.folder / "metrics.json").write_text(metrics)
+    outcome = finished_outcome(*job_parts(job), "done")
+    assert outcome.status == "failed"
+    assert "metrics.json cannot be read" in outcome.message
+    assert kept_outcome(job, load_config(None)) is None
+
+
+def test_a_run_is_kept_only_while_its_files_are_the_same(videos, tmp_path, monkeypatch):
+    camera = tmp_path / "camera.json"
+    camera.write_text("one")
+    config, job = load_config(None, camera=str(camera)), Job(videos[0], tmp_path / "run")
+    finish(*job_parts(job), config)
+    read = []
+    monkeypatch.setattr(run_inputs, "digest", lambda path, digest=run_inputs.digest: read.append(path) or digest(path))
+    assert kept_outcome(job, config) is not None
+    assert read == [], "what looks untouched is not read again"
+    os.utime(videos[0], ns=(0, 0))
+    assert kept_outcome(job, config) is not None, "touched, but the same bytes"
+    assert read == [videos[0]]
+    for path in (videos[0], camera):
+        before = path.read_bytes()
+        path.write_bytes(before[::-1])  # as long as before
+        os.utime(path, ns=(1, 1))
+        assert kept_outcome(job, config) is None, f"another {path.name}"
+        path.write_bytes(before)
+        assert kept_outcome(job, config) is not None
+    camera.unlink()
+    assert kept_outcome(job, config) is None
 
 
 def fake_pool(statuses):
@@ -101,6 +141,123 @@ def test_a_failure_stops_no_other_and_a_second_call_tries_it_again(videos, tmp_p
     assert "9/12" in table
     second = run_batch(videos, out, [], config, fake_pool({"a": "done"}), SilentProgress())
     assert {row.video: row.status for row in second} == {str(videos[0]): "done", str(videos[1]): "kept"}
+
+
+BLOCKED = {
+    "the log is a folder": lambda out: (out / "b.log").mkdir(),
+    "the record is a folder": lambda out: (out / "b" / "run.yaml").mkdir(parents=True),
+    "the record is no record": lambda out: (
+        (out / "b").mkdir(),
+        (out / "b" / "run.yaml").write_bytes(b"a: 2001-99-99"),
+    ),
+    "the run folder is a file": lambda out: (out / "b").write_text(""),
+}
+
+
+@pytest.mark.parametrize("blocked", BLOCKED)
+def test_whatever_is_wrong_with_one_video_is_a_row_and_the_others_go_on(videos, tmp_path, monkeypatch, blocked):
+    out = tmp_path / "out"
+    out.mkdir()
+    BLOCKED[blocked](out)
+
+    def refuse_b(self, command, log):
+        video, folder = Path(command[5]), Path(command[7])
+        if folder.name == "b":
+            return 1
+        finish(video, folder)
+        return 0
+
+    monkeypatch.setattr(Children, "run", refuse_b)
+    outcomes = run_batch([videos[2], videos[0]], out, [], load_config(None), process_pool(1), SilentProgress())
+    assert [outcome.status for outcome in outcomes] == ["failed", "done"]
+    assert [row["status"] for row in csv.DictReader((out / "batch.csv").open())] == ["failed", "done"]
+
+
+def test_names_on_disk_clash_with_no_log_and_no_table(tmp_path):
+    names = ["b.mp4", "b.log.mp4", "B.mp4", "batch.csv.mp4", "\N{SNOWMAN}" * 84 + ".mp4", "x" * 251, "caf\udce9.mp4"]
+    videos, out = [tmp_path / name for name in names], tmp_path / "out"
+    out.mkdir()
+    for order in (videos, videos[::-1]):
+        jobs = plan_jobs(order, out)
+        paths = [path.name.casefold() for job in jobs for path in (job.folder, job.log)] + ["batch.csv", "batch.json"]
+        assert len(set(paths)) == len(paths), "two things of one name"
+        for job in jobs:
+            with job.log.open("w") as log:
+                log.write(job.folder.name)  # not too long, and letters that can be written
+    table = [Outcome(str(job.video), str(job.folder), "failed") for job in jobs]
+    write_table(table, out)
+    assert len(list(csv.DictReader((out / "batch.csv").open()))) == len(names)
+    print_table(table)
+
+
+def test_brackets_in_names_are_no_markup(tmp_path, capsys):
+    outcome = Outcome(str(tmp_path / "scan[left].mp4"), str(tmp_path), "failed", message="lost [/tmp/x] and [b]")
+    print_table([outcome])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "scan[left].mp4" in told
+    assert "lost [/tmp/x] and [b]" in told
+    progress = TerminalProgress()
+    progress.say(outcome.sentence)
+    with progress.bar("of [/tmp/x]", 2) as advance:
+        advance(1, note="[/tmp/y]")
+    told = capsys.readouterr().err
+    assert "scan[left].mp4 failed: lost [/tmp/x] and [b]" in told
+    assert "of [/tmp/x]" in told
+    assert "[/tmp/y]" in told
+
+
+def test_overwrite_replaces_what_is_of_other_settings_or_another_video_alone(videos, tmp_path, monkeypatch):
+    """Finished and the same: kept. Stopped and the same: gone on with. All else: replaced, if that is asked for."""
+    for name in ("done", "stopped", "other", "replaced", "damaged", "new"):
+        (tmp_path / f"{name}.mp4").write_text(name)
+    given, out, config = sorted(tmp_path.glob("*.mp4")), tmp_path / "out", load_config(None)
+    for name, made_with in {"done": config, "replaced": config, "other": load_config(None, seed=7)}.items():
+        finish(tmp_path / f"{name}.mp4", out / name, made_with)
+    create_workspace(out / "stopped", tmp_path / "stopped.mp4", config, overwrite=False).lock.release()
+    (tmp_path / "replaced.mp4").write_text("a longer film")
+    (out / "damaged").mkdir()
+    (out / "damaged" / "run.yaml").write_text("stages: [")
+
+    def how(overwrite):
+        asked = {}
+
+        def run(self, command, log):
+            asked[Path(command[7]).name] = next((word for word in command if word in ("--resume", "--overwrite")), "")
+            return 1
+
+        monkeypatch.setattr(Children, "run", run)
+        run_batch(given, out, ["--seed", "0"], config, process_pool(1), SilentProgress(), overwrite)
+        return asked
+
+    every = {"b": "", "new": "", "stopped": "--resume"}
+    assert how(False) == every | dict.fromkeys(("other", "replaced", "damaged"), "--resume")
+    assert how(True) == every | dict.fromkeys(("other", "replaced", "damaged"), "--overwrite")
+
+
+def test_files_are_named_in_full_in_options_and_settings(videos, tmp_path, monkeypatch):
+    """A Ray task starts in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("lens.json", "net.safetensors", "scale.json", "simcol3d"):
+        Path(name).write_text("{}")
+    Path("c.yaml").write_text("scale_file: scale.json\nmodel: net.safetensors\n")
+    told = {}
+
+    def look(videos, output, words, config, *_):
+        told.update(words=words, config=config)
+        return []
+
+    monkeypatch.setattr(batch, "run_batch", look)
+    words = ["haustra", "batch", "b.mp4", "-o", "out", "--camera", "lens.json", "--config", "c.yaml", "-q"]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 0
+    config, words = told["config"], told["words"]
+    full = [str(tmp_path / name) for name in ("lens.json", "net.safetensors", "scale.json")]
+    assert [config.camera, config.model, config.scale_file] == full
+    assert [words[words.index(option) + 1] for option in ("--camera", "--model", "--scale")] == full
+    assert words[words.index("--config") + 1] == str(tmp_path / "c.yaml")
+    assert cli_runs.files_in_full(load_config(None, camera="simcol3d")) == {}, "a preset, whatever lies here"
 
 
 def test_ctrl_c_keeps_what_is_done(videos, tmp_path):
@@ -151,11 +308,54 @@ def test_stopping_ends_every_child_as_ctrl_c_would(tmp_path):
     assert set(codes) <= {130, -signal.SIGINT}  # stopped while Python itself was starting: the latter
 
 
+SLEEPER = """
+import sys, time
+from pathlib import Path
+told = Path(sys.argv[3]).with_suffix(".told")
+try:
+    told.write_text("begun")
+    time.sleep(600)
+except KeyboardInterrupt:
+    told.write_text("interrupted")
+    raise SystemExit(130)
+"""
+BATCH = """
+import signal, sys
+from pathlib import Path
+from pipeline import batch
+from pipeline.config import load_config
+from pipeline.progress import SilentProgress
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell does with what runs in the background
+batch.MODULE, out = "sleeper", Path(sys.argv[1])
+batch.run_batch([out / "b.mp4"], out, [], load_config(None), batch.process_pool(1), SilentProgress())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a child with its parent")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_no_reconstruction_outlives_its_batch(tmp_path, number):
+    (tmp_path / "sleeper.py").write_text(SLEEPER)
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    process = subprocess.Popen([sys.executable, "-c", BATCH, str(tmp_path)], env=environment, stderr=subprocess.PIPE)
+    told = tmp_path / "b.told"
+    wait_for(lambda: told.exists() and told.read_text() == "begun")
+    process.send_signal(number)
+    errors = process.communicate(timeout=60)[1]
+    if number == signal.SIGKILL:
+        wait_for(lambda: alive(tmp_path) == [])
+        return
+    assert b"KeyboardInterrupt" in errors
+    assert told.read_text() == "interrupted"
+    assert alive(tmp_path) == []
+    assert "not started" in (tmp_path / "batch.csv").read_text()  # it left no record of a run
+
+
 def test_the_command_isolates_failures_and_ends_with_code_1(tmp_path, monkeypatch, capsys):
-    """Two videos that cannot be reconstructed, in real processes, through the command line."""
+    """Two videos that cannot be reconstructed, one in a real process, through the command line."""
     write_video(tmp_path / "dark.mp4", [np.zeros((96, 96, 3), np.uint8)] * 5)
+    (tmp_path / "out" / "logless.log").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["haustra", "batch", "dark.mp4", "gone.mp4", "-o", "out", "--jobs", "2", "-q"])
+    monkeypatch.setattr(sys, "argv", ["haustra", "batch", "logless.mp4", "dark.mp4", "-o", "out", "--jobs", "1", "-q"])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 1
@@ -165,7 +365,7 @@ def test_the_command_isolates_failures_and_ends_with_code_1(tmp_path, monkeypatc
         row["video"].split("/")[-1]: row["message"] for row in csv.DictReader((tmp_path / "out/batch.csv").open())
     }
     assert "black" in messages["dark.mp4"]
-    assert "there is no file or folder" in messages["gone.mp4"]
+    assert "IsADirectoryError" in messages["logless.mp4"]
 
 
 def test_ray_is_asked_for_by_name(monkeypatch):

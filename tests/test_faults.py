@@ -1,16 +1,18 @@
 """What a run survives: being killed, a second process in its folder, a depth map of nothing, a pose gone wild."""
 
+import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from conftest import alive, wait_for
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.errors import HaustraError
@@ -69,6 +71,106 @@ def test_a_refused_run_leaves_the_folder_unlocked(tmp_path):
     RunLock(folder).release()
 
 
+class Stopped(BaseException):
+    """As a kill, but in this process."""
+
+
+@pytest.fixture
+def old_run(tmp_path):
+    """A run with artefacts, and a second video and settings to replace it by."""
+    (tmp_path / "a.mp4").write_bytes(b"old")
+    (tmp_path / "b.mp4").write_bytes(b"new")
+    folder = tmp_path / "run"
+    with create_workspace(folder, tmp_path / "a.mp4", load_config(None), overwrite=False) as workspace:
+        workspace.finish("depth")
+        workspace.depth.mkdir()
+        workspace.depth_path(3).write_bytes(b"old depth")
+        workspace.mesh.write_bytes(b"old mesh")
+    (folder / "thesis.tex").write_text("precious")
+    return folder
+
+
+@pytest.mark.parametrize("way", ["resume", "overwrite"])
+@pytest.mark.parametrize("when", ["images", "depth", "mesh.ply", "report.html", "the end"])
+def test_a_stop_while_an_old_run_is_removed_leaves_a_run(old_run, tmp_path, monkeypatch, when, way):
+    """Both ways go on from there, and nothing of the old run is taken for the new one's."""
+
+    def stop(path, *_, **__):
+        if path.name == when:
+            raise Stopped
+        return unlink(path, missing_ok=True) if path.is_file() or not path.exists() else rmtree(path)
+
+    unlink, rmtree = Path.unlink, shutil.rmtree
+    monkeypatch.setattr(Path, "unlink", stop)
+    monkeypatch.setattr(shutil, "rmtree", stop)
+    if when == "the end":
+        monkeypatch.setattr(Path, "glob", lambda path, pattern: stop(path / "the end"))
+    new, config = tmp_path / "b.mp4", load_config(None, seed=4)
+    with pytest.raises(Stopped):
+        create_workspace(old_run, new, config, overwrite=True)
+    monkeypatch.undo()
+    assert open_workspace(old_run).record["stages"] == {}
+    if way == "resume":
+        workspace = resume_workspace(old_run, new, config)
+    else:
+        workspace = create_workspace(old_run, new, config, overwrite=True)
+    with workspace:
+        assert not workspace.depth.exists()
+        assert not workspace.mesh.exists()
+        assert workspace.log.is_dir()
+    with resume_workspace(old_run, new, config) as workspace:
+        assert workspace.log.is_dir()
+    assert (old_run / "thesis.tex").read_text() == "precious"
+
+
+def test_a_source_that_cannot_be_read_destroys_no_run(old_run, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        create_workspace(old_run, tmp_path / "gone.mp4", load_config(None), overwrite=True)
+    with resume_workspace(old_run, tmp_path / "a.mp4", load_config(None)) as workspace:
+        assert workspace.is_done("depth")
+        assert workspace.mesh.read_bytes() == b"old mesh"
+
+
+def test_a_stop_before_the_first_record_leaves_a_folder_that_is_taken(tmp_path, monkeypatch):
+    (tmp_path / "a.mp4").write_bytes(b"any bytes")
+
+    def stop(*_):
+        raise Stopped
+
+    monkeypatch.setattr(os, "replace", stop)  # the record is written, but not yet in its place
+    with pytest.raises(Stopped):
+        create_workspace(tmp_path / "run", tmp_path / "a.mp4", load_config(None), overwrite=False)
+    monkeypatch.undo()
+    create_workspace(tmp_path / "run", tmp_path / "a.mp4", load_config(None), overwrite=False).lock.release()
+
+
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_a_file_system_without_locks_is_told_of_once(tmp_path, monkeypatch, caplog, code):
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    for _ in range(2):
+        RunLock(tmp_path).release()
+    assert [record.getMessage().split(";")[0] for record in caplog.records] == [
+        f"the file system of {tmp_path} has no locks"
+    ]
+
+
+@pytest.mark.parametrize("code", [errno.EIO, errno.EBADF, errno.EINVAL])
+def test_a_lock_that_fails_otherwise_is_an_error(tmp_path, monkeypatch, code):
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(HaustraError, match=rf"cannot lock .*{os.strerror(code)}"):
+        RunLock(tmp_path)
+
+
 CHILD_OF_ISOLATION = """
 import time
 print("1 2", flush=True)
@@ -85,18 +187,6 @@ run_isolated("sleeper", "sleep", {}, Path(sys.argv[1]) / "x.log", "sleeping", Si
 """
 
 
-def alive(folder):
-    """Processes whose command names the folder."""
-    import psutil
-
-    found = psutil.process_iter(["cmdline", "status"])
-    return [
-        p
-        for p in found
-        if any(str(folder) in word for word in p.info["cmdline"] or []) and p.info["status"] != "zombie"
-    ]
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a child with its parent")
 def test_a_worker_dies_with_the_run_that_is_killed(tmp_path):
     """Else it would go on writing into the features that a resumed run reads."""
@@ -106,13 +196,6 @@ def test_a_worker_dies_with_the_run_that_is_killed(tmp_path):
     parent.kill()
     parent.wait()
     wait_for(lambda: alive(tmp_path) == [])
-
-
-def wait_for(condition, seconds=120):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it never came to pass"
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("distance", [3.0, 60.0, 1e4])

@@ -3,6 +3,8 @@
 import shutil
 import time
 
+import cv2
+import numpy as np
 import pytest
 
 from pipeline.page import write_page
@@ -19,6 +21,7 @@ PATIENCE_MS = 60_000  # a busy machine draws slowly; nothing here waits without 
 HARMLESS = ("willReadFrequently", "GPU stall")  # plotly's and the software renderer's remarks on speed
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+slow = pytest.mark.slow  # each is quick, but they are many and share a browser; the first is the everyday one
 
 
 @pytest.fixture(scope="module")
@@ -66,29 +69,20 @@ def visible(page):
     return page.evaluate("document.getElementById('view3d').data.map(trace => trace.visible !== false)")
 
 
-def test_it_says_nothing_and_fetches_nothing(opened):
+def complaints(said):
+    return [text for text in said if not any(word in text for word in HARMLESS)]
+
+
+def test_it_is_drawn_and_clicked_through_and_says_and_fetches_nothing(opened):
+    """Reddish wall in the middle of the view, not an empty canvas; slider, buttons and keys change the keyframe."""
     page, said, fetched = opened
-    assert [text for text in said if not any(word in text for word in HARMLESS)] == []
-    assert [url for url in fetched if not url.startswith(("data:", "blob:"))] == [page.url]
     assert page.locator(".keyframe:visible").count() == 1
     assert page.inner_text(".cards").count("91 %") == 1
     assert "the light contradicts" in page.inner_text(".caution")
-
-
-def test_the_surface_is_really_drawn(opened):
-    """Reddish wall in the middle of the view, not an empty canvas."""
-    import cv2
-    import numpy as np
-
-    page, *_ = opened
     shot = page.screenshot(clip=page.locator("#view3d").bounding_box())
     shot = cv2.imdecode(np.frombuffer(shot, np.uint8), cv2.IMREAD_COLOR).astype(int)
     blue, _, red = np.moveaxis(shot, -1, 0)
     assert (red - blue > 40).mean() > 0.1
-
-
-def test_slider_buttons_and_arrow_keys_change_the_keyframe(opened):
-    page, *_ = opened
     page.locator("#slider").fill("0")
     first = frame_shown(page), picture_shown(page)
     page.click("#next")
@@ -100,8 +94,11 @@ def test_slider_buttons_and_arrow_keys_change_the_keyframe(opened):
     page.locator("#slider").press("ArrowRight")
     assert frame_shown(page) == second[0]
     assert page.input_value("#slider") == "1"
+    assert complaints(said) == []
+    assert [url for url in fetched if not url.startswith(("data:", "blob:"))] == [page.url]
 
 
+@slow
 def test_timeline_and_the_table_of_regions_lead_to_keyframes(opened):
     page, *_ = opened
     mark = page.locator("#timeline .shown").nth(7)
@@ -113,6 +110,7 @@ def test_timeline_and_the_table_of_regions_lead_to_keyframes(opened):
     assert abs(int(frame_shown(page).split()[1]) - nearest) <= 2
 
 
+@slow
 def test_a_click_on_a_keyframe_of_the_path_shows_it(opened):
     page, *_ = opened
     page.locator("#slider").fill("0")
@@ -151,6 +149,7 @@ def test_a_click_on_a_keyframe_of_the_path_shows_it(opened):
     assert 40 <= int(frame_shown(page).split()[1]) <= 60
 
 
+@slow
 def test_layers_and_walls_are_switched(opened):
     page, *_ = opened
     assert visible(page) == [True] * 6
@@ -168,6 +167,7 @@ def test_layers_and_walls_are_switched(opened):
     assert 0.3 * whole < opened_up < 0.8 * whole
 
 
+@slow
 def test_another_submap_is_shown_with_its_own_keyframes_and_unit(opened):
     page, *_ = opened
     page.select_option("#submap", "1")
@@ -179,6 +179,7 @@ def test_another_submap_is_shown_with_its_own_keyframes_and_unit(opened):
     assert page.input_value("#submap") == "0"
 
 
+@slow
 def test_turning_the_view_opens_the_wall_anew(opened):
     page, said, _ = opened
     faces = "Array.from(document.getElementById('view3d').data[0].i).slice(0, 500).join()"
@@ -191,9 +192,10 @@ def test_turning_the_view_opens_the_wall_anew(opened):
     until(page, lambda: page.evaluate(faces) != before)
     page.click("#view-keyframe")
     page.click("#view-outside")
-    assert [text for text in said if not any(word in text for word in HARMLESS)] == []
+    assert complaints(said) == []
 
 
+@slow
 def test_it_can_be_read_without_scripts(browser, opened):
     page = browser.new_context(java_script_enabled=False).new_page()
     page.goto(opened[0].url)

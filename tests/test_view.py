@@ -7,6 +7,9 @@ import socket
 import subprocess
 import sys
 import threading
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -75,6 +78,24 @@ def test_a_port_in_use_and_a_run_without_a_report_are_one_sentence(run):
         view(run, open_browser=False)
 
 
+def test_a_browser_that_leaves_in_the_middle_is_no_error(tmp_path, capsys):
+    report = tmp_path / "report.html"
+    report.write_bytes(b"x" * 20_000_000)  # more than any buffer between the two holds
+    with ReportServer(report) as server, socket.create_connection(server.server_address) as browser:
+        browser.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        answer = threading.Thread(target=server.process_request_thread, args=server.get_request())
+        answer.start()
+        assert browser.recv(12) == b"HTTP/1.0 200"
+        browser.close()
+        answer.join()
+        assert capsys.readouterr().err == ""
+        try:
+            raise KeyError("a bug")
+        except KeyError:
+            server.handle_error(None, server.server_address)
+        assert "a bug" in capsys.readouterr().err
+
+
 def test_ctrl_c_ends_it_cleanly(run):
     code = "import sys, pipeline.cli; sys.argv = ['haustra', *sys.argv[1:]]; pipeline.cli.main()"
     process = subprocess.Popen(
@@ -92,6 +113,30 @@ def test_ctrl_c_ends_it_cleanly(run):
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0
     assert errors == ""
+
+
+def test_recordings_of_two_runs_stay_two(tmp_path, monkeypatch):
+    """Rerun's viewer shows recordings of one id as one."""
+    (tmp_path / "a.mp4").write_bytes(b"bytes")
+    ids = []
+    fake = SimpleNamespace(RecordingStream=lambda name, recording_id: ids.append(recording_id) or MagicMock())
+    monkeypatch.setattr(rerun_export, "import_rerun", lambda: fake)
+    for name in ("load_frames", "load_structure"):
+        monkeypatch.setattr(rerun_export, name, lambda _: None)
+    monkeypatch.setattr(rerun_export, "planned_keyframes", lambda *_: [])
+    monkeypatch.setattr(rerun_export, "refined_keyframes", lambda *_: [])
+    monkeypatch.setattr(rerun_export, "load_surfaces", lambda _: [])
+    for patient in ("one", "two"):
+        with create_workspace(tmp_path / patient / "run", tmp_path / "a.mp4", load_config(None), False) as workspace:
+            workspace.finish("surface")
+    monkeypatch.chdir(tmp_path)
+    for run in (tmp_path / "one" / "run", tmp_path / "two" / "run", Path("one/run")):
+        rerun_export.export_rerun(run, tmp_path / "out.rrd")
+    assert ids[0] == ids[2] != ids[1]
+    (tmp_path / "a.mp4").write_bytes(b"another film")
+    create_workspace(tmp_path / "one" / "run", tmp_path / "a.mp4", load_config(None), True).finish("surface")
+    rerun_export.export_rerun(tmp_path / "one" / "run", tmp_path / "out.rrd")
+    assert ids[3] != ids[0]
 
 
 def test_a_recording_without_the_sdk_is_one_sentence(run, tmp_path, monkeypatch, capsys):

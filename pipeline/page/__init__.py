@@ -8,6 +8,7 @@ import base64
 import hashlib
 import html
 import json
+from dataclasses import replace
 from importlib import resources
 from typing import Any
 
@@ -17,14 +18,15 @@ from pipeline.coverage import Judgement
 from pipeline.dense import DenseSubmap
 from pipeline.figures import path_figure, webp
 from pipeline.frames import Frames
-from pipeline.page.browser import browser_section, choose_shown, count_sentence, data_uri
-from pipeline.page.scene import scene_data
+from pipeline.page.browser import MOST_SUBMAPS, browser_section, choose_shown, count_sentence, data_uri
+from pipeline.page.scene import finite, scene_data
 from pipeline.page.summary import Link, cards, cautions, coverage_section, details
 from pipeline.page.timeline import frame_states, timeline_section
 from pipeline.surface import Surface
 from pipeline.workspace import Workspace, write_text
 from reconstruction.pictures import render_mesh
 
+MAPS_BUDGET = 1_200_000  # bytes of the maps of coverage, beyond the first
 MOST_STATIC = 3  # submaps, largest first, that have pictures for a browser without scripts
 SCRIPTS = ("scene.js", "report.js")
 __all__ = ["coverage_section", "write_page"]
@@ -39,6 +41,7 @@ def write_page(
     workspace: Workspace,
 ) -> None:
     """Write the report of a run."""
+    surfaces = [replace(surface, mesh=finite(surface.mesh)) for surface in surfaces]
     shown = choose_shown(frames, dense)
     frame_of = np.array([keyframe.frame for keyframe in shown])
 
@@ -92,12 +95,35 @@ def _asset(name: str) -> str:
 
 
 def _coverage(coverage: list[Judgement], link: Link) -> str:
-    sections = [coverage_section(judgement, link) for judgement in coverage]
-    if len(sections) == 1:
+    mapped = _count_mapped(coverage)
+    sections = [coverage_section(judgement, link) for judgement in coverage[:mapped]]
+    if len(coverage) == 1:
         return sections[0]
-    return "".join(
+    named = [
         section.replace("<h2>Coverage</h2>", f"<h2>Coverage of submap {k}</h2>", 1)
         for k, section in enumerate(sections)
+    ]
+    return "".join(named) + _coverage_in_words(coverage[mapped:], mapped)
+
+
+def _count_mapped(coverage: list[Judgement]) -> int:
+    """Of how many submaps, largest first, the page has room for the map."""
+    sizes = [judged.picture.stat().st_size if judged.picture else 0 for judged in coverage[:MOST_SUBMAPS]]
+    return max(1, int((np.cumsum(sizes) <= MAPS_BUDGET).sum()))
+
+
+def _coverage_in_words(rest: list[Judgement], first: int) -> str:
+    """Of the smaller submaps, whose maps would make the page too large."""
+    if not rest:
+        return ""
+    items = "".join(
+        f"<li>submap {number}: {html.escape(judgement.sentence)}</li>"
+        for number, judgement in enumerate(rest, start=first)
+    )
+    return (
+        f"<h2>Coverage of smaller submaps</h2><p>To keep this page small, maps are shown of the {first} largest of "
+        f"{first + len(rest)} submaps, and keyframes of at most {MOST_SUBMAPS}. The other maps are coverage_*.png in "
+        f"the run folder; metrics.json lists all missed regions.</p><ul>{items}</ul>"
     )
 
 
@@ -108,6 +134,9 @@ def _static(frames: Frames, part: DenseSubmap, surface: Surface) -> str:
     path = _image(path_figure(centres, part.rows, seconds, unit), "png", "camera path")
     if len(surface.mesh.faces) == 0:
         return f"<p>The keyframes of this submap agree on no surface.</p>{path}"
+    if len(part.rows) == 0:  # no place to look from
+        outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
+        return f"{_image(webp(outside), 'webp', 'surface cut open')}{path}"
     middle = part.submap.scaled(surface.scale.factor).world_from_camera[part.rows[len(part.rows) // 2]]
     wide = float(np.degrees(2 * np.arctan(part.camera.width / 2 / part.camera.focal[0])))
     outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)

@@ -15,8 +15,9 @@ from pipeline.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.surface import Surface
 
 MOST_KEYFRAMES = 60
+MOST_SUBMAPS = 12  # largest first, that have keyframes and maps of coverage
 LONG_SIDE = 360  # px
-BUDGET = 6_000_000  # bytes of all pictures, before base64 adds a third
+BUDGET = 4_000_000  # bytes of all pictures, before base64 adds a third
 QUALITIES = (82, 65, 45, 25)  # of WebP, tried until the budget is kept
 DEPTH_MAP, CONFIDENCE_MAP = cv2.COLORMAP_TURBO, cv2.COLORMAP_MAGMA
 NOTHING = (38, 34, 30)  # BGR, where there is no depth
@@ -38,10 +39,10 @@ class Shown:
 
 
 def choose_shown(frames: Frames, dense: list[DenseSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
-    """At most `most` keyframes, evenly over the keyframes of all submaps, in the order of submaps and frames."""
+    """At most `most` keyframes, evenly over those of the largest submaps, in the order of submaps and frames."""
     every = [
         Shown(number, int(row), index := int(part.submap.frames[row]), frames.seconds_of(index))
-        for number, part in enumerate(dense)
+        for number, part in enumerate(dense[:MOST_SUBMAPS])
         for row in part.rows
     ]
     if not every:
@@ -60,10 +61,10 @@ class Panels:
 
 def browser_section(shown: list[Shown], dense: list[DenseSubmap], surfaces: list[Surface]) -> str:
     """Every shown keyframe as an article. Without script they stand in a list; with it, one at a time is seen."""
-    ranges = [_depth_range(part, surface.scale.factor) for part, surface in zip(dense, surfaces, strict=True)]
+    ranges = {k: _depth_range(dense[k], surfaces[k].scale.factor) for k in sorted({k.submap for k in shown})}
     panels = _within_budget(shown, dense, surfaces, ranges)
     several = len(dense) > 1
-    parts = [_legend(number, ranges[number], surface.scale.unit) for number, surface in enumerate(surfaces)]
+    parts = [_legend(number, limits, surfaces[number].scale.unit) for number, limits in ranges.items()]
     for number, (keyframe, panel) in enumerate(zip(shown, panels, strict=True)):
         where = f", submap {keyframe.submap}" if several else ""
         title = f"frame {keyframe.frame} · {keyframe.seconds:.2f} s{where}"
@@ -86,7 +87,7 @@ def data_uri(data: bytes, kind: str) -> str:
 
 
 def _within_budget(
-    shown: list[Shown], dense: list[DenseSubmap], surfaces: list[Surface], ranges: list[tuple[float, float]]
+    shown: list[Shown], dense: list[DenseSubmap], surfaces: list[Surface], ranges: dict[int, tuple[float, float]]
 ) -> list[Panels]:
     """All pictures at the best quality that keeps the page small, however noisy the video is."""
     panels: list[Panels] = []
@@ -101,7 +102,7 @@ def _draw(
     shown: list[Shown],
     dense: list[DenseSubmap],
     surfaces: list[Surface],
-    ranges: list[tuple[float, float]],
+    ranges: dict[int, tuple[float, float]],
     quality: int,
 ) -> Iterator[Panels]:
     makers: dict[int, SparseDepthMaker] = {}
@@ -189,4 +190,5 @@ def _bar(colours: int, low: str, title: str, high: str) -> str:
 def count_sentence(shown: Iterable[Shown], dense: list[DenseSubmap]) -> str:
     """How many of how many keyframes are in the page."""
     count, total = len(list(shown)), sum(len(part) for part in dense)
-    return f"all {total} keyframes" if count == total else f"{count} of {total} keyframes, evenly spread"
+    where = f" over the {MOST_SUBMAPS} largest of {len(dense)} submaps" if len(dense) > MOST_SUBMAPS else ""
+    return f"all {total} keyframes" if count == total else f"{count} of {total} keyframes, evenly spread{where}"

@@ -43,7 +43,10 @@ function startScene() {
     page("no-webgl").hidden = false;
     return Promise.resolve();
   }
-  scene = new Scene(page("view3d"), run.submaps, frame => select(nearest(frame, shown => shown.frame, submap)));
+  scene = new Scene(page("view3d"), run.submaps, frame => {
+    // Of a small submap the page shows no keyframes.
+    if (run.shown.some(shown => shown.submap === submap)) select(nearest(frame, shown => shown.frame, submap));
+  });
   run.submaps.forEach((map, k) => page("submap").add(new Option(String(k), k)));
   page("submap-choice").hidden = run.submaps.length < 2;
   page("static").open = false;

@@ -1,6 +1,7 @@
 """What the 3-D view draws, as plain values for JSON: a coarse mesh, the path, keyframes' poses, missed regions."""
 
 import base64
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,21 @@ from reconstruction.mesh import SurfaceMesh
 from reconstruction.pictures import brightened
 
 TRIANGLES = 60_000  # of all submaps' meshes together
-FEWEST_TRIANGLES = 2_000  # that a submap keeps
-PATCH_TRIANGLES = 8_000  # of all missed regions of a submap
-PATH_POINTS = 5_000  # of a submap's camera path
+FEWEST_TRIANGLES = 2_000  # that a submap keeps, unless there are many:
+FLOOR_SHARE = 0.25  # of all triangles are for what small submaps keep beyond their share
+PATCH_TRIANGLES = 16_000  # of all missed regions together,
+MOST_PATCH_TRIANGLES = 8_000  # and of a submap's
+PATH_POINTS = 20_000  # of all camera paths together,
+MOST_PATH_POINTS = 5_000  # and of a submap's
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a submap may take of the page."""
+
+    triangles: int
+    patch_triangles: int
+    path_points: int
 
 
 def scene_data(
@@ -29,18 +42,29 @@ def scene_data(
     shown: list[Shown],
 ) -> list[dict[str, Any]]:
     """One entry a submap; lengths in its output unit, in the axes of its `mesh.ply`."""
-    total = max(1, sum(len(surface.mesh.faces) for surface in surfaces))
+    total, count = max(1, sum(len(surface.mesh.faces) for surface in surfaces)), max(1, len(surfaces))
+    fewest = min(FEWEST_TRIANGLES, int(FLOOR_SHARE * TRIANGLES / count))
     return [
         _submap(
             frames,
             part,
             surface,
             judgement,
-            max(FEWEST_TRIANGLES, TRIANGLES * len(surface.mesh.faces) // total),
+            Limits(
+                max(fewest, TRIANGLES * len(surface.mesh.faces) // total),
+                min(MOST_PATCH_TRIANGLES, PATCH_TRIANGLES // count),
+                max(2, min(MOST_PATH_POINTS, PATH_POINTS // count)),
+            ),
             [(place, keyframe.row) for place, keyframe in enumerate(shown) if keyframe.submap == number],
         )
         for number, (part, surface, judgement) in enumerate(zip(dense, surfaces, coverage, strict=True))
     ]
+
+
+def finite(mesh: SurfaceMesh) -> SurfaceMesh:
+    """The mesh without faces that have a corner nowhere; itself if there are none."""
+    sound = np.asarray(np.isfinite(mesh.vertices).all(axis=1))
+    return mesh if sound.all() else mesh.with_faces(np.asarray(sound[mesh.faces].all(axis=1)))
 
 
 def _submap(
@@ -48,12 +72,12 @@ def _submap(
     part: DenseSubmap,
     surface: Surface,
     judgement: Judgement,
-    triangles: int,
+    limits: Limits,
     shown: list[tuple[int, int]],
 ) -> dict[str, Any]:
     submap, unit = part.submap.scaled(surface.scale.factor), "mm" if surface.scale.unit == "mm" else "scene units"
-    coarse = decimated(surface.mesh, triangles)
-    rows = np.arange(0, len(submap.frames), max(1, -(-len(submap.frames) // PATH_POINTS)))
+    coarse = decimated(surface.mesh, limits.triangles)
+    rows = np.arange(0, len(submap.frames), max(1, -(-len(submap.frames) // limits.path_points)))
     poses = submap.world_from_camera
     points = np.concatenate([coarse.vertices, submap.centres])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -83,7 +107,7 @@ def _submap(
             "frames": submap.frames[part.rows].tolist(),
         },
         "shown": [{"keyframe": place, "pose": _pose(poses[row])} for place, row in shown],
-        "missed": _missed(judgement, unit),
+        "missed": _missed(judgement, unit, limits.patch_triangles),
     }
 
 
@@ -102,10 +126,10 @@ def _packed(mesh: SurfaceMesh, colours: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def _missed(judgement: Judgement, unit: str) -> dict[str, Any]:
+def _missed(judgement: Judgement, unit: str, triangles: int) -> dict[str, Any]:
     """The listed regions: number, words and middle, and the closing surface over them where it is known."""
     regions = judgement.record.get("missed_regions", [])
-    patches = [decimated(patch, PATCH_TRIANGLES // max(1, len(judgement.missed))) for patch in judgement.missed]
+    patches = [decimated(finite(patch), max(1, triangles // len(judgement.missed))) for patch in judgement.missed]
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     vertices = [patch.vertices for patch in patches] or [np.empty((0, 3))]
     faces = [patch.faces + start for patch, start in zip(patches, starts)] or [np.empty((0, 3))]
@@ -132,7 +156,7 @@ def clock_words(region: dict[str, Any]) -> str:
 
 def _axes(points: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows: along the object's longest axis the way the camera went, up as the picture has it, and towards the eye."""
-    along = np.linalg.eigh(np.cov(points.T))[1][:, -1]
+    along = np.linalg.eigh(np.cov(points.T))[1][:, -1] if len(points) > 1 else np.array([1.0, 0, 0])
     if along @ (poses[-1, :3, 3] - poses[0, :3, 3]) < 0:
         along = -along
     up = -poses[:, :3, 1].mean(axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.dense import DenseSubmap
-from pipeline.page.browser import Shown
+from pipeline.page.browser import MOST_SUBMAPS, Shown
 from pipeline.workspace import Workspace, damage_named
 
 MOST_COLUMNS = 600
@@ -32,8 +32,9 @@ class FrameStates:
 
     @property
     def step(self) -> float:
-        """Seconds between frames, in the median."""
-        return float(np.median(np.diff(self.seconds))) if len(self.seconds) > 1 else 1.0
+        """Seconds between frames, in the median; 1 where the times do not tell."""
+        between = np.diff(self.seconds)
+        return float(np.median(between)) if len(between) and np.median(between) > 0 else 1.0
 
     @property
     def range(self) -> tuple[float, float]:
@@ -150,7 +151,10 @@ def _keyframes(states: FrameStates, shown: list[Shown], dense: list[DenseSubmap]
 def _key(states: FrameStates, dense: list[DenseSubmap]) -> str:
     counts = Counter(states.verdicts)
     items = [(slug(verdict), f"{verdict} ({n})") for verdict, n in counts.most_common()]
-    items += [(f"s-{n % HUES}", f"posed, submap {n} ({len(p.submap.frames)})") for n, p in enumerate(dense)]
+    sizes = [len(part.submap.frames) for part in dense]
+    items += [(f"s-{n % HUES}", f"posed, submap {n} ({size})") for n, size in enumerate(sizes[:MOST_SUBMAPS])]
+    if sizes[MOST_SUBMAPS:]:
+        items.append((f"s-{MOST_SUBMAPS % HUES}", f"posed, smaller submaps ({sum(sizes[MOST_SUBMAPS:])})"))
     unposed = sum(1 for v, s in zip(states.verdicts, states.submap) if v == "used" and s == UNPOSED)
     if unposed:
         items.append(("s-none", f"used, but not posed ({unposed})"))
