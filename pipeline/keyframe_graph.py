@@ -64,8 +64,8 @@ def join(
 ) -> DenseSubmap | None:
     """The second submap in the frame and scale of the first, both bent to agree; None without enough evidence."""
     first, second = parts
-    if first.camera != second.camera:
-        return None
+    if first.camera != second.camera or first.submap.camera_params != second.submap.camera_params:
+        return None  # one pinhole may stand for two lenses, where the field of view is cut
     nodes = [part.submap.world_from_camera[part.rows] for part in parts]
     loops = _edges(first, places[0], second, places[1], links)
     good = [loop for loop, yes in zip(loops, supported(loops, nodes[0], nodes[1], REACH), strict=True) if yes]

@@ -20,7 +20,7 @@ from pipeline.keyframe_graph import Closed, moved, nodes_of
 from pipeline.loops import Link, Place, every_place
 from pipeline.odometry.bundle import Bundle, adjust
 from pipeline.odometry.places import match, rooted
-from reconstruction.pose_graph import scale_of
+from reconstruction.pose_graph import Edge, misfit, scale_of
 
 AHEAD = 5  # keyframes with which each one's features are compared
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
@@ -46,14 +46,23 @@ class Tracks:
 
 
 def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
-    """The submap `part`, whose loops the graph `closed`, adjusted to its images; None if the features do not hold."""
+    """The submap `part`, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or
+    if the adjusted map fulfils its loops no better than before."""
     if len(part) > MAX_KEYFRAMES:
         return None
     every = every_place(part, places, frames)
     number = np.searchsorted(part.rows, [place.row for place in places])
     links = [replace(k, first=int(number[k.first]), second=int(number[k.second])) for k in closed.links]
     found = adjust_nodes(part, every, links, nodes_of(part, closed.part))
-    return None if found is None else moved(part, part.rows[found[0]], found[1])
+    if found is None:
+        return None
+    adjusted = moved(part, part.rows[found[0]], found[1])
+    edges = [Edge(link.first, link.second, link.first_from_second, link.information) for link in links]
+    before, after = (
+        np.median([misfit(nodes, edge) for edge in edges])
+        for nodes in (part.submap.world_from_camera[part.rows], nodes_of(part, adjusted))
+    )
+    return adjusted if after < before else None
 
 
 def adjust_nodes(

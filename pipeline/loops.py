@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import QhullError
 
 from pipeline.config import PoseGraphSettings
 from pipeline.dense import DenseSubmap
@@ -109,9 +110,13 @@ def _place(part: DenseSubmap, maker: SparseDepthMaker, row: int, frames: Frames)
     mask = part.rectifier.mask(frames.content if stored is None else stored)
     pixels, descriptors = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)))
     sparse = maker.sparse_depth(row)
+    blind = Place(row, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
     if len(sparse.depth) < 4 or len(pixels) == 0:
-        return Place(row, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
-    inverse = LinearNDInterpolator(sparse.pixels, 1 / sparse.depth)(pixels)
+        return blind
+    try:
+        inverse = LinearNDInterpolator(sparse.pixels, 1 / sparse.depth)(pixels)
+    except QhullError:  # all sparse points on one line
+        return blind
     good = np.isfinite(inverse)
     plane = _on_plane(part, pixels[good])
     points = np.column_stack([plane, np.ones(len(plane))]) / inverse[good, None]
@@ -200,6 +205,8 @@ def _shared(part: DenseSubmap, places: list[Place]) -> NDArray[np.int64]:
 
 def _likeness(first: list[Place], second: list[Place], seed: int) -> NDArray[np.float32]:
     """(F,S) product of the places' signatures; -1 where one has too few features."""
+    if not first or not second:
+        return np.zeros((len(first), len(second)), np.float32)
     descriptors = np.concatenate([place.descriptors for place in first + second])
     enough = [np.array([len(p.points) >= MIN_POINTS for p in places], bool) for places in (first, second)]
     if len(descriptors) < WORDS:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import QhullError
 
 from pipeline.config import Config
 from pipeline.dense import DenseSubmap
@@ -23,7 +24,7 @@ from pipeline.submap import read_submap
 from pipeline.workspace import Workspace, damage_named
 from reconstruction.errors import ReconstructionError
 
-FAILURES = (ReconstructionError, np.linalg.LinAlgError)
+FAILURES = (ReconstructionError, np.linalg.LinAlgError, QhullError, ValueError)
 UNHELD = "too few features hold its keyframes together, or there are too many keyframes to adjust at once"
 
 
@@ -42,8 +43,13 @@ class _Piece:
 def refine_poses(
     frames: Frames, dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress
 ) -> list[DenseSubmap]:
-    """The submaps joined and with their loops closed; what fails stays as it was, with a warning."""
-    if workspace.is_done("refinement") or not config.pose_graph.enabled:
+    """The submaps joined and with their loops closed; what fails stays as it was, with a warning.
+
+    COLMAP's maps are left alone: it matches far frames itself and adjusts all of them. So is a run from before this
+    stage whose surface is done, since its mesh belongs to its poses.
+    """
+    done = workspace.is_done("refinement") or workspace.is_done("surface")
+    if done or not config.pose_graph.enabled or not _is_by_odometry(workspace):
         return refined_keyframes(dense, workspace)
     warnings: list[str] = []
     with progress.bar("places seen twice", len(dense)) as advance:
@@ -63,6 +69,10 @@ def refine_poses(
         progress.say(sentence)
     workspace.finish("refinement", submaps=records, warnings=warnings)
     return refined_keyframes(dense, workspace)
+
+
+def _is_by_odometry(workspace: Workspace) -> bool:
+    return workspace.is_done("structure") and workspace.result("structure")["mapper"] == "odometry"
 
 
 def refined_keyframes(dense: list[DenseSubmap], workspace: Workspace) -> list[DenseSubmap]:
@@ -104,9 +114,11 @@ def _joined(frames: Frames, pieces: list[_Piece], config: Config, warnings: list
 
 def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings: list[str]) -> _Piece | None:
     parts, places = (base.part, other.part), (base.places, other.places)
-    pairs = join_candidates(*places, config.pose_graph, config.seed)
-    links = [link for link in find_links(parts, places, pairs, config.seed) if link is not None]
+    if min(len(part) for part in parts) == 0:
+        return None
     try:
+        pairs = join_candidates(*places, config.pose_graph, config.seed)
+        links = [link for link in find_links(parts, places, pairs, config.seed) if link is not None]
         part = join(parts, places, links)
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not joined: {error}")
@@ -117,10 +129,12 @@ def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings:
 
 
 def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -> None:
-    pairs = loop_candidates(piece.part, piece.places, config.pose_graph, config.seed)
-    both = (piece.part, piece.part), (piece.places, piece.places)
-    links = [link for link in find_links(*both, pairs, config.seed) if link is not None]
+    if len(piece.part) < 2:
+        return
     try:
+        pairs = loop_candidates(piece.part, piece.places, config.pose_graph, config.seed)
+        both = (piece.part, piece.part), (piece.places, piece.places)
+        links = [link for link in find_links(*both, pairs, config.seed) if link is not None]
         closed = close_loops(piece.part, piece.places, links)
         piece.proposed, piece.supported = closed.proposed, closed.supported
         adjusted = adjust_loops(piece.part, closed, piece.places, frames) if closed.kept else piece.part

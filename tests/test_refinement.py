@@ -87,7 +87,7 @@ def true_links(pairs: tuple[tuple[int, int], ...] = ((0, 23), (2, 21), (1, 22)))
 def workspace(tmp_path) -> Workspace:
     made = Workspace(tmp_path)
     made.record |= {"config": CONFIG.model_dump(mode="json")}
-    made.finish("structure", units=[2.0])
+    made.finish("structure", mapper="odometry", units=[2.0])
     return made
 
 
@@ -183,6 +183,8 @@ def test_halves_of_different_scale_are_joined(workspace):
     np.testing.assert_allclose(joined.submap.centres[latest], whole.centres[28:], atol=0.01)
     np.testing.assert_allclose(joined.depth_scale[latest], 1 / 1.7, rtol=0.01)
     assert join((first, second), (places(first), places(second)), links[:1]) is None
+    lens = replace(second, submap=replace(second.submap, camera_params=(41.0, *CAMERA.params[1:])))
+    assert join((first, lens), (places(first), places(lens)), links) is None
 
 
 def cut(submap: Submap, begin: int, end: int) -> Submap:
@@ -244,7 +246,7 @@ def test_without_the_stage_nothing_changes(workspace, frames):
 def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypatch):
     whole = drifting_submap(growth=0.0)
     parts = [dense(workspace, half) for half in (cut(whole, 0, 28), cut(whole, 20, 48).scaled(1.7))]
-    workspace.finish("structure", units=[1.0, 1.0])
+    workspace.finish("structure", mapper="odometry", units=[1.0, 1.0])
     relation = np.diag([1 / 1.7] * 3 + [1.0])
     links = [Link(k, m, relation, np.diag(np.full(7, 1e4)), 60) for k, m in ((10, 0), (12, 2), (13, 3))]
     monkeypatch.setattr(pipeline.refinement, "find_places", lambda part, *_: places(part))
@@ -261,3 +263,24 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     np.testing.assert_array_equal(again[0].rows, refined[0].rows)
     np.testing.assert_allclose(again[0].submap.centres[again[0].submap.frames >= 28], whole.centres[28:], atol=0.01)
     assert len(model_sources(workspace)) == 1
+
+
+def test_submaps_without_completed_keyframes_pass_through(workspace, frames, seen_twice):
+    """What depth could not complete must not end the run, alone or beside a submap that closes its loops."""
+    part = dense(workspace)
+    empty = replace(part, rows=part.rows[:0])
+    refined = refine_poses(frames, [part, empty], CONFIG, workspace, SilentProgress())
+    assert [len(each) for each in refined] == [len(part), 0]
+    assert refined[0].depth_scale is not None
+    assert refined[1].depth_scale is None
+
+
+@pytest.mark.parametrize("why", ["surface done", "by COLMAP"])
+def test_maps_that_must_stay_are_not_touched(workspace, frames, seen_twice, why):
+    if why == "surface done":
+        workspace.finish("surface", surfaces=[])
+    else:
+        workspace.finish("structure", mapper="global", units=[2.0])
+    part = dense(workspace)
+    assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
+    assert not workspace.is_done("refinement")

@@ -114,7 +114,10 @@ def _loops(record: dict[str, Any]) -> str:
     """What the pose graph did: the places that were seen twice, by their frame numbers."""
     pairs = ", ".join(f"{first} and {second}" for first, second in record["loops"])
     joined = f"joined from {len(record['members'])} submaps; " if len(record["members"]) > 1 else ""
-    return joined + (f"closed between frames {pairs}" if pairs else "none that could be believed")
+    if pairs:
+        return joined + f"closed between frames {pairs}"
+    found = f"{record['supported']} found that the map fulfils already, or that could not be closed (see the warnings)"
+    return joined + (found if record["supported"] else "none found that could be believed")
 
 
 def _left_out(frames: list[int]) -> str:
