@@ -72,8 +72,7 @@ def links_of(
         if own
         else join_candidates(first, second, settings, config.seed)
     )
-    links = [link for link in find_links(parts, (first, second), pairs, config.seed) if link is not None]
-    return (first, second), links, len(pairs)
+    return (first, second), find_links(parts, (first, second), pairs, config.seed), len(pairs)
 
 
 def path_figures(part: DenseSubmap, truth: np.ndarray) -> dict[str, float]:

@@ -4,35 +4,26 @@ A feature's depth is interpolated from the keyframe's sparse points, which are i
 is not, to about two percent. It has another say: both surfaces, laid on each other, must not contradict.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import QhullError
 
 from pipeline.config import PoseGraphSettings
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames, read_image
 from pipeline.loop_pairs import vlad
-from pipeline.odometry.places import match, rooted, sift
-from pipeline.odometry.similarity import Side, refine_similarity, robust_similarity
+from pipeline.odometry.places import MIN_POINTS, WORDS, inverse_depth_at, learn_words, match, rooted, sift
+from pipeline.odometry.similarity import Side, refine_similarity, sure_similarity
 from pipeline.sparse_depth import SparseDepthMaker
 from reconstruction.consistency import DepthView, agreement
 from reconstruction.pose_graph import scale_of, tie_information, with_common_error
 
-WORDS = 32
-SAMPLE = 20_000  # descriptors from which the words are learnt
-MIN_POINTS = 25  # of a place worth comparing
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MIN_GAP = 5  # keyframes between two that may be a loop
 REACH = 1.0  # scene units: median depths between cameras that should see the same
 MAX_TURN = np.radians(40)  # between their views
-MIN_INLIERS = 20
-MIN_SHARE = 0.4  # of the matches; by chance a twentieth agrees
-MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
 ACROSS_PX, ALONG = 1.5, 0.03  # sigma of a matched feature's place, and of its depth as a share
 COMMON = np.array([0.004, 0.004, 0.004, 0.01, 0.01, 0.01, 0.01])  # that all features of a link share
 TOLERANCE, MAX_CONTRADICTED = 0.1, 0.5  # of the depth maps laid on each other
@@ -95,28 +86,23 @@ def join_candidates(first: list[Place], second: list[Place], settings: PoseGraph
 
 def find_links(
     parts: tuple[DenseSubmap, DenseSubmap], places: tuple[list[Place], list[Place]], pairs: list[tuple], seed: int
-) -> Iterator[Link | None]:
-    """For each pair the link, or None where it does not hold."""
+) -> list[Link]:
+    """The links of those pairs that hold."""
     rng = np.random.default_rng(seed)
-    for i, j in pairs:
-        yield _link(parts, (places[0][i], places[1][j]), (i, j), rng)
+    tried = [_link(parts, (places[0][i], places[1][j]), (i, j), rng) for i, j in pairs]
+    return [link for link in tried if link is not None]
 
 
 def _place(part: DenseSubmap, maker: SparseDepthMaker, row: int, frames: Frames) -> Place:
-    """Features within the hull of the sparse points; inverse depth is linear across a plane's image."""
+    """Features within the hull of the sparse points."""
     index = int(part.submap.frames[row])
     rgb = part.rectifier.image(read_image(part.workspace.image_path(index)))
     stored = cv2.imread(str(part.workspace.mask_path(index)), cv2.IMREAD_GRAYSCALE)
     mask = part.rectifier.mask(frames.content if stored is None else stored)
-    pixels, descriptors = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)))
+    found, descriptors = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)))
+    pixels = np.asarray(found, np.float64)
     sparse = maker.sparse_depth(row)
-    blind = Place(row, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
-    if len(sparse.depth) < 4 or len(pixels) == 0:
-        return blind
-    try:
-        inverse = LinearNDInterpolator(sparse.pixels, 1 / sparse.depth)(pixels)
-    except QhullError:  # all sparse points on one line
-        return blind
+    inverse = inverse_depth_at(pixels, sparse.pixels, sparse.depth)
     good = np.isfinite(inverse)
     plane = _on_plane(part, pixels[good])
     points = np.column_stack([plane, np.ones(len(plane))]) / inverse[good, None]
@@ -133,8 +119,6 @@ def _link(
     if min(len(first.points), len(second.points)) < MIN_POINTS:
         return None
     pairs = match(rooted(first.descriptors), rooted(second.descriptors))
-    if len(pairs) < MIN_INLIERS:
-        return None
     sides = [
         Side(
             place.points[rows],
@@ -144,15 +128,11 @@ def _link(
         )
         for part, place, rows in zip(parts, pair, pairs.T, strict=True)
     ]
-    found = robust_similarity(sides[1], sides[0], rng)
+    pixels = second.pixels[pairs[:, 1]], first.pixels[pairs[:, 0]]
+    found = sure_similarity(sides[1], sides[0], pixels, parts[0].camera.width, rng)
     if found is None:
         return None
     start, inlier = found
-    if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_SHARE:
-        return None
-    spread = min(_narrow_spread(place.pixels[rows[inlier]]) for place, rows in zip(pair, pairs.T, strict=True))
-    if spread < MIN_SPREAD * parts[0].camera.width:
-        return None
     refined = refine_similarity(start, [(sides[1].at(inlier), sides[0].at(inlier))])
     first_from_second = np.asarray(refined, np.float64)
     if _contradict(parts, pair, first_from_second):
@@ -188,10 +168,6 @@ def _on_plane(part: DenseSubmap, pixels: NDArray[np.float64]) -> NDArray[np.floa
     return (pixels - np.array(part.camera.centre)) / np.array(part.camera.focal)
 
 
-def _narrow_spread(pixels: NDArray[np.float64]) -> float:
-    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels.T))[0], 0)))
-
-
 def _shared(part: DenseSubmap, places: list[Place]) -> NDArray[np.int64]:
     """(P,P) number of sparse points that two places both observed."""
     seen = np.zeros((len(places), len(part.submap.points)), np.float32)
@@ -204,19 +180,14 @@ def _shared(part: DenseSubmap, places: list[Place]) -> NDArray[np.int64]:
 
 
 def _likeness(first: list[Place], second: list[Place], seed: int) -> NDArray[np.float32]:
-    """(F,S) product of the places' signatures; -1 where one has too few features."""
+    """(F,S) product of the places' signatures; minus infinity where one has too few features."""
     if not first or not second:
         return np.zeros((len(first), len(second)), np.float32)
     descriptors = np.concatenate([place.descriptors for place in first + second])
     enough = [np.array([len(p.points) >= MIN_POINTS for p in places], bool) for places in (first, second)]
     if len(descriptors) < WORDS:
         return np.full((len(first), len(second)), -np.inf, np.float32)
-    if len(descriptors) > SAMPLE:
-        chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
-        descriptors = descriptors[np.sort(chosen)]
-    cv2.setRNGSeed(seed + 1)
-    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
-    words = cv2.kmeans(rooted(descriptors), WORDS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]
+    words = learn_words(descriptors, seed)
     one, other = (np.stack([vlad(rooted(p.descriptors), words) for p in places]) for places in (first, second))
     return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
 

@@ -118,7 +118,7 @@ def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings:
         return None
     try:
         pairs = join_candidates(*places, config.pose_graph, config.seed)
-        links = [link for link in find_links(parts, places, pairs, config.seed) if link is not None]
+        links = find_links(parts, places, pairs, config.seed)
         part = join(parts, places, links)
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not joined: {error}")
@@ -134,7 +134,7 @@ def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -
     try:
         pairs = loop_candidates(piece.part, piece.places, config.pose_graph, config.seed)
         both = (piece.part, piece.part), (piece.places, piece.places)
-        links = [link for link in find_links(*both, pairs, config.seed) if link is not None]
+        links = find_links(*both, pairs, config.seed)
         closed = close_loops(piece.part, piece.places, links)
         piece.proposed, piece.supported = closed.proposed, closed.supported
         adjusted = adjust_loops(piece.part, closed, piece.places, frames) if closed.kept else piece.part

@@ -62,19 +62,17 @@ class Lamp:
         shade, known = self._log_shade(depth, intrinsics)
         if known.sum() < MIN_PIXELS:
             return rgb
-        gain = self.gain(rgb, depth, intrinsics)
-        factor = np.exp(np.clip((gain is not None) * (self.level - (gain or 0.0)) - shade, -MOST, MOST))
         linear = _linear(rgb)
+        gain = _median_gain(linear, shade, known & _is_exposed(rgb))
+        brighten = 0.0 if gain is None else self.level - gain
+        factor = np.exp(np.clip(brighten - shade, -MOST, MOST))
         result = np.where(known[..., None], linear * factor[..., None], linear)
         return np.rint(255 * np.clip(result, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
 
     def gain(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]) -> float | None:
         """The frame's median log luminance with the lamp divided out; None if too few pixels tell."""
         shade, known = self._log_shade(depth, intrinsics)
-        judged = known & _is_exposed(rgb)
-        if judged.sum() < MIN_PIXELS:
-            return None
-        return float(np.median((np.log(np.maximum(_linear(rgb) @ LUMA, 1e-4)) - shade)[judged]))
+        return _median_gain(_linear(rgb), shade, known & _is_exposed(rgb))
 
     def _log_shade(
         self, depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
@@ -148,6 +146,12 @@ def _samples(
     bright = _linear(rgb.reshape(-1, 3)[chosen]) @ LUMA
     columns = (bright, *(image.ravel()[chosen] for image in (distance, cosine, ahead)))
     return np.log(np.stack(columns, axis=1).astype(np.float64))
+
+
+def _median_gain(linear: NDArray[np.float32], shade: NDArray[np.float32], judged: NDArray[np.bool_]) -> float | None:
+    if judged.sum() < MIN_PIXELS:
+        return None
+    return float(np.median((np.log(np.maximum(linear @ LUMA, 1e-4)) - shade)[judged]))
 
 
 def _is_exposed(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -102,7 +102,7 @@ def seen_twice(monkeypatch):
     """The stage with hand-made links in place of images."""
     monkeypatch.setattr(pipeline.refinement, "find_places", lambda part, *_: places(part))
     monkeypatch.setattr(pipeline.refinement, "loop_candidates", lambda *_: [])
-    monkeypatch.setattr(pipeline.refinement, "find_links", lambda *_: iter(true_links()))
+    monkeypatch.setattr(pipeline.refinement, "find_links", lambda *_: true_links())
     monkeypatch.setattr(pipeline.refinement, "adjust_loops", lambda _, closed, *__: closed.part)
 
 
@@ -253,7 +253,7 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     for name in ("loop_candidates", "join_candidates"):
         monkeypatch.setattr(pipeline.refinement, name, lambda *_: [])
     monkeypatch.setattr(
-        pipeline.refinement, "find_links", lambda pair, *_: iter(links if pair[0] is not pair[1] else [])
+        pipeline.refinement, "find_links", lambda pair, *_: links if pair[0] is not pair[1] else []
     )
     refined = refine_poses(frames, parts, CONFIG, workspace, SilentProgress())
     assert len(refined) == 1

@@ -1,7 +1,7 @@
 """Working frames to submaps by streaming odometry: the door of this package."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -52,7 +52,7 @@ def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, p
         merged, joins = polish_and_merge(maps, read, seed)
     found = _submaps(merged, frames.camera.params)
     if found and not frames.camera.trusted:
-        found = _with_better_lens(found[0], merged, frames, seed, workspace, progress)
+        found = _with_better_lens(found, merged, frames, seed, workspace, progress)
     return Tracked(found, rate, len(maps), joins)
 
 
@@ -64,15 +64,16 @@ def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float
 
 
 def _with_better_lens(
-    largest: Submap, maps: list[LocalMap], frames: Frames, seed: int, workspace: Workspace, progress: Progress
+    found: list[Submap], maps: list[LocalMap], frames: Frames, seed: int, workspace: Workspace, progress: Progress
 ) -> list[Submap]:
     """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not."""
-    lens = refine_lens(largest, frames.camera, seed, workspace.log, progress)
-    if lens.determined:
-        rays = RayTable(lens.camera)
-        for local_map in maps:
-            local_map.recalibrate(rays)
-            polish(local_map, changed=True)
+    lens = refine_lens(found[0], frames.camera, seed, workspace.log, progress)
+    if not lens.determined:
+        return [replace(submap, camera_sigma=lens.sigma) for submap in found]
+    rays = RayTable(lens.camera)
+    for local_map in maps:
+        local_map.recalibrate(rays)
+        polish(local_map, changed=True)
     return _submaps(maps, lens.camera.params, lens.sigma)
 
 

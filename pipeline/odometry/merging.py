@@ -19,15 +19,12 @@ from pipeline.odometry.similarity import (
     Side,
     moved_points,
     refine_similarity,
-    robust_similarity,
     scale_of,
     similarity_errors,
+    sure_similarity,
 )
 
 PER_PLACE = 3  # look-alikes tried
-MIN_INLIERS = 20
-MIN_INLIER_SHARE = 0.4  # of the matches; by chance a twentieth agrees
-MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
 MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neighbours see one and the same picture
 SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
 MAX_SAME_PX = 8.0
@@ -130,28 +127,17 @@ def _are_apart(one: Link, other: Link, maps: tuple[LocalMap, LocalMap]) -> bool:
 
 def _link(first: LocalMap, place: Place, second: LocalMap, other: Place, rng: np.random.Generator) -> Link | None:
     pairs = match(place.rooted, other.rooted)
-    if len(pairs) < MIN_INLIERS:
-        return None
     sides = []
     for local_map, shown, rows in ((first, place, pairs[:, 0]), (second, other, pairs[:, 1])):
         seen, gain = local_map.rays.look_up(shown.pixels[rows])
         sides.append(Side(shown.points[rows], local_map.keyframes[shown.keyframe].pose, seen, gain))
-    found = robust_similarity(sides[0], sides[1], rng)
+    pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
+    found = sure_similarity(sides[0], sides[1], pixels, first.rays.camera.width, rng)
     if found is None:
         return None
     similarity, inlier = found
-    pixels = place.pixels[pairs[inlier, 0]], other.pixels[pairs[inlier, 1]]
-    width = first.rays.camera.width
-    if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
-        return None
-    if min(_narrow_spread(p) for p in pixels) < MIN_SPREAD * width:
-        return None
     inliers = pairs[inlier, 0], pairs[inlier, 1]
     return Link((place, other), similarity, sides[0].at(inlier), sides[1].at(inlier), inliers)
-
-
-def _narrow_spread(pixels: Array) -> float:
-    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels.T))[0], 0)))
 
 
 def _explains(similarity: Array, link: Link) -> bool:

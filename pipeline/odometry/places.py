@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import QhullError
 
 from pipeline.loop_pairs import vlad
 from pipeline.odometry.local_map import LocalMap
@@ -71,7 +72,7 @@ def match(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np
 
 def look_alikes(first: list[Place], second: list[Place], per_place: int, seed: int) -> list[tuple[int, int]]:
     """Pairs of rows whose signatures (VLAD, see pipeline/loop_pairs.py) are nearest, most alike first."""
-    words = _words(np.concatenate([p.descriptors for p in first + second]), seed)
+    words = learn_words(np.concatenate([p.descriptors for p in first + second]), seed)
     one = np.stack([vlad(p.rooted, words) for p in first])
     other = np.stack([vlad(p.rooted, words) for p in second])
     likeness = one @ other.T
@@ -105,14 +106,23 @@ def _place(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArr
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
     front = depth > 0
-    inverse_depth = LinearNDInterpolator(keyframe.pixels[known][front], 1 / depth[front])(pixels)
+    inverse_depth = inverse_depth_at(pixels, keyframe.pixels[known][front], depth[front])
     good = np.isfinite(inverse_depth)
     seen, _ = local_map.rays.look_up(pixels[good])
     local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]
     return Place(number, pixels[good], descriptors[good], in_camera(inverse(keyframe.pose), local))
 
 
-def _words(descriptors: NDArray[np.uint8], seed: int) -> NDArray[np.float32]:
+def inverse_depth_at(pixels: Array, known: Array, depth: Array) -> Array:
+    """(N,) inverse depth at pixels (N,2) from known ones (K,2) of depth (K,), linear as it is across a plane's image;
+    NaN outside their hull, and everywhere if they have none."""
+    try:
+        return LinearNDInterpolator(known, 1 / depth)(pixels) if len(known) > 3 else np.full(len(pixels), np.nan)
+    except QhullError:  # all on one line
+        return np.full(len(pixels), np.nan)
+
+
+def learn_words(descriptors: NDArray[np.uint8], seed: int) -> NDArray[np.float32]:
     """(WORDS,128) k-means centres of a sample, of RootSIFT."""
     if len(descriptors) > SAMPLE:
         chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)

@@ -16,6 +16,7 @@ from pipeline.camera import Camera
 from pipeline.errors import HaustraError
 from pipeline.isolation import run_isolated
 from pipeline.odometry.colmap_text import write_model
+from pipeline.odometry.local_map import LOSS_PX
 from pipeline.progress import Progress
 from pipeline.submap import Submap
 
@@ -23,7 +24,6 @@ MOST_FRAMES = 100  # that determine the lens: more cost minutes and add little
 WIDEST_STEP = 10  # frames between two of them; points are followed over some tens of frames
 MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
 MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
-LOSS_PX = 0.8
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ from reconstruction.trajectory import align_umeyama
 
 ROUNDS = 300
 MAX_ERROR_PX = 4.0
+MIN_INLIERS = 20
+MIN_INLIER_SHARE = 0.4  # of the matches; by chance a twentieth agrees
+MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
 MAX_SCALE = 20.0  # two maps of one place are in units of its depth; farther apart is a false fit
 
 
@@ -110,6 +113,28 @@ def _fit(source: Array, target: Array) -> Array | None:
     except ReconstructionError:
         return None
     return found if np.isfinite(found).all() and 1 / MAX_SCALE < scale_of(found) < MAX_SCALE else None
+
+
+def sure_similarity(
+    first: Side, second: Side, pixels: tuple[Array, Array], width: int, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """`robust_similarity` if enough of the matches agree, spread over both images.
+
+    pixels: (N,2) where the points lie in either image, `width` px wide.
+    """
+    if len(first.points) < MIN_INLIERS:
+        return None
+    found = robust_similarity(first, second, rng)
+    if found is None:
+        return None
+    inlier = found[1]
+    if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
+        return None
+    return None if min(_narrow_spread(p[inlier]) for p in pixels) < MIN_SPREAD * width else found
+
+
+def _narrow_spread(pixels: Array) -> float:
+    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels.T))[0], 0)))
 
 
 def _is_alike(source: Array, target: Array) -> bool:
