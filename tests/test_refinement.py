@@ -252,9 +252,7 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     monkeypatch.setattr(pipeline.refinement, "find_places", lambda part, *_: places(part))
     for name in ("loop_candidates", "join_candidates"):
         monkeypatch.setattr(pipeline.refinement, name, lambda *_: [])
-    monkeypatch.setattr(
-        pipeline.refinement, "find_links", lambda pair, *_: links if pair[0] is not pair[1] else []
-    )
+    monkeypatch.setattr(pipeline.refinement, "find_links", lambda pair, *_: links if pair[0] is not pair[1] else [])
     refined = refine_poses(frames, parts, CONFIG, workspace, SilentProgress())
     assert len(refined) == 1
     assert workspace.result("refinement")["submaps"][0]["members"] == [0, 1]
