@@ -13,7 +13,9 @@ from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.merging import polish_and_merge
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
+from pipeline.odometry.places import ReadFrame
 from pipeline.odometry.rays import RayTable
+from pipeline.odometry.refit import refit
 from pipeline.odometry.self_calibration import refine_lens
 from pipeline.progress import Progress
 from pipeline.submap import Submap
@@ -50,10 +52,26 @@ def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, p
     maps = odometry.finish()
     with progress.bar("joining submaps", None):
         merged, joins = polish_and_merge(maps, read, seed)
+    _refit(merged, read, progress)
     found = _submaps(merged, frames.camera.params)
     if found and not frames.camera.trusted:
-        found = _with_better_lens(found, merged, frames, seed, workspace, progress)
+        found = _with_better_lens(found, merged, frames, seed, read, workspace, progress)
     return Tracked(found, rate, len(maps), joins)
+
+
+def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> None:
+    """Every map moved to where its own features have it; one that they do not hold stays."""
+    with progress.bar("features of keyframes", sum(len(m.keyframes) for m in maps)) as advance:
+        done = 0
+
+        def counted(frame: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+            nonlocal done
+            done += 1
+            advance(done)
+            return read(frame)
+
+        for local_map in maps:
+            refit(local_map, counted)
 
 
 def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = ()) -> list[Submap]:
@@ -64,16 +82,27 @@ def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float
 
 
 def _with_better_lens(
-    found: list[Submap], maps: list[LocalMap], frames: Frames, seed: int, workspace: Workspace, progress: Progress
+    found: list[Submap],
+    maps: list[LocalMap],
+    frames: Frames,
+    seed: int,
+    read: ReadFrame,
+    workspace: Workspace,
+    progress: Progress,
 ) -> list[Submap]:
-    """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not."""
-    lens = refine_lens(found[0], frames.camera, seed, workspace.log, progress)
+    """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not.
+
+    Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit.
+    """
+    by_features = _submaps([local_map.of_features() for local_map in maps], frames.camera.params)
+    lens = refine_lens((by_features or found)[0], frames.camera, seed, workspace.log, progress)
     if not lens.determined:
         return [replace(submap, camera_sigma=lens.sigma) for submap in found]
     rays = RayTable(lens.camera)
     for local_map in maps:
         local_map.recalibrate(rays)
         polish(local_map, changed=True)
+    _refit(maps, read, progress)
     return _submaps(maps, lens.camera.params, lens.sigma)
 
 

@@ -4,7 +4,7 @@ Memory follows the map: keyframes and points, no images. A frame between keyfram
 keyframe before it and 12 bytes for each point that it saw, which the result needs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ class LocalMap:
         self.barred = np.zeros(1024, dtype=bool)  # tracks whose point was found wrong
         self.keyframes: list[Keyframe] = []
         self.posed: list[PosedFrame] = []
+        self.first_feature: int | None = None  # tracks from here on were not followed but found anew, see `refit`
 
     def reserve(self, count: int) -> None:
         """Make room for track numbers below `count`."""
@@ -93,6 +94,33 @@ class LocalMap:
         self.rays = rays
         for keyframe in self.keyframes:
             keyframe.seen, keyframe.gain = rays.look_up(keyframe.pixels)
+
+    def add_features(self, points: Array, known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """New tracks (N,) for points (N,3), after all others; they can be forgotten together."""
+        begun = self.first_feature = len(self.known)
+        self.reserve(begun + len(points))
+        ids = np.arange(begun, begun + len(points))
+        self.points[ids], self.known[ids] = points, known
+        return ids
+
+    def forget_features(self) -> None:
+        """Undo `add_features`."""
+        if self.first_feature is None:
+            return
+        self.known[self.first_feature :] = False
+        for keyframe in self.keyframes:
+            keyframe.keep(keyframe.ids < self.first_feature)
+        self.first_feature = None
+
+    def of_features(self) -> "LocalMap":
+        """The keyframes with what `add_features` gave them and nothing else; it shares the points with this map."""
+        part = LocalMap(self.rays)
+        part.points, part.known, part.barred = self.points, self.known, self.barred
+        first = len(self.known) if self.first_feature is None else self.first_feature
+        for keyframe in self.keyframes:
+            mine = keyframe.ids >= first
+            part.add_keyframe(keyframe.frame, keyframe.pose, keyframe.ids[mine], keyframe.pixels[mine])
+        return part
 
     def add_posed(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
         relative = pose @ inverse(self.keyframes[-1].pose)
@@ -149,6 +177,15 @@ class LocalMap:
             keyframe.pose = compose(result.rotation[number], result.translation[number])
         self.points[tracks] = result.points
         self._cull(result, tracks, held + free, max_error_px)
+
+    def fit_points(self, iterations: int = 10) -> None:
+        """All points fitted to the keyframes as they stand, and those dropped that do not fit."""
+        bundle, tracks = self._bundle([], self.keyframes)
+        if len(tracks) == 0:
+            return
+        result = adjust(replace(bundle, fixed=np.ones(len(bundle.fixed), dtype=bool)), iterations, LOSS_PX)
+        self.points[tracks] = result.points
+        self._cull(result, tracks, self.keyframes, MAX_ERROR_PX)
 
     def _sharing(self, free: list[Keyframe], others: list[Keyframe], most: int) -> list[Keyframe]:
         """Those of `others` that see most points of `free`, at most so many, in their order."""

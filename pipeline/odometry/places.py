@@ -51,7 +51,7 @@ def find_places(local_map: LocalMap, read: ReadFrame) -> list[Place]:
     places = []
     for number in range(0, len(local_map.keyframes), max(1, step)):
         rgb, mask = read(local_map.keyframes[number].frame)
-        places.append(_place(local_map, number, rgb, local_map.rays.masked(mask)))
+        places.append(place_of(local_map, number, rgb, local_map.rays.masked(mask)))
     return [place for place in places if len(place.points) >= MIN_POINTS]
 
 
@@ -59,14 +59,13 @@ def match(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np
     """(K,2) rows of descriptors that are each other's nearest and clearly nearer than the second nearest."""
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    distance = np.sqrt(np.maximum((first**2).sum(1)[:, None] + (second**2).sum(1)[None] - 2 * first @ second.T, 0))
+    squared = (first**2).sum(1)[:, None] + (second**2).sum(1)[None] - 2 * first @ second.T
     row = np.arange(len(first))
-    nearest = distance.argmin(axis=1)
-    best = distance[row, nearest]
-    mutual = distance.argmin(axis=0)[nearest] == row
-    others = distance.copy()
-    others[row, nearest] = np.inf
-    good = mutual & (best < RATIO * others.min(axis=1))
+    nearest = squared.argmin(axis=1)
+    mutual = squared.argmin(axis=0)[nearest] == row
+    best = squared[row, nearest]
+    squared[row, nearest] = np.inf
+    good = mutual & (np.maximum(best, 0) < RATIO**2 * squared.min(axis=1))
     return np.stack([row[good], nearest[good]], axis=1)
 
 
@@ -87,19 +86,23 @@ def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.sqrt(whole / np.maximum(whole.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
 
 
-def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> tuple[Array, NDArray[np.uint8]]:
+def sift(
+    rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST
+) -> tuple[Array, NDArray[np.uint8]]:
     """Pixels (N,2), COLMAP's convention, and SIFT descriptors (N,128)."""
-    detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=CONTRAST)
+    detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=contrast)
     keypoints, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), mask)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)
     return np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5, descriptors.astype(np.uint8)
 
 
-def _place(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Place:
+def place_of(
+    local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST
+) -> Place:
     """SIFT features within the hull of the keyframe's map points; inverse depth is linear across a plane's image."""
     keyframe = local_map.keyframes[number]
-    pixels, descriptors = sift(rgb, mask)
+    pixels, descriptors = sift(rgb, mask, contrast)
     known = local_map.known[keyframe.ids]
     nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
     if known.sum() < MIN_POINTS or len(pixels) == 0:

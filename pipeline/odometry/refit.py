@@ -1,0 +1,185 @@
+"""A finished map adjusted once more, to features that are found anew in each of its keyframes.
+
+A corner that is followed from frame to frame slides a little, and always the same way while the camera moves the same
+way: that bends the scale along the path, and no adjustment of the same corners can see it. Features that each keyframe
+finds for itself, matched to where the map has them, do not slide. Poses come from them alone; the corners' points
+follow, and the features become points of the map.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+from pipeline.odometry.local_map import LocalMap, PosedFrame
+from pipeline.odometry.outcome import polish
+from pipeline.odometry.places import Place, ReadFrame, match, place_of
+from pipeline.odometry.poses import Array, in_camera, inverse
+from pipeline.odometry.resection import reprojection_errors
+
+CONTRAST = 0.002  # of a feature; pale mucosa has little more
+AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
+MIN_SHARED = 10  # points that make another keyframe worth comparing
+MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
+MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follows its neighbour
+TYPICAL = 100  # features of the median keyframe: fewer are no better than the corners
+MIN_TIE = 12  # features that hold two keyframes together
+MAX_FOLLOWING = 0.1  # share of keyframes that may follow
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Features that are one point. points (T,3) in the world; track, place, feature (M,): observation m is feature
+    `feature` of place `place`."""
+
+    points: Array
+    track: NDArray[np.int64]
+    place: NDArray[np.int64]
+    feature: NDArray[np.int64]
+
+
+def refit(local_map: LocalMap, read: ReadFrame) -> bool:
+    """Move the map to where its own features have it, if they hold it; says whether they do.
+
+    The features of an earlier call are forgotten first.
+    """
+    local_map.forget_features()
+    places = []
+    for number, keyframe in enumerate(local_map.keyframes):
+        rgb, mask = read(keyframe.frame)
+        places.append(place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST))
+    fitted = _map_of_features(local_map, places, join_features(local_map, places))
+    if not _is_held(fitted, TYPICAL):
+        return False
+    before = fitted.points.copy()
+    polish(fitted, changed=True)
+    if not _is_held(fitted, TYPICAL / 2):
+        return False
+    _follow(local_map, fitted, before)
+    return True
+
+
+def join_features(local_map: LocalMap, places: list[Place]) -> Tracks:
+    """Features of near keyframes that look alike and lie where the map has them are one point."""
+    starts = np.concatenate([[0], np.cumsum([len(place.pixels) for place in places])])
+    found = [_same(local_map, places[i], places[j]) + starts[[i, j]] for i, j in _near(local_map)]
+    ties = np.concatenate([np.zeros((0, 2), np.int64), *found])
+    graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(int(starts[-1]),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    place = np.repeat(np.arange(len(places)), np.diff(starts))
+    _, same, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(times[same.ravel()] == 1)  # two features of one picture are not one point
+    seen = np.bincount(label[single], minlength=int(starts[-1]))
+    chosen = single[seen[label[single]] >= 2]
+    track = np.unique(label[chosen], return_inverse=True)[1]
+    world = np.concatenate([np.zeros((0, 3)), *(p.points for p in places)])[chosen]
+    total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
+    points = total / np.maximum(np.bincount(track), 1)[:, None]
+    return Tracks(points, track, place[chosen], chosen - starts[place[chosen]])
+
+
+def _near(local_map: LocalMap) -> list[tuple[int, int]]:
+    """Pairs of keyframes that follow each other or, after a join, saw the same from elsewhere."""
+    seen = _incidence(local_map)
+    shared = csr_array(seen @ seen.T)
+    pairs = set()
+    for one in range(len(local_map.keyframes)):
+        pairs |= {(one, other) for other in range(one + 1, min(one + AHEAD + 1, len(local_map.keyframes)))}
+        row = slice(shared.indptr[one], shared.indptr[one + 1])
+        others, count = shared.indices[row], shared.data[row]
+        far = (np.abs(others - one) > AHEAD) & (count >= MIN_SHARED)
+        best = others[far][np.lexsort((others[far], -count[far]))[:AHEAD]]
+        pairs |= {(min(one, int(k)), max(one, int(k))) for k in best}
+    return sorted(pairs)
+
+
+def _same(local_map: LocalMap, here: Place, there: Place) -> NDArray[np.int64]:
+    """(K,2) features of two keyframes that look alike and lie where the map says."""
+    pairs = match(here.rooted, there.rooted)
+    if len(pairs) == 0:
+        return pairs
+    seen, gain = local_map.rays.look_up(there.pixels[pairs[:, 1]])
+    pose = local_map.keyframes[there.keyframe].pose
+    return pairs[reprojection_errors(pose, here.points[pairs[:, 0]], seen, gain) < MAX_OFF_PX]
+
+
+def _map_of_features(local_map: LocalMap, places: list[Place], tracks: Tracks) -> LocalMap:
+    """The same keyframes, which see the features and nothing else."""
+    fitted = LocalMap(local_map.rays)
+    fitted.reserve(len(tracks.points))
+    fitted.points[: len(tracks.points)] = tracks.points
+    fitted.known[: len(tracks.points)] = True
+    for number, (keyframe, place) in enumerate(zip(local_map.keyframes, places, strict=True)):
+        mine = tracks.place == number
+        fitted.add_keyframe(keyframe.frame, keyframe.pose, tracks.track[mine], place.pixels[tracks.feature[mine]])
+    return fitted
+
+
+def _is_held(fitted: LocalMap, typical: float) -> bool:
+    """Whether features are many, few keyframes are left to follow, and all others hang together."""
+    if len(fitted.keyframes) < 2:
+        return False
+    seen = _incidence(fitted)
+    count = np.diff(seen.indptr)
+    fixed = np.flatnonzero(count >= MIN_SEEN)
+    if len(fixed) < (1 - MAX_FOLLOWING) * len(count) or np.median(count) < typical:
+        return False
+    tied = (seen[fixed] @ seen[fixed].T) >= MIN_TIE
+    return connected_components(tied, directed=False)[0] == 1
+
+
+def _incidence(local_map: LocalMap) -> csr_array:
+    """(keyframes, tracks) ones where a keyframe sees a known point."""
+    ids = [np.unique(k.ids[local_map.known[k.ids]]) for k in local_map.keyframes]
+    starts = np.concatenate([[0], np.cumsum([len(i) for i in ids])])
+    columns = np.concatenate([np.zeros(0, np.int64), *ids])
+    return csr_array((np.ones(len(columns)), columns, starts), shape=(len(ids), len(local_map.known)))
+
+
+def _follow(local_map: LocalMap, fitted: LocalMap, before: Array) -> None:
+    """Take over the keyframes' poses; frames between them and the old points follow, the features join the points.
+
+    before: the features' points (T,3) from before the adjustment.
+    """
+    old, scale = [keyframe.pose for keyframe in local_map.keyframes], _scales(local_map, fitted, before)
+    fixed = np.flatnonzero(np.isfinite(scale))
+    points = local_map.points.copy()
+    for number in range(len(old) - 1, -1, -1):  # a point follows the first keyframe that saw it
+        keyframe, guide = local_map.keyframes[number], int(fixed[np.abs(fixed - number).argmin()])
+        scale[number] = scale[guide]
+        relative = old[number] @ inverse(old[guide])
+        relative[:3, 3] *= scale[guide]
+        keyframe.pose = relative @ fitted.keyframes[guide].pose
+        seen = keyframe.ids[local_map.known[keyframe.ids]]
+        points[seen] = in_camera(inverse(keyframe.pose), scale[number] * in_camera(old[number], local_map.points[seen]))
+    local_map.points = points
+    local_map.posed = [_scaled(posed, scale[posed.keyframe]) for posed in local_map.posed]
+    _take_over(local_map, fitted)
+    local_map.fit_points()
+
+
+def _scales(local_map: LocalMap, fitted: LocalMap, before: Array) -> Array:
+    """(K,) by how much each keyframe's features moved away from it, in the median; NaN where too few fix it."""
+    scale = np.full(len(fitted.keyframes), np.nan)
+    for number, (keyframe, old) in enumerate(zip(fitted.keyframes, local_map.keyframes, strict=True)):
+        ids = keyframe.ids[fitted.known[keyframe.ids]]
+        if len(ids) >= MIN_SEEN:
+            depth = [in_camera(p.pose, x[ids])[:, 2] for p, x in ((keyframe, fitted.points), (old, before))]
+            scale[number] = np.exp(np.median(np.log(np.maximum(depth[0], 1e-9) / np.maximum(depth[1], 1e-9))))
+    return scale
+
+
+def _scaled(posed: PosedFrame, scale: float) -> PosedFrame:
+    relative = posed.from_keyframe.copy()
+    relative[:3, 3] *= scale
+    return replace(posed, from_keyframe=relative)
+
+
+def _take_over(local_map: LocalMap, fitted: LocalMap) -> None:
+    """The features as tracks of the map."""
+    ids = local_map.add_features(fitted.points, fitted.known)
+    for number, keyframe in enumerate(fitted.keyframes):
+        good = fitted.known[keyframe.ids]
+        local_map.extend(number, ids[keyframe.ids[good]], keyframe.pixels[good])

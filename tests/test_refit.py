@@ -1,0 +1,136 @@
+"""A finished map adjusted to the features of its keyframes, on rendered views of a textured tube."""
+
+import copy
+
+import cv2
+import numpy as np
+import pytest
+from test_odometry import CAMERA, MASK, RADIUS, camera_at, render, run
+
+from pipeline.odometry.merging import polish_and_merge
+from pipeline.odometry.outcome import to_submap
+from pipeline.odometry.poses import in_camera, inverse
+from pipeline.odometry.refit import refit
+from reconstruction.trajectory import align_umeyama, trajectory_errors
+
+TRUE = np.stack([camera_at(k) for k in range(40)])
+IMAGES = [render(pose) for pose in TRUE]
+
+
+def read(frame):
+    return IMAGES[frame], MASK
+
+
+def make():
+    maps, _ = run(IMAGES)
+    merged, _ = polish_and_merge(maps, read, 0)
+    return merged[0]
+
+
+@pytest.fixture(scope="module")
+def finished():
+    return make()
+
+
+def bent(local_map, growth):
+    """The map with a scale that grows along the axis: as corners that slide would leave it."""
+    world = to_submap(local_map, CAMERA.params)
+    direction = world.centres[-1] - world.centres[0]
+    length = float(np.linalg.norm(direction))
+    start = world.centres[0].copy()
+
+    def place(points):
+        along = ((points - start) @ direction / length**2).clip(-1, 2)[..., None]
+        return start + (points - start) * np.exp(growth * along)
+
+    result = copy.deepcopy(local_map)
+    for keyframe in result.keyframes:
+        outward = inverse(keyframe.pose)
+        outward[:3, 3] = place(outward[None, :3, 3])[0]
+        keyframe.pose = inverse(outward)
+    result.points = place(result.points)
+    return result
+
+
+def error(local_map):
+    submap = to_submap(local_map, CAMERA.params)
+    return trajectory_errors(submap.world_from_camera, TRUE[submap.frames]).ate_rmse
+
+
+def test_a_bent_scale_is_taken_back(finished):
+    crooked = bent(finished, 0.25)
+    before = error(crooked)
+    assert refit(crooked, read)
+    assert before > 0.4
+    assert error(crooked) < 0.05 * before
+
+
+def test_the_features_lie_on_the_wall(finished):
+    local_map = copy.deepcopy(finished)
+    assert refit(local_map, read)
+    submap = to_submap(local_map.of_features(), CAMERA.params)
+    aligned = align_umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
+    points = submap.points @ aligned[:3, :3].T + aligned[:3, 3]
+    off = np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)
+    assert len(points) > 300
+    assert np.median(off) < 0.01 * RADIUS
+
+
+def test_too_few_features_move_nothing(finished):
+    local_map = copy.deepcopy(finished)
+    poses = [keyframe.pose.copy() for keyframe in local_map.keyframes]
+    points = local_map.points.copy()
+    assert not refit(local_map, lambda frame: (cv2.GaussianBlur(IMAGES[frame], (0, 0), 6), MASK))
+    np.testing.assert_array_equal(local_map.points, points)
+    np.testing.assert_array_equal([keyframe.pose for keyframe in local_map.keyframes], poses)
+
+
+def test_a_keyframe_without_features_follows_its_neighbour(finished):
+    blind = len(finished.keyframes) // 2
+    frame = finished.keyframes[blind].frame
+    local_map = bent(finished, 0.25)
+    for keyframe in local_map.keyframes[blind : blind + 1]:
+        keyframe.keep(np.zeros(len(keyframe.ids), bool))
+    hidden = np.zeros_like(MASK)
+    assert refit(local_map, lambda number: (IMAGES[number], hidden if number == frame else MASK))
+    poses = np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
+    true = TRUE[[keyframe.frame for keyframe in local_map.keyframes]]
+    aligned = align_umeyama(poses[:, :3, 3], true[:, :3, 3], with_scale=True)
+    off = np.linalg.norm(poses[:, :3, 3] @ aligned[:3, :3].T + aligned[:3, 3] - true[:, :3, 3], axis=1)
+    step = np.linalg.norm(true[blind, :3, 3] - true[blind - 1, :3, 3])
+    assert off[blind] < 0.2 * step
+    assert np.median(off) < 0.05 * step
+
+
+def test_a_second_time_the_features_of_the_first_are_forgotten(finished):
+    local_map = copy.deepcopy(finished)
+    assert refit(local_map, read)
+    once = local_map.of_features()
+    seen = [len(keyframe.ids) for keyframe in once.keyframes]
+    assert refit(local_map, read)
+    again = [len(keyframe.ids) for keyframe in local_map.of_features().keyframes]
+    assert np.median(again) == pytest.approx(np.median(seen), rel=0.1)
+    local_map.forget_features()
+    assert not any(len(keyframe.ids) for keyframe in local_map.of_features().keyframes)
+
+
+def test_two_runs_agree_to_the_bit(finished):
+    first, second = copy.deepcopy(finished), copy.deepcopy(finished)
+    assert refit(first, read)
+    assert refit(second, read)
+    np.testing.assert_array_equal(first.points, second.points)
+    for one, other in zip(first.keyframes, second.keyframes, strict=True):
+        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(one.ids, other.ids)
+
+
+def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
+    local_map = bent(finished, 0.25)
+    assert refit(local_map, read)
+    corners = local_map.first_feature
+    for keyframe in local_map.keyframes:
+        mine = local_map.known[keyframe.ids] & (keyframe.ids < corners)
+        local = in_camera(keyframe.pose, local_map.points[keyframe.ids[mine]])
+        off = np.linalg.norm(CAMERA.project(local) - keyframe.pixels[mine], axis=1)
+        assert np.median(off) < 0.5
+        assert off.max() < 2.01
