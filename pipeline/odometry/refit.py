@@ -6,7 +6,9 @@ finds for itself, matched to where the map has them, do not slide. Poses come fr
 follow, and the features become points of the map.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,7 @@ MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follo
 TYPICAL = 100  # features of the median keyframe: fewer are no better than the corners
 MIN_TIE = 12  # features that hold two keyframes together
 MAX_FOLLOWING = 0.1  # share of keyframes that may follow
+THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
 
 @dataclass(frozen=True)
@@ -46,11 +49,11 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
-    places = []
-    for number, keyframe in enumerate(local_map.keyframes):
-        rgb, mask = read(keyframe.frame)
-        places.append(place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST))
-    fitted = _map_of_features(local_map, places, join_features(local_map, places))
+    with ThreadPoolExecutor(THREADS) as threads:
+        places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
+        pairs = _near(local_map)
+        same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
+    fitted = _map_of_features(local_map, places, join_features(places, pairs, same))
     if not _is_held(fitted, TYPICAL):
         return False
     before = fitted.points.copy()
@@ -61,16 +64,21 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     return True
 
 
-def join_features(local_map: LocalMap, places: list[Place]) -> Tracks:
-    """Features of near keyframes that look alike and lie where the map has them are one point."""
+def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
+    rgb, mask = read(local_map.keyframes[number].frame)
+    return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST)
+
+
+def join_features(places: list[Place], pairs: list[tuple[int, int]], same: list[NDArray[np.int64]]) -> Tracks:
+    """One point for all features that are the same, as each pair of keyframes has it: `same` holds (K,2) rows."""
     starts = np.concatenate([[0], np.cumsum([len(place.pixels) for place in places])])
-    found = [_same(local_map, places[i], places[j]) + starts[[i, j]] for i, j in _near(local_map)]
+    found = [rows + starts[list(pair)] for pair, rows in zip(pairs, same, strict=True)]
     ties = np.concatenate([np.zeros((0, 2), np.int64), *found])
     graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(int(starts[-1]),) * 2)
     label = connected_components(graph, directed=False)[1]
     place = np.repeat(np.arange(len(places)), np.diff(starts))
-    _, same, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
-    single = np.flatnonzero(times[same.ravel()] == 1)  # two features of one picture are not one point
+    _, group, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(times[group.ravel()] == 1)  # two features of one picture are not one point
     seen = np.bincount(label[single], minlength=int(starts[-1]))
     chosen = single[seen[label[single]] >= 2]
     track = np.unique(label[chosen], return_inverse=True)[1]
