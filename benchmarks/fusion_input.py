@@ -1,140 +1,158 @@
-"""What the depth is worth to the mesh: one run's poses fused with linear interpolation, completion, and true depth.
+"""What depth, and each part of the fusion, is worth to the mesh: finished runs fused anew and measured against truth.
 
-    python benchmarks/fusion_input.py RUN RGBD_FOLDER --model mscsa --model W.safetensors --json fusion_input.json
+    python benchmarks/fusion_input.py RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
 
-RUN must be a finished run of the folder's frames. All are fused by the same code and ranges, at the same keyframes and
-poses; the surfaces are compared as `haustra compare` does. `the run's own` is the depth that the run wrote; each
-`--model` completes the same sparse points anew. Each is fused with and without its confidence, and with and without the
-consistency check. Linear: Delaunay interpolation of each keyframe's sparse depth, nothing
-outside the hull. True depth is divided by the scale of the path.
+RUN must be a finished run of the RGB-D folder's frames. Its keyframes, poses and voxels are fused with linear
+interpolation of its sparse points, what each `--model` makes of them, the depth that the run wrote, and true depth;
+each without and with consistency between keyframes and confidence as weights, and, where closing loops moved the map,
+without that. Surfaces are compared as `haustra compare` does. docs/fusion.md explains the columns.
+
+A `--model` of the paper's kind is given the sparse points in true millimetres, which no run knows, on a picture of
+`--side` px, which must be what it was trained at (`paper_tables.py`: 160). It has no confidence, and neither have
+interpolated and true depth.
 """
 
 import argparse
-from collections.abc import Callable
+import statistics
+import sys
+import time
 from pathlib import Path
 
 import cv2
-import numpy as np
-from scipy.interpolate import LinearNDInterpolator
+from fusion_depths import depth_sources
+from fusion_parts import UNMOVED, VARIANTS, Figures, MeasuredRun
 
-from completion import DepthCompleter
-from pipeline.camera import read_camera
-from pipeline.config import Config
-from pipeline.consistency import ConsistencyCheck
-from pipeline.dense import DenseSubmap, Keyframe, planned_keyframes
-from pipeline.frames import load_frames
-from pipeline.refinement import refined_keyframes
-from pipeline.sparse_depth import SparseDepthMaker
-from pipeline.structure import load_structure
-from pipeline.surface import fusion_settings
-from pipeline.workspace import open_workspace
-from reconstruction.fusion import SurfaceFusion
-from reconstruction.mesh import drop_small_components
-from reconstruction.observed_truth import observed_truth
-from reconstruction.surface_metrics import surface_errors
-from reconstruction.trajectory import align_poses, associate, read_tum
 from record import write
 
-Source = Callable[[int, Keyframe], tuple[np.ndarray, np.ndarray | None]]
+COLUMNS = [*VARIANTS, UNMOVED]
+NOISE = 0.1  # points of F; the mesh sampled by five other seeds gave a standard deviation of 0.04
+# Name of a part, and the columns without and with it; without the pose graph everything else is on that the depth has.
+PARTS = {
+    "consistency, alone": ("plain", "consistency"),
+    "consistency, on top of confidence": ("confidence", "both"),
+    "confidence, alone": ("plain", "confidence"),
+    "confidence, on top of consistency": ("consistency", "both"),
+    "consistency and confidence": ("plain", "both"),
+    "pose graph, on top of all": (UNMOVED, None),
+}
+Depths = dict[str, dict[str, Figures]]  # depth -> column -> figures
 
 
-def linear_depth(maker: SparseDepthMaker, row: int, shape: tuple[int, int]) -> np.ndarray:
-    sparse = maker.sparse_depth(row)
-    rows, columns = np.indices(shape) + 0.5
-    return LinearNDInterpolator(sparse.pixels, sparse.depth, fill_value=0)(columns, rows).astype(np.float32)
+def fullest(columns: dict[str, Figures]) -> str:
+    """The last column that a depth has with the map as refined."""
+    return [name for name in VARIANTS if name in columns][-1]
 
 
-def true_depth(folder: Path, index: int, scale: float) -> np.ndarray:
-    """In scene units; the unit of the PNG is 0.01 mm in every RGB-D folder that the phantom writes."""
-    image = cv2.imread(str(folder / "depth" / f"{index:05d}.png"), cv2.IMREAD_UNCHANGED)
-    return image.astype(np.float32) * np.float32(0.01 / scale)
+def changes(depths: Depths) -> dict[str, dict[str, float]]:
+    """Part -> depth -> change of F in points, in one run; what it lacks is left out."""
+    found: dict[str, dict[str, float]] = {part: {} for part in PARTS}
+    for depth, columns in depths.items():
+        for part, (without, named) in PARTS.items():
+            with_it = named or fullest(columns)
+            if without in columns and with_it in columns:
+                found[part][depth] = 100 * (columns[with_it]["f_score"] - columns[without]["f_score"])
+    return found
 
 
-def completed(model: str, maker: SparseDepthMaker) -> Source:
-    """The depth that a model makes of the run's sparse points."""
-    completer = DepthCompleter.load(model)
+def summarised(runs: dict[str, Depths]) -> dict[str, dict[str, Figures]]:
+    """Part -> depth -> change of F in points over the runs that have both sides: median, extremes, how many runs have
+    them, and in how many F rises and falls by more than the noise."""
+    each = [changes(depths) for depths in runs.values()]
+    summary = {}
+    for part in PARTS:
+        names = dict.fromkeys(depth for run in each for depth in run[part])
+        summary[part] = {depth: spread_of([run[part][depth] for run in each if depth in run[part]]) for depth in names}
+    return summary
 
-    def depth(row: int, keyframe: Keyframe) -> tuple[np.ndarray, np.ndarray]:
-        known = keyframe.depth > 0  # the run leaves out what is outside the picture
-        depth, confidence = completer(keyframe.rgb, *maker.sparse_depth(row).maps(*known.shape))
-        return np.where(known, depth, 0), confidence
 
-    return depth
+def spread_of(values: list[float]) -> Figures:
+    return {
+        "median": statistics.median(values),
+        "min": min(values),
+        "max": max(values),
+        "helps": sum(value > NOISE for value in values),
+        "hurts": sum(value < -NOISE for value in values),
+        "runs": len(values),
+    }
+
+
+def table(runs: dict[str, Depths], about: dict[str, Figures]) -> str:
+    """Markdown, a row for each run and depth: F at 1 mm in %, mean accuracy and completeness in mm."""
+    lines = [f"| run | depth | {' | '.join(COLUMNS)} |", "|---" * (2 + len(COLUMNS)) + "|"]
+    for run, depths in runs.items():
+        of = about[run]
+        for row, (depth, columns) in enumerate(depths.items()):
+            label = f"{run} ({of['posed']} of {of['film']} frames)" if row == 0 else ""
+            cells = [cell(columns[name]) if name in columns else "" for name in VARIANTS]
+            unmoved = cell(columns[UNMOVED]) if UNMOVED in columns else of["refinement"]
+            lines.append(f"| {label} | {depth} | {' | '.join(cells)} | {unmoved} |")
+    return "\n".join(lines)
+
+
+def cell(figures: Figures) -> str:
+    distances = (figures["accuracy_mean"], figures["completeness_mean"])
+    return " / ".join([f"{100 * figures['f_score']:.1f}", *("-" if d is None else f"{d:.2f}" for d in distances)])
+
+
+def summary_table(summary: dict[str, dict[str, Figures]]) -> str:
+    """Markdown, a row for each part and depth that some run has."""
+    lines = ["| part | depth | change of F, points: median (least to most) | helps | hurts |", "|---" * 5 + "|"]
+    for part, depths in summary.items():
+        if not depths:
+            lines.append(f"| {part} | | not measured: no run has both | | |")
+        for depth, s in depths.items():
+            change = f"{s['median']:+.1f} ({s['min']:+.1f} to {s['max']:+.1f})"
+            lines.append(f"| {part} | {depth} | {change} | {s['helps']} of {s['runs']} | {s['hurts']} |")
+    return "\n".join(lines)
+
+
+def labelled(text: str) -> tuple[str, str]:
+    """LABEL=MODEL, or a shipped name or weight file that is its own label."""
+    label, _, model = text.rpartition("=")
+    return label or Path(model).stem, model
+
+
+def pair(text: str) -> tuple[Path, Path]:
+    run, equals, folder = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"{text!r} is not RUN=FOLDER")
+    return Path(run), Path(folder)
+
+
+def measured(run: MeasuredRun, models: dict[str, str], side: int) -> Depths:
+    depths: Depths = {}
+    for source in depth_sources(models, side):
+        start = time.monotonic()
+        depths[source.name] = run.measure(source)
+        shown = ", ".join(f"{name} {cell(figures)}" for name, figures in depths[source.name].items())
+        print(f"{run.name}, {source.name}: {shown} ({time.monotonic() - start:.0f} s)", file=sys.stderr, flush=True)
+    return depths
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--model", action="append", default=[], help="shipped name or weight file; may be repeated")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("pairs", metavar="RUN=FOLDER", type=pair, nargs="+", help="finished run and its RGB-D folder")
+    parser.add_argument(
+        "--model", type=labelled, action="append", default=[], help="[LABEL=]shipped name or weight file; repeatable"
+    )
+    parser.add_argument(
+        "--side", type=int, default=160, help="px, longer side of what a network of the paper's kind works on"
+    )
+    parser.add_argument("--json", type=Path, help="written anew after each run")
     arguments = parser.parse_args()
-    workspace = open_workspace(arguments.run)
-    frames, config = load_frames(workspace), workspace.config
-    part = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)[0]
-    seconds, poses = read_tum(arguments.folder / "trajectory.txt")
-    mine = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])
-    pairs = associate(mine, seconds, 0.5 * float(np.median(np.diff(seconds))))
-    truth_from_run = align_poses(part.submap.world_from_camera[pairs[0]], poses[pairs[1]])
-    scale = float(np.cbrt(np.linalg.det(truth_from_run[:3, :3])))
-    maker = SparseDepthMaker(part.submap, part.camera, config.sparse)
-    shape = (read_camera(workspace.camera).height, part.camera.width)
-    sources: dict[str, Source] = {
-        "linear": lambda row, keyframe: (linear_depth(maker, row, shape), None),
-        "the run's own": lambda row, keyframe: (keyframe.depth, keyframe.confidence),
-        **{f"model {model}": completed(model, maker) for model in arguments.model},
-        "true depth": lambda row, keyframe: (true_depth(arguments.folder, keyframe.index, scale), None),
-    }
-    truth, figures = observed_truth(arguments.folder), {}
-    keyframes = [part.keyframe(int(row)) for row in part.rows]
-    for name, source in sources.items():
-        made = [source(int(row), keyframe) for row, keyframe in zip(part.rows, keyframes, strict=True)]
-        for weights, confidences in weighted(made, part, keyframes, config).items():
-            fusion = SurfaceFusion(fusion_settings(part, config))
-            for keyframe, (depth, _), confidence in zip(keyframes, made, confidences, strict=True):
-                fusion.integrate(keyframe.rgb, depth, confidence, part.camera.matrix, keyframe.world_from_camera)
-            mesh = drop_small_components(fusion.extract(), config.fusion.min_component)[0].transformed(truth_from_run)
-            errors = surface_errors(mesh, truth, 1.0, np.random.default_rng(0))
-            figure = {"f_score": errors.f_score, "precision": errors.precision, "recall": errors.recall}
-            figures[f"{name}, {weights}"] = figure
-            print(f"{name:14} {weights:28} {errors}", flush=True)
-    write(arguments.json, {"run": arguments.run.name, "keyframes": len(part), "figures": figures})
-
-
-def weighted(
-    made: list[tuple[np.ndarray, np.ndarray | None]], part: DenseSubmap, keyframes: list[Keyframe], config: Config
-) -> dict[str, list[np.ndarray]]:
-    """Confidences to fuse with: none, the depth's own where it has one, and either lowered by the neighbours."""
-    fused = FusedFrames(part, keyframes, made)
-    check = ConsistencyCheck(fused, config.consistency, config.fusion.min_confidence)
-    known = [(depth > 0).astype(np.float32) for depth, _ in made]
-    variants = {"no confidence": known}
-    if all(confidence is not None for _, confidence in made):
-        floor = config.fusion.min_confidence
-        variants["confidence"] = [np.where(c < floor, 0, c).astype(np.float32) for _, c in made]
-    lowered = {}
-    for name, confidences in variants.items():
-        judged = (check.confidence(place, confidence) for place, confidence in enumerate(confidences))
-        lowered[f"{name} + consistency"] = [np.zeros_like(k) if c is None else c for c, k in zip(judged, known)]
-    return variants | lowered
-
-
-class FusedFrames:
-    """A submap's keyframes with another depth, as far as the consistency check looks at them."""
-
-    def __init__(
-        self, part: DenseSubmap, keyframes: list[Keyframe], made: list[tuple[np.ndarray, np.ndarray | None]]
-    ) -> None:
-        self.camera, self.rows = part.camera, np.arange(len(keyframes))
-        self._made, self._poses = made, [keyframe.world_from_camera for keyframe in keyframes]
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def depth(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        depth, confidence = self._made[row]
-        sure = np.ones_like(depth) if confidence is None else confidence
-        return depth.astype(np.float32), sure, self._poses[row]
+    names = [run.name for run, _ in arguments.pairs]
+    if len(set(names)) < len(names):
+        parser.error("two run folders have the same name")
+    cv2.setNumThreads(1)
+    models, runs, about = dict(arguments.model), {}, {}
+    for run, folder in arguments.pairs:
+        opened = MeasuredRun(run, folder)
+        about[opened.name] = opened.about
+        runs[opened.name] = measured(opened, models, arguments.side)
+        summary = summarised(runs)
+        result = {"models": models, "side": arguments.side, "runs": runs, "about": about, "summary": summary}
+        write(arguments.json, result)
+    print(table(runs, about), summary_table(summary), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -156,6 +156,17 @@ def test_a_map_that_fulfils_its_loops_is_left_alone(workspace):
     assert closed.kept == ()
 
 
+def test_what_little_a_map_misses_its_loops_by_is_left_to_the_images(workspace):
+    part = dense(workspace, drifting_submap(growth=0.0))
+    off = np.eye(4)
+    off[0, 3] = 0.015  # of sigma 0.01: a squared misfit of 2.25
+    links = [replace(k, first_from_second=off @ rigid(part, k)) for k in true_links()]
+    closed = close_loops(part, places(part), links)
+    assert closed.part is part
+    assert closed.links == tuple(links)
+    assert closed.kept == ((0, 46), (4, 42), (2, 44))
+
+
 def rigid(part: DenseSubmap, link: Link) -> np.ndarray:
     first, second = (part.submap.world_from_camera[part.rows[k]] for k in (link.first, link.second))
     return np.linalg.inv(first) @ second
