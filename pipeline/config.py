@@ -70,7 +70,7 @@ class FusionSettings(Settings):
 
     voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
     truncation_voxels: float = Field(12.0, ge=2, description="must exceed the error of completed depth")
-    min_observations: int = Field(3, ge=1, description="frames that must agree before a surface is believed")
+    min_observations: int = Field(2, ge=1, description="frames that must agree before a surface is believed")
     min_confidence: float = Field(0.1, ge=0, le=1)
     max_depth_ratio: float = Field(2.0, gt=0, description="times the median depth; farther is seen better later")
     delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")

@@ -1,5 +1,6 @@
 """A submap as a pose graph: its keyframes tied by the points they share, and everything else moved with them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import compress, pairwise
 
@@ -23,6 +24,7 @@ MIN_TIE = 20  # points that two keyframes share; consecutive ones are tied by ho
 PIXEL_NOISE = 0.5  # px, across
 SLACK = 4.0  # on the sigmas of ties: points that keyframes share err together along the path
 FULFILLED = 7.0  # squared sigmas in seven directions: a map that misses a loop by less knows better than the loop
+SETTLED = 0.5  # the same: a map that misses its loops by less than this has closed them itself
 REACH = 12  # keyframes within which two loops can support each other
 
 Array = NDArray[np.float64]
@@ -32,7 +34,8 @@ Array = NDArray[np.float64]
 class Closed:
     """A submap after its loops: `proposed` links fitted two images, `supported` had company, `links` were believed.
 
-    Supported loops that the map fulfils already are believed too, but nothing is kept of them and nothing moves.
+    `part` did not move where the map fulfils its supported loops already; they are believed, and what is left between
+    them is for the images to say. Of a map that has closed its loops itself there are none.
     """
 
     part: DenseSubmap
@@ -48,15 +51,22 @@ def close_loops(part: DenseSubmap, places: list[Place], links: list[Link]) -> Cl
     loops = _edges(part, places, part, places, links)
     company = supported(loops, poses, poses, REACH)
     good, theirs = list(compress(loops, company)), list(compress(links, company))
-    if not good or np.median([misfit(poses, loop) for loop in good]) < FULFILLED:
+    missed = float(np.median([misfit(poses, loop) for loop in good])) if good else 0.0
+    if missed < SETTLED:
         return Closed(part, len(links), len(good), (), ())
+    if missed < FULFILLED:
+        return Closed(part, len(links), len(good), tuple(theirs), _frames_of(part, places, theirs))
     solution = solve_pose_graph(poses, point_ties(part), good)
-    if not solution.kept.any():
-        return Closed(part, len(links), len(good), (), ())
     believed = tuple(compress(theirs, solution.kept))
+    if not believed:
+        return Closed(part, len(links), len(good), (), ())
+    after = moved(part, part.rows, solution.world_from_node)
+    return Closed(after, len(links), len(good), believed, _frames_of(part, places, believed))
+
+
+def _frames_of(part: DenseSubmap, places: list[Place], links: Iterable[Link]) -> tuple[tuple[int, int], ...]:
     number = part.submap.frames[[place.row for place in places]]
-    kept = tuple((int(number[link.first]), int(number[link.second])) for link in believed)
-    return Closed(moved(part, part.rows, solution.world_from_node), len(links), len(good), believed, kept)
+    return tuple((int(number[link.first]), int(number[link.second])) for link in links)
 
 
 def join(

@@ -23,7 +23,7 @@ MIN_FOUND_SHARE = 0.15  # of the points that should be in view
 MAX_STEP = 0.5  # median depths between two frames
 MAX_TURN = np.radians(25.0)  # between two frames
 MAX_GAP = 3  # frames over which the motion is carried on
-KEYFRAME_MOTION_SHARE = 0.025  # of the width
+KEYFRAME_MOTION_SHARE = 0.012  # of the width
 KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
 MIN_VOTERS = 15
 
