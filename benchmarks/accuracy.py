@@ -1,6 +1,7 @@
 """Path and surface error of an RGB-D folder fed as `video.mp4`, one run of `reconstruct` for each seed.
 
     python benchmarks/accuracy.py ../shared/data/ctcolon --seeds 10 --json accuracy.json
+    python benchmarks/accuracy.py ../shared/data/ctcolon --seeds 3 --front-end odometry
 
 ATE: RMSE of camera centres after Sim(3). Surface: F-score at 1 mm against the observed truth (every true depth map
 back-projected), moved by the same Sim(3). A run is wrong if its median rotation error exceeds 5 degrees.
@@ -9,6 +10,7 @@ back-projected), moved by the same Sim(3). A run is wrong if its median rotation
 import argparse
 import tempfile
 from pathlib import Path
+from typing import Literal, get_args
 
 from inputs import encode_video
 from pipeline.compare import compare_run
@@ -16,9 +18,11 @@ from pipeline.config import Config
 from pipeline.run import reconstruct
 from record import spread, write
 
+FrontEnd = Literal["auto", "sfm", "odometry"]
 
-def one_run(folder: Path, video: Path, output: Path, seed: int, model: str) -> dict[str, float]:
-    config = Config(camera=str(folder / "camera.json"), seed=seed, model=model)
+
+def one_run(folder: Path, video: Path, output: Path, seed: int, model: str, front_end: FrontEnd) -> dict[str, float]:
+    config = Config(camera=str(folder / "camera.json"), seed=seed, model=model, front_end=front_end)
     reconstruct(video, output, config)
     result = compare_run(output, folder)
     return {
@@ -37,6 +41,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--model", default="mscsa")
+    parser.add_argument("--front-end", default="auto", choices=get_args(FrontEnd))
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     runs: list[dict[str, float]] = []
@@ -45,7 +50,16 @@ def main() -> None:
         video = encode_video(sorted((arguments.folder / "rgb").glob("*.png")), Path(scratch) / "video.mp4")
         for seed in range(arguments.seeds):
             try:
-                runs.append(one_run(arguments.folder, video, Path(scratch) / f"run{seed}", seed, arguments.model))
+                runs.append(
+                    one_run(
+                        arguments.folder,
+                        video,
+                        Path(scratch) / f"run{seed}",
+                        seed,
+                        arguments.model,
+                        arguments.front_end,
+                    )
+                )
             except ValueError as error:  # every known failure; it counts as a wrong run
                 failed.append(f"seed {seed}: {error}")
                 print(failed[-1], flush=True)
@@ -58,7 +72,12 @@ def main() -> None:
     print(f"wrong runs: {wrong} of {arguments.seeds}; worst ATE {summary['ate_mm']['max']:.4f} mm")
     for name, values in summary.items():
         print(f"{name:16} median {values['median']:.4g}  [{values['min']:.4g}, {values['max']:.4g}]")
-    about = {"folder": arguments.folder.name, "model": arguments.model, "seeds": list(range(arguments.seeds))}
+    about = {
+        "folder": arguments.folder.name,
+        "model": arguments.model,
+        "front_end": arguments.front_end,
+        "seeds": list(range(arguments.seeds)),
+    }
     write(arguments.json, {**about, "wrong": wrong, "failed": failed, "figures": summary})
 
 

@@ -6,19 +6,19 @@ Features found anew in each keyframe do not. They alone make this bundle, seeded
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
 from pipeline.keyframe_graph import Closed, moved, nodes_of
 from pipeline.loops import Link, Place, every_place
 from pipeline.odometry.bundle import Bundle, adjust
+from pipeline.odometry.feature_tracks import Tracks, join_features
 from pipeline.odometry.places import match, rooted
 from reconstruction.pose_graph import Edge, misfit, scale_of
 
@@ -33,16 +33,6 @@ MAX_GAP = 5  # keyframes in a row that may follow
 MAX_KEYFRAMES = 600  # the normal equations are one full matrix
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Tracks:
-    """Points (T,3) in the world; observations (M,): track, number of the place, feature in it."""
-
-    points: Array
-    track: NDArray[np.int64]
-    place: NDArray[np.int64]
-    feature: NDArray[np.int64]
 
 
 def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
@@ -106,25 +96,13 @@ def adjust_nodes(
 
 def tie_tracks(part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array) -> Tracks:
     """Features that look alike and lie where the map has them, or that a link matched, are one point."""
-    starts = np.concatenate([[0], np.cumsum([len(place.pixels) for place in places])])
-    pairs = [np.column_stack([link.rows[0] + starts[link.first], link.rows[1] + starts[link.second]]) for link in links]
+    pairs, same = [(k.first, k.second) for k in links], [np.column_stack(k.rows) for k in links]
     for one in range(len(places)):
         for other in range(one + 1, min(len(places), one + AHEAD + 1)):
-            pairs.append(_followed(part, places[one], places[other]) + starts[[one, other]])
-    count, ties = int(starts[-1]), np.concatenate(pairs)
-    graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(count, count))
-    label = connected_components(graph, directed=False)[1]
-    place = np.repeat(np.arange(len(places)), np.diff(starts))
-    _, same, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
-    single = np.flatnonzero(times[same.ravel()] == 1)  # two features of one picture are not one point
-    seen = np.bincount(label[single], minlength=count)
-    chosen = single[seen[label[single]] >= 2]
-    track = np.unique(label[chosen], return_inverse=True)[1]
-    place, feature = place[chosen], chosen - starts[place[chosen]]
-    nodes = world_from_node[place]
-    world = np.einsum("nij,nj->ni", nodes[:, :3, :3], _all(places, place, feature)) + nodes[:, :3, 3]
-    total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
-    return Tracks(total / np.bincount(track)[:, None], track, place, feature)
+            pairs.append((one, other))
+            same.append(_followed(part, places[one], places[other]))
+    world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(places, world_from_node, strict=True)]
+    return join_features(world, pairs, same)
 
 
 def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:

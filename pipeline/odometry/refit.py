@@ -7,14 +7,15 @@ follow, and the features become points of the map.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from pipeline.odometry.feature_tracks import Tracks, join_features
 from pipeline.odometry.local_map import LocalMap, PosedFrame
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, match, place_of
@@ -32,17 +33,6 @@ MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
 
-@dataclass(frozen=True)
-class Tracks:
-    """Features that are one point. points (T,3) in the world; track, place, feature (M,): observation m is feature
-    `feature` of place `place`."""
-
-    points: Array
-    track: NDArray[np.int64]
-    place: NDArray[np.int64]
-    feature: NDArray[np.int64]
-
-
 def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     """Move the map to where its own features have it, if they hold it; says whether they do.
 
@@ -53,7 +43,8 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
         places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
         pairs = _near(local_map)
         same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
-    fitted = _map_of_features(local_map, places, join_features(places, pairs, same))
+    tracks = join_features([place.points for place in places], pairs, same)
+    fitted = _map_of_features(local_map, places, tracks)
     if not _is_held(fitted, TYPICAL):
         return False
     before = fitted.points.copy()
@@ -67,25 +58,6 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
 def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
     rgb, mask = read(local_map.keyframes[number].frame)
     return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST)
-
-
-def join_features(places: list[Place], pairs: list[tuple[int, int]], same: list[NDArray[np.int64]]) -> Tracks:
-    """One point for all features that are the same, as each pair of keyframes has it: `same` holds (K,2) rows."""
-    starts = np.concatenate([[0], np.cumsum([len(place.pixels) for place in places])])
-    found = [rows + starts[list(pair)] for pair, rows in zip(pairs, same, strict=True)]
-    ties = np.concatenate([np.zeros((0, 2), np.int64), *found])
-    graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(int(starts[-1]),) * 2)
-    label = connected_components(graph, directed=False)[1]
-    place = np.repeat(np.arange(len(places)), np.diff(starts))
-    _, group, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
-    single = np.flatnonzero(times[group.ravel()] == 1)  # two features of one picture are not one point
-    seen = np.bincount(label[single], minlength=int(starts[-1]))
-    chosen = single[seen[label[single]] >= 2]
-    track = np.unique(label[chosen], return_inverse=True)[1]
-    world = np.concatenate([np.zeros((0, 3)), *(p.points for p in places)])[chosen]
-    total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
-    points = total / np.maximum(np.bincount(track), 1)[:, None]
-    return Tracks(points, track, place[chosen], chosen - starts[place[chosen]])
 
 
 def _near(local_map: LocalMap) -> list[tuple[int, int]]:
