@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
+from pipeline.scale import in_words
 from pipeline.surface import Surface
 from pipeline.workspace import Workspace
 from reconstruction.centreline import NotATube
@@ -38,7 +39,7 @@ class Judgement:
         record = self.record
         if not record["judged"]:
             return str(record["reason"])
-        regions, unit = record["missed_regions"], "mm" if record["unit"] == "mm" else "scene units"
+        regions, unit = record["missed_regions"], in_words(record["unit"])
         return (
             f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
             f"lumen; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and more, and "

@@ -13,6 +13,11 @@ from reconstruction.lumen import measure_lumen
 from reconstruction.mesh import SurfaceMesh
 
 
+def in_words(unit: str) -> str:
+    """An output unit as a person reads it."""
+    return "mm" if unit == "mm" else "scene units"
+
+
 @dataclass(frozen=True)
 class Scale:
     """factor: output units per scene unit; unit: 'mm' or 'scene'; origin: one sentence."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
+from pipeline.scale import in_words
 from pipeline.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.surface import Surface
 
@@ -171,7 +172,7 @@ def _webp(picture: Image, quality: int) -> bytes:
 def _legend(number: int, limits: tuple[float, float], unit: str) -> str:
     """The two colour bars of a submap's keyframes."""
     low, high = limits
-    word = "mm" if unit == "mm" else "scene units"
+    word = in_words(unit)
     return (
         f'<div class="legend" data-submap="{number}">{_bar(DEPTH_MAP, f"{low:.3g}", f"depth [{word}]", f"{high:.3g}")}'
         f"{_bar(CONFIDENCE_MAP, '0', 'confidence', '1')}</div>"

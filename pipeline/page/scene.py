@@ -11,6 +11,7 @@ from pipeline.coverage import Judgement
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
 from pipeline.page.browser import Shown
+from pipeline.scale import in_words
 from pipeline.surface import Surface
 from reconstruction.decimate import decimated
 from reconstruction.mesh import SurfaceMesh
@@ -75,7 +76,7 @@ def _submap(
     limits: Limits,
     shown: list[tuple[int, int]],
 ) -> dict[str, Any]:
-    submap, unit = part.submap.scaled(surface.scale.factor), "mm" if surface.scale.unit == "mm" else "scene units"
+    submap, unit = part.submap.scaled(surface.scale.factor), in_words(surface.scale.unit)
     coarse = decimated(surface.mesh, limits.triangles)
     rows = np.arange(0, len(submap.frames), max(1, -(-len(submap.frames) // limits.path_points)))
     poses = submap.world_from_camera

@@ -7,6 +7,7 @@ from typing import Any
 from pipeline.coverage import Judgement
 from pipeline.page.browser import data_uri
 from pipeline.page.scene import clock_words
+from pipeline.scale import in_words
 
 Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
 
@@ -15,7 +16,7 @@ def cards(metrics: dict[str, Any]) -> str:
     """The handful of figures that a reader looks for first; of the largest submap where there are several."""
     frames, main = metrics["frames"], metrics["submaps"][0]
     unit, seen = main["unit"], main["coverage"]
-    word = "mm" if unit == "mm" else "scene units"
+    word = in_words(unit)
     several = len(metrics["submaps"]) > 1
     where = f", largest of {len(metrics['submaps'])} submaps" if several else ""
     if seen["judged"]:
@@ -138,7 +139,7 @@ def coverage_section(judgement: Judgement, link: Link | None = None) -> str:
     if judgement.picture is None:
         reason = judgement.sentence
         return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
-    unit = "mm" if record["unit"] == "mm" else "scene units"
+    unit = in_words(record["unit"])
     head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
     rows = [
         "".join(
