@@ -29,16 +29,13 @@ class ConsistencyCheck:
         return agreement(self._view(place), others, self.settings.tolerance)
 
     def confidence(self, place: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The keyframe's confidence, 0 below the least that is fused, and lowered where it is contradicted; None where
-        the frame as a whole is contradicted.
-
-        A contradicted pixel weighs less, but is not dropped: it may be the one that is right.
-        """
+        """The keyframe's confidence lowered where it is contradicted, 0 below the least that is fused; None where the
+        frame as a whole is contradicted."""
         votes = self(place)
         if votes.is_outvoted(self.settings.max_contradicted):
             return None
         lowered = confidence * votes.weight(self.settings.severity)
-        return np.where(confidence < self.min_confidence, np.float32(0), lowered)
+        return np.where(lowered < self.min_confidence, np.float32(0), lowered)
 
     def _load(self, place: int) -> DepthView:
         depth, confidence, world_from_camera = self.part.depth(int(self.part.rows[place]))

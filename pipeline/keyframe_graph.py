@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 class Closed:
     """A submap after its loops: `proposed` links fitted two images, `supported` had company, `links` were believed.
 
-    `part` did not move where the map fulfils its supported loops already; they are believed, and what is left between
-    them is for the images to say. Of a map that has closed its loops itself there are none.
+    `part` did not move where the map fulfils most of its supported loops already; those that it fulfils are believed,
+    and what is left between them is for the images to say. Of a map that has closed its loops itself there are none.
     """
 
     part: DenseSubmap
@@ -51,11 +51,13 @@ def close_loops(part: DenseSubmap, places: list[Place], links: list[Link]) -> Cl
     loops = _edges(part, places, part, places, links)
     company = supported(loops, poses, poses, REACH)
     good, theirs = list(compress(loops, company)), list(compress(links, company))
-    missed = float(np.median([misfit(poses, loop) for loop in good])) if good else 0.0
+    off = np.array([misfit(poses, loop) for loop in good])
+    missed = float(np.median(off)) if good else 0.0
     if missed < SETTLED:
         return Closed(part, len(links), len(good), (), ())
     if missed < FULFILLED:
-        return Closed(part, len(links), len(good), tuple(theirs), _frames_of(part, places, theirs))
+        near = tuple(compress(theirs, off < FULFILLED))
+        return Closed(part, len(links), len(good), near, _frames_of(part, places, near))
     solution = solve_pose_graph(poses, point_ties(part), good)
     believed = tuple(compress(theirs, solution.kept))
     if not believed:

@@ -22,14 +22,20 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     frame, point = submap.observations[order].T
     pixels = submap.pixels[order]
     starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
-    count = np.diff(starts)
-    good = np.flatnonzero(count >= WELL_SEEN * maximum_filter1d(count, 2 * AROUND + 1, mode="nearest"))
+    good = _well_seen(np.diff(starts))
     chosen = [int(good[0])]
     for row in good[1:].tolist():
         mine, last = (slice(starts[r], starts[r + 1]) for r in (row, chosen[-1]))
         if _is_new(point[mine], pixels[mine], point[last], pixels[last], motion * width):
             chosen.append(row)
     return np.array(chosen)
+
+
+def _well_seen(count: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows that may be keyframes, by their numbers of points; where that leaves a gap, all rows of the gap."""
+    good = count >= WELL_SEEN * maximum_filter1d(count, 2 * AROUND + 1, mode="nearest")
+    near = maximum_filter1d(good.astype(np.uint8), AROUND + 1, mode="constant")  # within half of AROUND
+    return np.flatnonzero(good | (near == 0))
 
 
 def _is_new(

@@ -141,6 +141,8 @@ def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -
     except FAILURES as error:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {error}")
         return
+    if adjusted is None and closed.part is piece.part:
+        return  # the map misses its loops by no more than they can tell
     if adjusted is None:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {UNHELD}")
         return

@@ -170,7 +170,7 @@ def test_depth_that_is_not_believed_anyway_throws_no_keyframe_out() -> None:
     assert np.median(kept[64:]) == pytest.approx(0.8, abs=0.01)
 
 
-def test_what_is_voted_down_weighs_little_and_what_was_never_sure_nothing() -> None:
+def test_what_is_voted_down_below_the_least_confidence_is_not_fused_at_all() -> None:
     frames = views(12)
     patched = frames[5].depth.copy()
     patched[30:50, 30:50] *= 1.3
@@ -179,7 +179,4 @@ def test_what_is_voted_down_weighs_little_and_what_was_never_sure_nothing() -> N
     kept = check.confidence(5, np.full((SIZE, SIZE), 0.8, np.float32))
     assert kept is not None
     inner = kept[35:45, 35:45]  # at the patch's rim the others' own edge windows abstain
-    assert ((inner > 0) & (inner < 0.2 * 0.8)).mean() > 0.9
-    unsure = check.confidence(5, np.full((SIZE, SIZE), 0.09, np.float32))
-    assert unsure is not None
-    assert not unsure.any()
+    assert (inner == 0).mean() > 0.9

@@ -165,6 +165,10 @@ def test_what_little_a_map_misses_its_loops_by_is_left_to_the_images(workspace):
     assert closed.part is part
     assert closed.links == tuple(links)
     assert closed.kept == ((0, 46), (4, 42), (2, 44))
+    wild = off.copy()
+    wild[0, 3] = 0.3
+    false = [replace(k, first_from_second=wild @ k.first_from_second) for k in true_links(((5, 20), (6, 19)))]
+    assert close_loops(part, places(part), [*links, *false]).links == tuple(links)
 
 
 def rigid(part: DenseSubmap, link: Link) -> np.ndarray:

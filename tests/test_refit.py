@@ -134,3 +134,13 @@ def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
         off = np.linalg.norm(CAMERA.project(local) - keyframe.pixels[mine], axis=1)
         assert np.median(off) < 0.5
         assert off.max() < 2.01
+
+
+def test_text_burned_into_the_picture_does_not_bend_the_map(finished):
+    """Letters stand still where the wall should move; without them the map must come out as right."""
+    letters = np.zeros_like(IMAGES[0])
+    for row in range(4):
+        cv2.putText(letters, "ABC 123", (8, 24 + 14 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
+    local_map = copy.deepcopy(finished)
+    assert refit(local_map, lambda frame: (np.maximum(IMAGES[frame], letters), MASK))
+    assert error(local_map) < error(finished)

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
+from itertools import count
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.places import ReadFrame
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.refit import refit
-from pipeline.odometry.self_calibration import refine_lens
+from pipeline.odometry.self_calibration import FRAME_STEP, KEYFRAME_STEP, refine_lens
 from pipeline.progress import Progress
 from pipeline.submap import Submap
 from pipeline.workspace import Workspace
@@ -60,18 +61,20 @@ def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, p
 
 
 def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> None:
-    """Every map moved to where its own features have it; one that they do not hold stays."""
+    """Every map moved to where its own features have it; one that they do not hold stays, and a sentence says so."""
+    done = count(1)  # safe from several threads
+
+    def counted(frame: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        advance(next(done))
+        return read(frame)
+
     with progress.bar("features of keyframes", sum(len(m.keyframes) for m in maps)) as advance:
-        done = 0
-
-        def counted(frame: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-            nonlocal done
-            done += 1
-            advance(done)
-            return read(frame)
-
-        for local_map in maps:
-            refit(local_map, counted)
+        held = [refit(local_map, counted) for local_map in maps]
+    for local_map in (m for m, yes in zip(maps, held, strict=True) if not yes):
+        first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
+        progress.say(
+            f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
+        )
 
 
 def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = ()) -> list[Submap]:
@@ -94,8 +97,10 @@ def _with_better_lens(
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit.
     """
-    by_features = _submaps([local_map.of_features() for local_map in maps], frames.camera.params)
-    lens = refine_lens((by_features or found)[0], frames.camera, seed, workspace.log, progress)
+    largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
+    by_features = _submaps([largest.of_features()], frames.camera.params)
+    step = KEYFRAME_STEP if by_features else FRAME_STEP
+    lens = refine_lens((by_features or found)[0], frames.camera, seed, workspace.log, progress, step)
     if not lens.determined:
         return [replace(submap, camera_sigma=lens.sigma) for submap in found]
     rays = RayTable(lens.camera)

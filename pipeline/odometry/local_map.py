@@ -22,6 +22,8 @@ LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
 MAX_ERROR_PX = 2.0  # of an observation that is kept
 MAX_BIRTH_ERROR_PX = 1.2  # of a new point, in all its views
 MIN_ANGLE = np.radians(1.2)  # of a new point's rays; a third of a pixel is then a tenth of the depth
+CHUNK = 50_000  # points fitted at once: a few hundred megabytes
+EVERY = slice(None)
 
 
 @dataclass
@@ -107,9 +109,10 @@ class LocalMap:
         """Undo `add_features`."""
         if self.first_feature is None:
             return
-        self.known[self.first_feature :] = False
+        first = self.first_feature
+        self.points, self.known, self.barred = self.points[:first], self.known[:first], self.barred[:first]
         for keyframe in self.keyframes:
-            keyframe.keep(keyframe.ids < self.first_feature)
+            keyframe.keep(keyframe.ids < first)
         self.first_feature = None
 
     def of_features(self) -> "LocalMap":
@@ -179,13 +182,16 @@ class LocalMap:
         self._cull(result, tracks, held + free, max_error_px)
 
     def fit_points(self, iterations: int = 10) -> None:
-        """All points fitted to the keyframes as they stand, and those dropped that do not fit."""
-        bundle, tracks = self._bundle([], self.keyframes)
-        if len(tracks) == 0:
-            return
-        result = adjust(replace(bundle, fixed=np.ones(len(bundle.fixed), dtype=bool)), iterations, LOSS_PX)
-        self.points[tracks] = result.points
-        self._cull(result, tracks, self.keyframes, MAX_ERROR_PX)
+        """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""
+        for first in range(0, len(self.known), CHUNK):
+            chunk = slice(first, first + CHUNK)
+            bundle, tracks = self._bundle([], self.keyframes, chunk)
+            if len(tracks) == 0:
+                continue
+            fixed = np.ones(len(bundle.fixed), dtype=bool)
+            result = adjust(replace(bundle, fixed=fixed), iterations, LOSS_PX)
+            self.points[tracks] = result.points
+            self._cull(result, tracks, self.keyframes, MAX_ERROR_PX)
 
     def _sharing(self, free: list[Keyframe], others: list[Keyframe], most: int) -> list[Keyframe]:
         """Those of `others` that see most points of `free`, at most so many, in their order."""
@@ -197,12 +203,17 @@ class LocalMap:
         best = np.argsort(-shared, kind="stable")[:most]
         return [others[k] for k in np.sort(best[shared[best] >= MIN_SHARED])]
 
-    def _bundle(self, held: list[Keyframe], free: list[Keyframe]) -> tuple[Bundle, NDArray[np.int64]]:
-        """The problem, and the track number of each of its points."""
+    def _bundle(
+        self, held: list[Keyframe], free: list[Keyframe], tracks_of: slice = EVERY
+    ) -> tuple[Bundle, NDArray[np.int64]]:
+        """The problem, of the points with numbers in `tracks_of`, and the track number of each of its points."""
         wanted = np.zeros(len(self.known), dtype=bool)
         for keyframe in free:
             wanted[keyframe.ids] = True
         wanted &= self.known
+        kept = np.zeros_like(wanted)
+        kept[tracks_of] = wanted[tracks_of]
+        wanted = kept
         cameras = held + free
         masks = [wanted[k.ids] for k in cameras]
         ids = np.concatenate([k.ids[m] for k, m in zip(cameras, masks, strict=True)])

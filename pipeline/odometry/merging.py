@@ -28,7 +28,7 @@ PER_PLACE = 3  # look-alikes tried
 MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neighbours see one and the same picture
 SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
 MAX_SAME_PX = 8.0
-REACH = 4  # keyframes on each side in which a matched point is looked for
+REACH = 4  # places on each side in which a matched point is looked for
 MAX_TIE_PX = 12.0  # from where it should be there
 
 
@@ -198,8 +198,9 @@ def _tie(base: LocalMap, link: Link, places: tuple[list[Place], list[Place]], of
     for side, offset in enumerate(offsets):
         place, rows = link.places[side], link.rows[side][front]
         base.extend(place.keyframe + offset, ids, place.pixels[rows])
-        for other in places[side]:
-            if 0 < abs(other.keyframe - place.keyframe) <= REACH:
+        number = next(k for k, other in enumerate(places[side]) if other.keyframe == place.keyframe)
+        for k, other in enumerate(places[side]):
+            if 0 < abs(k - number) <= REACH:
                 _see_again(base, ids, place.rooted[rows], other, other.keyframe + offset)
 
 

@@ -2,8 +2,8 @@
 
 A corner that is followed from frame to frame slides a little, and always the same way while the camera moves the same
 way: that bends the scale along the path, and no adjustment of the same corners can see it. Features that each keyframe
-finds for itself, matched to where the map has them, do not slide. Poses come from them alone; the corners' points
-follow, and the features become points of the map.
+finds for itself, matched to where the map has them, do not slide. The map's shape comes from them alone; the corners'
+points follow, and the features become points of the map.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from pipeline.odometry.feature_tracks import Tracks, join_features
+from pipeline.odometry.bundle import reprojections
+from pipeline.odometry.feature_tracks import join_features
 from pipeline.odometry.local_map import LocalMap, PosedFrame
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse
-from pipeline.odometry.resection import reprojection_errors
 
 CONTRAST = 0.002  # of a feature; pale mucosa has little more
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
-MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
+MAX_OFF_SHARE = 0.019  # of the width: a feature from where the map has it, in another keyframe; 6 px of 320
+STILL_PX, MOVING_PX = 1.0, 1.5  # way of what does not move, and of what the map expects to
 MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follows its neighbour
 TYPICAL = 100  # features of the median keyframe: fewer are no better than the corners
 MIN_TIE = 12  # features that hold two keyframes together
@@ -39,12 +40,7 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
-    with ThreadPoolExecutor(THREADS) as threads:
-        places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
-        pairs = _near(local_map)
-        same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
-    tracks = join_features([place.points for place in places], pairs, same)
-    fitted = _map_of_features(local_map, places, tracks)
+    fitted = _map_of_features(local_map, read)
     if not _is_held(fitted, TYPICAL):
         return False
     before = fitted.points.copy()
@@ -76,17 +72,28 @@ def _near(local_map: LocalMap) -> list[tuple[int, int]]:
 
 
 def _same(local_map: LocalMap, here: Place, there: Place) -> NDArray[np.int64]:
-    """(K,2) features of two keyframes that look alike and lie where the map says."""
+    """(K,2) features of two keyframes that look alike and lie where the map says.
+
+    What stands still in the picture where the wall should move is dirt, a reflection or text that was burned in.
+    """
     pairs = match(here.rooted, there.rooted)
     if len(pairs) == 0:
         return pairs
-    seen, gain = local_map.rays.look_up(there.pixels[pairs[:, 1]])
-    pose = local_map.keyframes[there.keyframe].pose
-    return pairs[reprojection_errors(pose, here.points[pairs[:, 0]], seen, gain) < MAX_OFF_PX]
+    first, second = here.pixels[pairs[:, 0]], there.pixels[pairs[:, 1]]
+    local = in_camera(local_map.keyframes[there.keyframe].pose, here.points[pairs[:, 0]])
+    off = reprojections(local, *local_map.rays.look_up(second))
+    near = np.linalg.norm(off, axis=1) < MAX_OFF_SHARE * local_map.rays.camera.width
+    way, expected = np.linalg.norm(second - first, axis=1), np.linalg.norm(second - first + off, axis=1)
+    return pairs[(local[:, 2] > 0) & near & ~((way < STILL_PX) & (expected > MOVING_PX))]
 
 
-def _map_of_features(local_map: LocalMap, places: list[Place], tracks: Tracks) -> LocalMap:
+def _map_of_features(local_map: LocalMap, read: ReadFrame) -> LocalMap:
     """The same keyframes, which see the features and nothing else."""
+    with ThreadPoolExecutor(THREADS) as threads:
+        places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
+        pairs = _near(local_map)
+        same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
+    tracks = join_features([place.points for place in places], pairs, same)
     fitted = LocalMap(local_map.rays)
     fitted.reserve(len(tracks.points))
     fitted.points[: len(tracks.points)] = tracks.points

@@ -21,7 +21,8 @@ from pipeline.progress import Progress
 from pipeline.submap import Submap
 
 MOST_FRAMES = 100  # that determine the lens: more cost minutes and add little
-WIDEST_STEP = 10  # frames between two of them; points are followed over some tens of frames
+FRAME_STEP = 10  # frames between two of them at most; corners are followed over some tens of frames
+KEYFRAME_STEP = 3  # the same where the frames are keyframes; their features are found again in four, in the median
 MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
 MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
 
@@ -36,10 +37,12 @@ class Lens:
     determined: bool
 
 
-def refine_lens(submap: Submap, camera: Camera, seed: int, scratch: Path, progress: Progress) -> Lens:
+def refine_lens(
+    submap: Submap, camera: Camera, seed: int, scratch: Path, progress: Progress, widest_step: int = FRAME_STEP
+) -> Lens:
     """Adjust `submap` with the lens free; the guess comes back if that fails or the motion does not determine it."""
     unknown = Lens(camera, (float("nan"),), False)
-    thin = thinned(submap, MOST_FRAMES)
+    thin = thinned(submap, MOST_FRAMES, widest_step)
     if len(thin.frames) < MIN_VIEWS or len(thin.points) == 0:
         return unknown
     folder = scratch / "lens"
@@ -58,7 +61,7 @@ def refine_lens(submap: Submap, camera: Camera, seed: int, scratch: Path, progre
     return Lens(replace(camera, params=params) if determined else camera, sigma, determined)
 
 
-def thinned(submap: Submap, most: int, widest_step: int = WIDEST_STEP) -> Submap:
+def thinned(submap: Submap, most: int, widest_step: int = FRAME_STEP) -> Submap:
     """At most so many of its frames and the points that enough of them see.
 
     Spread evenly over the submap, or, where that would part them farther than their common points reach, over the
