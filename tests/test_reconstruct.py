@@ -159,8 +159,8 @@ def test_ctrl_c_stops_colmap_at_once_and_resume_goes_on(tmp_path, finished):
     folder = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
         reconstruct(VIDEO, folder, tiny_config(), progress=StopAtOnce())
-    workers = [p for p in psutil.process_iter(["cmdline"]) if "pipeline.colmap_worker" in (p.info["cmdline"] or [])]
-    assert workers == []
+    mine = psutil.Process().children(recursive=True)  # another run on this machine may have a worker of its own
+    assert [child for child in mine if "pipeline.colmap_worker" in child.cmdline()] == []
     reconstruct(VIDEO, folder, tiny_config(), resume=True)
     assert compare_run(folder, FOLDER).sim3.ate_rmse < 0.1
 
