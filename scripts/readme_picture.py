@@ -42,7 +42,7 @@ def main() -> None:
     panels[1].scatter(*(sparse.pixels - 0.5).T, c=sparse.depth, s=5, cmap="turbo", vmin=low, vmax=high)
     panels[2].imshow(np.where(keyframe.depth > 0, keyframe.depth, np.nan), cmap="turbo", vmin=low, vmax=high)
     panels[3].imshow(render_mesh(surface.mesh, None, 1000, 620, cut_away=True))
-    titles = ("video frame", f"{len(sparse.depth)} points from SfM", "completed depth", "surface, cut open")
+    titles = ("video frame", f"{len(sparse.depth)} sparse points", "completed depth", "surface, cut open")
     for panel, title in zip(panels, titles, strict=True):
         panel.set_title(title, fontsize=11)
         panel.set_axis_off()
