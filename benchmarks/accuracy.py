@@ -10,7 +10,7 @@ back-projected), moved by the same Sim(3). A run is wrong if its median rotation
 import argparse
 import tempfile
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, get_args
 
 from inputs import encode_video
 from pipeline.compare import compare_run
@@ -18,10 +18,10 @@ from pipeline.config import Config
 from pipeline.run import reconstruct
 from record import spread, write
 
-FrontEnd = Literal["auto", "sfm", "odometry"]
+FRONT_ENDS = get_args(Config.model_fields["front_end"].annotation)
 
 
-def one_run(folder: Path, video: Path, output: Path, seed: int, model: str, front_end: FrontEnd) -> dict[str, float]:
+def one_run(folder: Path, video: Path, output: Path, seed: int, model: str, front_end: Any) -> dict[str, float]:
     config = Config(camera=str(folder / "camera.json"), seed=seed, model=model, front_end=front_end)
     reconstruct(video, output, config)
     result = compare_run(output, folder)
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--model", default="mscsa")
-    parser.add_argument("--front-end", default="auto", choices=get_args(FrontEnd))
+    parser.add_argument("--front-end", default="auto", choices=FRONT_ENDS)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     runs: list[dict[str, float]] = []

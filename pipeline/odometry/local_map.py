@@ -23,7 +23,6 @@ MAX_ERROR_PX = 2.0  # of an observation that is kept
 MAX_BIRTH_ERROR_PX = 1.2  # of a new point, in all its views
 MIN_ANGLE = np.radians(1.2)  # of a new point's rays; a third of a pixel is then a tenth of the depth
 CHUNK = 50_000  # points fitted at once: a few hundred megabytes
-EVERY = slice(None)
 
 
 @dataclass
@@ -51,6 +50,12 @@ class PosedFrame:
     from_keyframe: Array
     ids: NDArray[np.int32]
     pixels: NDArray[np.float32]
+
+    def scaled(self, factor: float) -> "PosedFrame":
+        """The same in a map whose unit is smaller by `factor`."""
+        relative = self.from_keyframe.copy()
+        relative[:3, 3] *= factor
+        return replace(self, from_keyframe=relative)
 
 
 class LocalMap:
@@ -184,7 +189,8 @@ class LocalMap:
     def fit_points(self, iterations: int = 10) -> None:
         """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""
         for first in range(0, len(self.known), CHUNK):
-            chunk = slice(first, first + CHUNK)
+            chunk = np.zeros_like(self.known)
+            chunk[first : first + CHUNK] = True
             bundle, tracks = self._bundle([], self.keyframes, chunk)
             if len(tracks) == 0:
                 continue
@@ -204,16 +210,15 @@ class LocalMap:
         return [others[k] for k in np.sort(best[shared[best] >= MIN_SHARED])]
 
     def _bundle(
-        self, held: list[Keyframe], free: list[Keyframe], tracks_of: slice = EVERY
+        self, held: list[Keyframe], free: list[Keyframe], among: NDArray[np.bool_] | None = None
     ) -> tuple[Bundle, NDArray[np.int64]]:
-        """The problem, of the points with numbers in `tracks_of`, and the track number of each of its points."""
+        """The problem, of points `among` these (all if None), and the track number of each of its points."""
         wanted = np.zeros(len(self.known), dtype=bool)
         for keyframe in free:
             wanted[keyframe.ids] = True
         wanted &= self.known
-        kept = np.zeros_like(wanted)
-        kept[tracks_of] = wanted[tracks_of]
-        wanted = kept
+        if among is not None:
+            wanted &= among
         cameras = held + free
         masks = [wanted[k.ids] for k in cameras]
         ids = np.concatenate([k.ids[m] for k, m in zip(cameras, masks, strict=True)])

@@ -4,13 +4,13 @@ Strong means: two or more pairs of places, at different views on both sides, eac
 similarity explains in both images, and one and the same similarity for all of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.local_map import LocalMap, PosedFrame
+from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, find_places, look_alikes, match
 from pipeline.odometry.poses import Array, in_camera, inverse
@@ -160,10 +160,8 @@ def absorb(base: LocalMap, shown: list[Place], other: LocalMap, places: list[Pla
         keyframe.pose, keyframe.ids = _in_frame(keyframe.pose, base_from_other, scale), keyframe.ids + first_track
         base.keyframes.append(keyframe)
     for posed in other.posed:
-        relative = posed.from_keyframe.copy()
-        relative[:3, 3] *= scale
         ids = (posed.ids + first_track).astype(np.int32)
-        base.posed.append(PosedFrame(posed.frame, posed.keyframe + first_keyframe, relative, ids, posed.pixels))
+        base.posed.append(replace(posed.scaled(scale), keyframe=posed.keyframe + first_keyframe, ids=ids))
     for link in links:
         _tie(base, link, (shown, places), (0, first_keyframe))
     return [

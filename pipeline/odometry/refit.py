@@ -7,7 +7,6 @@ points follow, and the features become points of the map.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pipeline.odometry.bundle import reprojections
 from pipeline.odometry.feature_tracks import join_features
-from pipeline.odometry.local_map import LocalMap, PosedFrame
+from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse
@@ -142,7 +141,7 @@ def _follow(local_map: LocalMap, fitted: LocalMap, before: Array) -> None:
         seen = keyframe.ids[local_map.known[keyframe.ids]]
         points[seen] = in_camera(inverse(keyframe.pose), scale[number] * in_camera(old[number], local_map.points[seen]))
     local_map.points = points
-    local_map.posed = [_scaled(posed, scale[posed.keyframe]) for posed in local_map.posed]
+    local_map.posed = [posed.scaled(scale[posed.keyframe]) for posed in local_map.posed]
     _take_over(local_map, fitted)
     local_map.fit_points()
 
@@ -156,12 +155,6 @@ def _scales(local_map: LocalMap, fitted: LocalMap, before: Array) -> Array:
             depth = [in_camera(p.pose, x[ids])[:, 2] for p, x in ((keyframe, fitted.points), (old, before))]
             scale[number] = np.exp(np.median(np.log(np.maximum(depth[0], 1e-9) / np.maximum(depth[1], 1e-9))))
     return scale
-
-
-def _scaled(posed: PosedFrame, scale: float) -> PosedFrame:
-    relative = posed.from_keyframe.copy()
-    relative[:3, 3] *= scale
-    return replace(posed, from_keyframe=relative)
 
 
 def _take_over(local_map: LocalMap, fitted: LocalMap) -> None:
