@@ -26,63 +26,9 @@ app = typer.Typer(
     help="Dense colon reconstruction from endoscope video, on a CPU.",
 )
 
+app.command()(cli_runs.reconstruct)
 app.command()(cli_runs.view)
 app.command()(cli_runs.batch)
-
-Source = Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="run folder; NAME_run beside you if not given")]
-
-
-@app.command()
-def reconstruct(
-    source: Source = None,
-    output: Output = None,
-    demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
-    camera: Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")] = None,
-    front_end: cli_runs.FrontEnd = None,
-    model: Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")] = None,
-    lumen_mm: Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")] = None,
-    scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings")] = None,
-    seed: Annotated[int | None, typer.Option(help="of every random step")] = None,
-    device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")] = False,
-) -> None:
-    """Video in, coloured colon mesh, camera path, dense depth and report out."""
-    from pipeline.config import load_config
-    from pipeline.progress import SilentProgress, TerminalProgress
-
-    if (source is None) == (not demo):
-        raise HaustraError("give one video or folder, or --demo")
-    settings = load_config(
-        config,
-        camera=camera,
-        front_end=front_end,
-        model=model,
-        lumen_mm=lumen_mm,
-        scale_file=scale,
-        seed=seed,
-        device=device,
-    )
-    progress = SilentProgress() if quiet else TerminalProgress()
-    from pipeline.run import reconstruct as run
-
-    if demo:
-        from pipeline.demo import run_demo
-
-        print(run_demo(output or Path("demo_run"), settings, resume=resume, overwrite=overwrite, progress=progress))
-        return
-    assert source is not None
-    run(
-        source,
-        output or Path(f"{source.resolve().stem}_run"),
-        settings,
-        resume=resume,
-        overwrite=overwrite,
-        progress=progress,
-    )
 
 
 @app.command()
@@ -279,7 +225,7 @@ def main() -> None:
 def reconstruct_main() -> None:
     """Entry point of `reconstruct`, the same as `haustra reconstruct`."""
     single = typer.Typer(add_completion=False)
-    single.command()(reconstruct)
+    single.command()(cli_runs.reconstruct)
     sys.exit(run_cleanly(lambda: _checked(single)))
 
 

@@ -1,4 +1,4 @@
-"""The commands about finished and about many runs: `haustra view` and `haustra batch`."""
+"""The commands that make runs and show them: `reconstruct`, `haustra batch` and `haustra view`."""
 
 import os
 from pathlib import Path
@@ -11,9 +11,81 @@ from pipeline.errors import HaustraError
 if TYPE_CHECKING:
     from pipeline.config import Config
 
+Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")]
 FrontEnd = Annotated[
     str | None, typer.Option(help="auto: sfm, or odometry for long videos and where sfm leaves doubt; sfm; odometry")
 ]
+Model = Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")]
+LumenMm = Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")]
+Start = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes before")]
+End = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes after")]
+Stride = Annotated[int | None, typer.Option(min=1, help="use every n-th frame")]
+ConfigFile = Annotated[Path | None, typer.Option(help="YAML file of settings; options given beside it win")]
+Seed = Annotated[int | None, typer.Option(help="of every random step")]
+Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]
+
+RERUN_NAME = "run.rrd"
+
+
+def reconstruct(
+    source: Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="run folder; NAME_run beside you if not given")
+    ] = None,
+    demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
+    camera: Camera = None,
+    front_end: FrontEnd = None,
+    model: Model = None,
+    lumen_mm: LumenMm = None,
+    scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
+    start: Start = None,
+    end: End = None,
+    stride: Stride = None,
+    config: ConfigFile = None,
+    seed: Seed = None,
+    device: Device = None,
+    rerun: Annotated[bool, typer.Option("--rerun", help=f"also write {RERUN_NAME}, for Rerun; needs [rerun]")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Video in, coloured colon mesh, camera path, dense depth and report out."""
+    from pipeline.config import load_config
+    from pipeline.progress import SilentProgress, TerminalProgress
+
+    if (source is None) == (not demo):
+        raise HaustraError("give one video or folder, or --demo")
+    if rerun:
+        from pipeline.rerun_export import export_rerun, import_rerun
+
+        import_rerun()  # before the work, not after it
+    settings = load_config(
+        config,
+        camera=camera,
+        front_end=front_end,
+        model=model,
+        lumen_mm=lumen_mm,
+        scale_file=scale,
+        frames={"start_s": start, "end_s": end, "stride": stride},
+        seed=seed,
+        device=device,
+    )
+    again: dict[str, Any] = {"resume": resume, "overwrite": overwrite}
+    again["progress"] = SilentProgress() if quiet else TerminalProgress()
+    if demo:
+        from pipeline.demo import run_demo
+
+        output = output or Path("demo_run")
+        print(run_demo(output, settings, **again))
+    else:
+        from pipeline.run import reconstruct as run
+
+        assert source is not None
+        output = output or Path(f"{source.resolve().stem}_run")
+        run(source, output, settings, **again)
+    if rerun:
+        print(export_rerun(output, output / RERUN_NAME))
 
 
 def view(
@@ -34,13 +106,16 @@ def batch(
     ray: Annotated[
         str | None, typer.Option(help="address of a Ray cluster, or local; needs the extra: cluster")
     ] = None,
-    camera: Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")] = None,
+    camera: Camera = None,
     front_end: FrontEnd = None,
-    model: Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")] = None,
-    lumen_mm: Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings")] = None,
-    seed: Annotated[int | None, typer.Option(help="of every random step")] = None,
-    device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
+    model: Model = None,
+    lumen_mm: LumenMm = None,
+    start: Start = None,
+    end: End = None,
+    stride: Stride = None,
+    config: ConfigFile = None,
+    seed: Seed = None,
+    device: Device = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="replace runs of another video or with other settings; keep the rest")
     ] = False,
@@ -55,9 +130,10 @@ def batch(
 
     given: dict[str, Any] = {"camera": camera, "front_end": front_end, "model": model, "lumen_mm": lumen_mm}
     given |= {"seed": seed, "device": device}
-    settings = load_config(config, **given)
-    given |= files_in_full(settings)
-    settings = load_config(config, **given)
+    frames = {"start_s": start, "end_s": end, "stride": stride}
+    given |= files_in_full(load_config(config, frames=frames, **given))
+    settings = load_config(config, frames=frames, **given)
+    given |= {"start": start, "end": end, "stride": stride}
     words = options_of(given | {"config": None if config is None else str(config.resolve())})
     workers = jobs or max(1, (os.cpu_count() or 2) // 2)
     pool = process_pool(workers) if ray is None else ray_pool(ray, workers)

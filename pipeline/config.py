@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
 from pipeline.errors import HaustraError
 
@@ -20,8 +20,8 @@ class Settings(BaseModel):
 class FrameSettings(Settings):
     """Decoding and judging frames."""
 
-    start_s: float = Field(0.0, ge=0)
-    end_s: float | None = None
+    start_s: float = Field(0.0, ge=0, description="s; frames before it are left out")
+    end_s: float | None = Field(None, description="s; frames from it on are left out")
     stride: int = Field(1, ge=1, description="use every n-th frame")
     long_side: int = Field(480, ge=96, description="px; SIFT's precision gains little beyond, its time doubles")
     min_brightness: float = Field(8.0, description="grey levels; a darker median frame is black")
@@ -29,6 +29,12 @@ class FrameSettings(Settings):
     min_texture: float = Field(1.2, description="grey levels, robust spread of the Laplacian; red-out is below it")
     min_relative_sharpness: float = Field(0.3, description="of the running median; a third is motion blur")
     min_change: float = Field(0.35, description="grey levels between thumbnails; compression alone gives 0.2")
+
+    @model_validator(mode="after")
+    def _ends_after_it_starts(self) -> "FrameSettings":
+        if self.end_s is not None and self.end_s <= self.start_s:
+            raise ValueError("end_s must be after start_s")
+        return self
 
 
 class StructureSettings(Settings):
@@ -117,7 +123,7 @@ class Config(Settings):
 
 
 def load_config(path: Path | None, **overrides: object) -> Config:
-    """Defaults, then the YAML file, then the command line's overrides that are not None."""
+    """Defaults, then the YAML file, then the command line's overrides that are not None; a section's one by one."""
     values: dict[str, object] = {}
     if path is not None:
         try:
@@ -126,7 +132,13 @@ def load_config(path: Path | None, **overrides: object) -> Config:
             raise HaustraError(f"cannot read the configuration {path}: {str(error).splitlines()[0]}") from error
         if not isinstance(values, dict):
             raise HaustraError(f"the configuration {path} is not a mapping of settings")
-    values |= {name: value for name, value in overrides.items() if value is not None}
+    for name, value in overrides.items():
+        if isinstance(value, dict):
+            section = values.setdefault(name, {})
+            if isinstance(section, dict):  # what else the file has there is refused below
+                section |= {key: given for key, given in value.items() if given is not None}
+        elif value is not None:
+            values[name] = value
     return validate_config(values)
 
 
