@@ -2,6 +2,9 @@
 
 A point's depth error follows from its parallax: n rays at angles alpha_i, each off by sigma_pixel / f, fix the depth to
 sigma_z / z = sigma_pixel / (f sqrt(sum (alpha_i - mean)^2)), the slope of a line fitted to them.
+
+That holds where each frame finds a point for itself. A corner that was followed from frame to frame slides, and what it
+is off in one frame it is off in the next: the error does not average out. Points that were found are preferred.
 """
 
 from dataclasses import dataclass
@@ -16,6 +19,8 @@ from pipeline.submap import Submap
 
 NEIGHBOURS = 8  # points whose median log depth a point is compared with
 OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
+FOLLOWED_ERROR = 4.0  # of a followed corner's true error over that of independent ones; measured on a phantom
+REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # points that were found so near (share of the width) replace a followed one
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,7 @@ def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> t
         & (angles >= settings.min_angle_deg)
     )
     noise = np.maximum(settings.pixel_noise, submap.error_px)
+    noise = np.where(submap.is_followed, FOLLOWED_ERROR, 1.0) * noise
     return good, noise / (focal * np.maximum(submap.ray_spreads(), 1e-6))
 
 
@@ -73,7 +79,8 @@ class SparseDepthMaker:
         return points[self.good[points]]
 
     def sparse_depth(self, row: int) -> SparseDepth:
-        """Points seen by the frame, then those that only its neighbours saw and that nothing hides here."""
+        """Points seen by the frame, then those that only its neighbours saw and that nothing hides here; followed ones
+        only where few others are."""
         own = self.seen_by(row)
         reach = self.settings.neighbours
         around = range(max(0, row - reach), min(len(self.submap.frames), row + reach + 1))
@@ -86,12 +93,22 @@ class SparseDepthMaker:
         pixels[front] = self.pinhole.project(in_camera[front])
         size = np.array([self.pinhole.width, self.pinhole.height])
         keep = front & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
+        keep[keep] = ~self._is_replaced(pixels[keep], points[keep])
         is_own = np.arange(len(points)) < len(own)
         pixels, depth, error = pixels[keep], in_camera[keep, 2], self.error[points[keep]]
         visible = self._is_visible(pixels, depth, is_own[keep])
         pixels, depth, error = pixels[visible], depth[visible], error[visible]
         inlier = ~is_outlier(pixels, depth, self.settings.outlier_ratio)
         return SparseDepth(pixels[inlier], depth[inlier], error[inlier])
+
+    def _is_replaced(self, pixels: NDArray, points: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """True for followed points with enough others around."""
+        followed = self.submap.is_followed[points]
+        replaced = np.zeros(len(points), dtype=bool)
+        if followed.any() and (~followed).sum() >= REPLACED_BY:
+            distance, _ = cKDTree(pixels[~followed]).query(pixels[followed], k=REPLACED_BY)
+            replaced[followed] = distance[:, -1] < REPLACED_WITHIN * self.pinhole.width
+        return replaced
 
     def _is_visible(self, pixels: NDArray, depth: NDArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """True for the frame's own points, and for others unless an own point close by is clearly nearer."""

@@ -14,7 +14,8 @@ class Submap:
     frames: (N,) source frame index, ascending. world_from_camera: (N,4,4). points: (P,3). error_px: (P,) mean
     reprojection error. observations: (M,2) row in `frames` and row in `points`. pixels: (M,2), structure camera's
     image, COLMAP's convention. camera_params: as refined with it. camera_sigma: standard deviations of
-    the refined ones, focal length first; empty if the camera was given.
+    the refined ones, focal length first; empty if the camera was given. followed: (P,) points of corners that were
+    followed from frame to frame, the others were found in each frame for itself; None if none was followed.
     """
 
     frames: NDArray[np.int64]
@@ -25,6 +26,12 @@ class Submap:
     pixels: NDArray[np.float64]
     camera_params: tuple[float, ...]
     camera_sigma: tuple[float, ...] = ()
+    followed: NDArray[np.bool_] | None = None
+
+    @property
+    def is_followed(self) -> NDArray[np.bool_]:
+        """(P,) `followed`, whatever the front end."""
+        return np.zeros(len(self.points), dtype=bool) if self.followed is None else self.followed
 
     @property
     def centres(self) -> NDArray[np.float64]:
@@ -104,7 +111,7 @@ class Submap:
 
 
 def read_submap(folder: Path) -> Submap:
-    """A submap from the arrays that the COLMAP worker wrote."""
+    """A submap from the arrays that the COLMAP worker or `write_model` wrote."""
     sigma = folder / "camera_sigma.txt"
     with np.load(folder / "model.npz", allow_pickle=False) as arrays:
         return Submap(
@@ -116,4 +123,5 @@ def read_submap(folder: Path) -> Submap:
             arrays["pixels"],
             tuple(float(p) for p in arrays["camera_params"]),
             tuple(float(s) for s in sigma.read_text().split()) if sigma.exists() else (),
+            arrays.get("followed"),
         )

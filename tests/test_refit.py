@@ -65,6 +65,18 @@ def test_a_bent_scale_is_taken_back(finished):
     assert error(crooked) < 0.05 * before
 
 
+def test_features_and_followed_corners_are_told_apart(finished):
+    assert to_submap(finished, CAMERA.params).is_followed.all()
+    local_map = copy.deepcopy(finished)
+    assert refit(local_map, read)
+    submap = to_submap(local_map, CAMERA.params)
+    assert not to_submap(local_map.of_features(), CAMERA.params).is_followed.any()
+    between = ~np.isin(submap.frames, [keyframe.frame for keyframe in local_map.keyframes])
+    seen_between = np.unique(submap.observations[between[submap.observations[:, 0]], 1])
+    assert submap.is_followed[seen_between].all(), "features are looked for in keyframes alone"
+    assert 100 < submap.is_followed.sum() < len(submap.points) - 100
+
+
 def test_the_features_lie_on_the_wall(finished):
     local_map = copy.deepcopy(finished)
     assert refit(local_map, read)

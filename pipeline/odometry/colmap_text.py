@@ -24,6 +24,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{index:06d}.jpg" for index in submap.frames]
+    followed = {} if submap.followed is None else {"followed": submap.followed}
     np.savez(
         folder / "model.npz",
         allow_pickle=False,
@@ -34,6 +35,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
         observations=submap.observations,
         pixels=submap.pixels,
         camera_params=np.array(submap.camera_params),
+        **followed,
     )
     if submap.camera_sigma:
         (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))

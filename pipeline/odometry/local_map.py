@@ -70,6 +70,11 @@ class LocalMap:
         self.posed: list[PosedFrame] = []
         self.first_feature: int | None = None  # tracks from here on were not followed but found anew, see `refit`
 
+    @property
+    def features_from(self) -> int:
+        """The first track that was not followed; one more than the last track if all were."""
+        return len(self.known) if self.first_feature is None else self.first_feature
+
     def reserve(self, count: int) -> None:
         """Make room for track numbers below `count`."""
         while len(self.known) < count:
@@ -124,9 +129,9 @@ class LocalMap:
         """The keyframes with what `add_features` gave them and nothing else; it shares the points with this map."""
         part = LocalMap(self.rays)
         part.points, part.known, part.barred = self.points, self.known, self.barred
-        first = len(self.known) if self.first_feature is None else self.first_feature
+        part.first_feature = self.features_from
         for keyframe in self.keyframes:
-            mine = keyframe.ids >= first
+            mine = keyframe.ids >= self.features_from
             part.add_keyframe(keyframe.frame, keyframe.pose, keyframe.ids[mine], keyframe.pixels[mine])
         return part
 
