@@ -64,12 +64,13 @@ class SfmPattern:
     """Ranges of the structure-from-motion-like sampler; each frame draws its own values."""
 
     min_points: int = 15
-    max_points: int = 1000  # log-uniform between the two
+    max_points: int = 2000  # log-uniform between the two
     corner_share: float = 0.75  # frames whose points sit on corners; the rest are uniform
     hole_share: float = 0.5  # frames in which a disc without points is cut out
-    max_noise: float = 0.06  # relative depth noise, uniform from 0
+    max_noise: float = 0.06  # relative depth noise, uniform from 0 where it is not known
+    min_known_noise: float = 0.003  # log-uniform from here where it is: an adjusted map knows its points to 1 %
     max_outliers: float = 0.08  # share of points with a wrong depth, uniform from 0
-    known_error_share: float = 0.3  # frames whose points differ in noise and are trusted accordingly
+    known_error_share: float = 0.5  # frames whose points differ in noise and are trusted accordingly
 
     def __post_init__(self) -> None:
         if not 0 < self.min_points <= self.max_points:
@@ -103,7 +104,8 @@ def sample_like_sfm(
     score = score.masked_fill((depth <= 0) | _holes(depth, pattern, generator), float("-inf"))
     picked = _pick(score, counts)
     known = draw(0, 1) < pattern.known_error_share
-    error = draw(0, pattern.max_noise) * torch.where(known, torch.exp(normal()), 1)
+    of_known = pattern.min_known_noise * (pattern.max_noise / pattern.min_known_noise) ** draw(0, 1)
+    error = torch.where(known, of_known * torch.exp(normal()), draw(0, pattern.max_noise))
     noisy = depth * torch.exp(error * normal())
     wrong = _uniform_score(depth, generator) < draw(0, pattern.max_outliers)
     factor = torch.exp(0.7 * normal())
