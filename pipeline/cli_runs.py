@@ -25,8 +25,6 @@ Seed = Annotated[int | None, typer.Option(help="of every random step")]
 Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]
 
-RERUN_NAME = "run.rrd"
-
 
 def reconstruct(
     source: Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")] = None,
@@ -45,7 +43,7 @@ def reconstruct(
     config: ConfigFile = None,
     seed: Seed = None,
     device: Device = None,
-    rerun: Annotated[bool, typer.Option("--rerun", help=f"also write {RERUN_NAME}, for Rerun; needs [rerun]")] = False,
+    rerun: Annotated[bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs [rerun]")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
     quiet: Quiet = False,
@@ -53,13 +51,14 @@ def reconstruct(
     """Video in, coloured colon mesh, camera path, dense depth and report out."""
     from pipeline.config import load_config
     from pipeline.progress import SilentProgress, TerminalProgress
+    from pipeline.workspace import Workspace
 
     if (source is None) == (not demo):
         raise HaustraError("give one video or folder, or --demo")
     if rerun:
-        from pipeline.rerun_export import export_rerun, import_rerun
+        from pipeline.rerun_export import check_rerun, export_rerun
 
-        import_rerun()  # before the work, not after it
+        check_rerun()  # before the work, not after it
     settings = load_config(
         config,
         camera=camera,
@@ -85,7 +84,9 @@ def reconstruct(
         output = output or Path(f"{source.resolve().stem}_run")
         run(source, output, settings, **again)
     if rerun:
-        print(export_rerun(output, output / RERUN_NAME))
+        recording = export_rerun(output, Workspace(output).recording)
+        if not quiet:
+            print(recording)
 
 
 def view(

@@ -18,6 +18,9 @@ from reconstruction.mesh import SurfaceMesh
 from reconstruction.unrolled import unroll
 from reconstruction.witness import SurfaceWitness
 
+# Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
+# depth is unsure, and not fused, within some pixels of every rim. Chosen on two phantoms (docs/coverage.md).
+FRINGE = 3.0
 SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
@@ -78,7 +81,7 @@ def measure_believed(part: DenseSubmap, surface: Surface) -> tuple[Coverage, Sur
     half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()
-    return measure_coverage(believed, submap.world_from_camera, half_view, unit, fringe=voxel), believed
+    return measure_coverage(believed, submap.world_from_camera, half_view, unit, fringe=FRINGE * voxel), believed
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:

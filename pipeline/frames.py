@@ -79,12 +79,20 @@ def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tu
     stride = CONTENT_STRIDE
     if 0 < source.announced < CONTENT_SAMPLES * CONTENT_STRIDE:
         stride = max(1, source.announced // CONTENT_SAMPLES)
+    looked_at = 0
     sampled = (frame.rgb for frame in itertools.islice(_in_range(source, settings), 0, None, stride))
     while window := list(itertools.islice(sampled, CONTENT_SAMPLES)):
+        if looked_at == 0 and len(window) < CONTENT_SAMPLES and stride > 1:  # little is asked for: look at more of it
+            finer = max(1, len(window) * stride // CONTENT_SAMPLES)
+            window = [frame.rgb for frame in itertools.islice(_in_range(source, settings), 0, None, finer)]
+        looked_at += len(window)
         try:
             return find_content(window), (window[0].shape[1], window[0].shape[0])
         except HaustraError:
             continue
+    if looked_at == 0 and (settings.start_s > 0 or settings.end_s is not None):
+        end = "the end" if settings.end_s is None else f"{settings.end_s:g} s"
+        raise HaustraError(f"no frame lies between {settings.start_s:g} s and {end}")
     raise HaustraError("the video is black: no part of any frame is ever lit")
 
 

@@ -131,7 +131,7 @@ def point_ties(part: DenseSubmap) -> list[Edge]:
             distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
             less = SLACK * np.sqrt(times[shared] / 2) * distance
             across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
-            information = tie_information(points, across, np.maximum(maker.error[shared], 1e-4) * less)
+            information = tie_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
             relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
             ties.append(Edge(one, other, relation, information))
     return ties

@@ -4,6 +4,7 @@ Needs the extra `[rerun]`.
 """
 
 import hashlib
+import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,21 @@ TIMELINE = "video"
 JPEG_QUALITY = 85
 
 
+NO_SDK = "a Rerun recording needs its SDK: pip install 'haustra[rerun]'"
+
+
+def check_rerun() -> None:
+    """One sentence on how to get the SDK where it is missing; loads nothing."""
+    if importlib.util.find_spec("rerun") is None:
+        raise HaustraError(NO_SDK)
+
+
 def import_rerun() -> Any:
     """The `rerun` module, or one sentence on how to get it."""
     try:
         import rerun
     except ImportError as error:
-        raise HaustraError("a Rerun recording needs its SDK: pip install 'haustra[rerun]'") from error
+        raise HaustraError(NO_SDK) from error
     return rerun
 
 

@@ -19,8 +19,10 @@ from pipeline.submap import Submap
 
 NEIGHBOURS = 8  # points whose median log depth a point is compared with
 OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
-FOLLOWED_ERROR = 4.0  # of a followed corner's true error over that of independent ones; measured on a phantom
-REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # points that were found so near (share of the width) replace a followed one
+SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/front_end.md
+REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # better points so near (share of the width) replace a followed one
+ASKED = 12  # nearest points among which those are looked for
+SAME_WALL = 0.25  # log depth within which points are taken to lie on one wall
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class SparseDepth:
 
 
 def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> tuple[NDArray, NDArray]:
-    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each.
+    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each if it was found in each
+    frame for itself.
 
     focal: of the image in which the points were found, px.
     """
@@ -58,8 +61,16 @@ def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> t
         & (angles >= settings.min_angle_deg)
     )
     noise = np.maximum(settings.pixel_noise, submap.error_px)
-    noise = np.where(submap.is_followed, FOLLOWED_ERROR, 1.0) * noise
     return good, noise / (focal * np.maximum(submap.ray_spreads(), 1e-6))
+
+
+def error_with_slide(scatter: NDArray, submap: Submap, focal: float, width: int) -> NDArray[np.float64]:
+    """(P,) relative depth error of all points, of which the followed ones also slid across the angle that they span.
+
+    However many frames saw it on the way, a corner that slid by s px over an angle alpha is off by s / (f alpha).
+    """
+    angle = np.maximum(np.radians(submap.triangulation_angles()), 1e-6)
+    return np.where(submap.is_followed, np.hypot(scatter, SLIDE * width / (focal * angle)), scatter)
 
 
 class SparseDepthMaker:
@@ -68,7 +79,9 @@ class SparseDepthMaker:
     def __init__(self, submap: Submap, pinhole: Camera, settings: SparseSettings) -> None:
         self.submap, self.pinhole, self.settings = submap, pinhole, settings
         # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
-        self.good, self.error = reliable_points(submap, submap.camera_params[0], settings)
+        focal = submap.camera_params[0]
+        self.good, self.scatter = reliable_points(submap, focal, settings)
+        self.error = error_with_slide(self.scatter, submap, focal, pinhole.width)
         order = np.argsort(submap.observations[:, 0], kind="stable")
         frame, self._points = submap.observations[order].T
         self._starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
@@ -93,22 +106,12 @@ class SparseDepthMaker:
         pixels[front] = self.pinhole.project(in_camera[front])
         size = np.array([self.pinhole.width, self.pinhole.height])
         keep = front & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
-        keep[keep] = ~self._is_replaced(pixels[keep], points[keep])
-        is_own = np.arange(len(points)) < len(own)
+        keep[keep] = self._is_visible(pixels[keep], in_camera[keep, 2], np.flatnonzero(keep) < len(own))
         pixels, depth, error = pixels[keep], in_camera[keep, 2], self.error[points[keep]]
-        visible = self._is_visible(pixels, depth, is_own[keep])
-        pixels, depth, error = pixels[visible], depth[visible], error[visible]
+        kept = ~is_replaced(pixels, depth, error, self.submap.is_followed[points[keep]], self.pinhole.width)
+        pixels, depth, error = pixels[kept], depth[kept], error[kept]
         inlier = ~is_outlier(pixels, depth, self.settings.outlier_ratio)
         return SparseDepth(pixels[inlier], depth[inlier], error[inlier])
-
-    def _is_replaced(self, pixels: NDArray, points: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """True for followed points with enough others around."""
-        followed = self.submap.is_followed[points]
-        replaced = np.zeros(len(points), dtype=bool)
-        if followed.any() and (~followed).sum() >= REPLACED_BY:
-            distance, _ = cKDTree(pixels[~followed]).query(pixels[followed], k=REPLACED_BY)
-            replaced[followed] = distance[:, -1] < REPLACED_WITHIN * self.pinhole.width
-        return replaced
 
     def _is_visible(self, pixels: NDArray, depth: NDArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """True for the frame's own points, and for others unless an own point close by is clearly nearer."""
@@ -120,6 +123,25 @@ class SparseDepthMaker:
         close = distance < OCCLUSION_RADIUS * self.pinhole.width
         nearer = np.where(close, depth[own][nearest], np.inf).min(axis=1)
         return own | (depth < 1.1 * nearer)
+
+
+def is_replaced(
+    pixels: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    error: NDArray[np.float64],
+    followed: NDArray[np.bool_],
+    width: int,
+) -> NDArray[np.bool_]:
+    """(K,) True for followed points near which enough others, that are surer, say what the same wall's depth is."""
+    replaced = np.zeros(len(pixels), dtype=bool)
+    if not followed.any() or (~followed).sum() < REPLACED_BY:
+        return replaced
+    count = min(ASKED, int((~followed).sum()))
+    distance, nearest = cKDTree(pixels[~followed]).query(pixels[followed], k=count)
+    surer = error[~followed][nearest] < error[followed][:, None]
+    same = np.abs(np.log(depth[~followed][nearest] / depth[followed][:, None])) < SAME_WALL
+    replaced[followed] = (surer & same & (distance < REPLACED_WITHIN * width)).sum(axis=1) >= REPLACED_BY
+    return replaced
 
 
 def is_outlier(pixels: NDArray[np.float64], depth: NDArray[np.float64], ratio: float) -> NDArray[np.bool_]:

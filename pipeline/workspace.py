@@ -53,6 +53,7 @@ class Workspace:
         self.coverage = root / "coverage.png"
         self.metrics = root / "metrics.json"
         self.report = root / "report.html"
+        self.recording = root / "run.rrd"
         self.record_path = root / RECORD_NAME
         self.record: dict[str, Any] = {"stages": {}}
         self.lock: RunLock | None = None  # held where this process writes

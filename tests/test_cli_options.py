@@ -4,8 +4,9 @@ import sys
 
 import pytest
 
-from pipeline import cli, cli_runs, rerun_export, run
+from pipeline import batch, cli, rerun_export, run
 from pipeline.config import load_config
+from pipeline.demo import CAMERA, VIDEO
 from pipeline.errors import HaustraError
 
 
@@ -51,15 +52,42 @@ def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys)
     assert runs == []
 
 
-def test_a_batch_hands_the_part_to_every_video():
-    assert cli_runs.options_of({"start": 1.0, "end": None, "stride": 2}) == ["--start", "1.0", "--stride", "2"]
+def test_a_batch_hands_the_part_to_every_video(monkeypatch, tmp_path, runs):
+    """The words with which each video's own process is started give the settings that the batch compares runs with."""
+    given = []
+    words = ["haustra", "batch", "a.mp4", "-o", str(tmp_path), "--start", "1", "--stride", "2", "--jobs", "1", "-q"]
+    monkeypatch.setattr(batch, "run_batch", lambda _, __, words, settings, *___: given.append((words, settings)) or [])
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert not stop.value.code
+    words, settings = given[0]
+    assert (settings.frames.start_s, settings.frames.end_s, settings.frames.stride) == (1.0, None, 2)
+    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "-q", *words) == 0
+    assert runs[0][1] == settings
+
+
+@pytest.mark.parametrize("option", ["--start", "--end"])
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_a_time_must_be_a_number(monkeypatch, tmp_path, runs, option, value):
+    assert command(monkeypatch, "a.mp4", "-o", tmp_path, option, value) != 0
+    assert runs == []
+
+
+def test_a_part_beyond_the_end_is_one_sentence(tmp_path):
+    for end, told in ((None, "the end"), (600.0, "600 s")):
+        config = load_config(None, camera=str(CAMERA), frames={"start_s": 500.0, "end_s": end})
+        with pytest.raises(HaustraError, match=f"no frame lies between 500 s and {told}"):
+            run.reconstruct(VIDEO, tmp_path / "run", config, overwrite=True)
 
 
 def test_a_recording_is_written_into_the_run_folder(monkeypatch, tmp_path, runs, capsys):
-    monkeypatch.setattr(rerun_export, "import_rerun", lambda: None)
+    monkeypatch.setattr(rerun_export, "check_rerun", lambda: None)
     monkeypatch.setattr(rerun_export, "export_rerun", lambda made, target: target)
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--rerun", "-q") == 0
+    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--rerun") == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "run.rrd")
+    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--rerun", "-q") == 0
+    assert capsys.readouterr().out == ""
 
 
 def test_a_missing_recorder_is_told_before_the_work(monkeypatch, tmp_path, runs, capsys):
