@@ -127,6 +127,8 @@ def test_loss_begins_a_second_map_and_a_place_seen_again_joins_them(clip):
     merged, joins = polish_and_merge(maps, lambda k: (images[k], MASK), 0)
     assert (len(merged), joins) == (1, 1)
     submap = to_submap(merged[0], CAMERA.params)
+    followed = submap.is_followed
+    assert min(followed.sum(), (~followed).sum()) > 500, "what ties the two maps was found, all else was followed"
     truth = clip[1][[order[k] for k in submap.frames]]
     assert submap.frames[-1] > 38 > submap.frames[0]
     assert trajectory_errors(submap.world_from_camera, truth).ate_rmse < 0.5

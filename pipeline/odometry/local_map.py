@@ -66,14 +66,10 @@ class LocalMap:
         self.points = np.zeros((1024, 3))
         self.known = np.zeros(1024, dtype=bool)  # tracks that have a point
         self.barred = np.zeros(1024, dtype=bool)  # tracks whose point was found wrong
+        self.followed = np.ones(1024, dtype=bool)  # the others were found in each keyframe for itself
         self.keyframes: list[Keyframe] = []
         self.posed: list[PosedFrame] = []
         self.first_feature: int | None = None  # tracks from here on were not followed but found anew, see `refit`
-
-    @property
-    def features_from(self) -> int:
-        """The first track that was not followed; one more than the last track if all were."""
-        return len(self.known) if self.first_feature is None else self.first_feature
 
     def reserve(self, count: int) -> None:
         """Make room for track numbers below `count`."""
@@ -82,6 +78,7 @@ class LocalMap:
             self.points = np.concatenate([self.points, np.zeros((size, 3))])
             self.known = np.concatenate([self.known, np.zeros(size, dtype=bool)])
             self.barred = np.concatenate([self.barred, np.zeros(size, dtype=bool)])
+            self.followed = np.concatenate([self.followed, np.ones(size, dtype=bool)])
 
     def tracks_in_use(self) -> int:
         """One more than the highest track number that any keyframe holds."""
@@ -112,7 +109,7 @@ class LocalMap:
         begun = self.first_feature = len(self.known)
         self.reserve(begun + len(points))
         ids = np.arange(begun, begun + len(points))
-        self.points[ids], self.known[ids] = points, known
+        self.points[ids], self.known[ids], self.followed[ids] = points, known, False
         return ids
 
     def forget_features(self) -> None:
@@ -121,6 +118,7 @@ class LocalMap:
             return
         first = self.first_feature
         self.points, self.known, self.barred = self.points[:first], self.known[:first], self.barred[:first]
+        self.followed = self.followed[:first]
         for keyframe in self.keyframes:
             keyframe.keep(keyframe.ids < first)
         self.first_feature = None
@@ -128,10 +126,10 @@ class LocalMap:
     def of_features(self) -> "LocalMap":
         """The keyframes with what `add_features` gave them and nothing else; it shares the points with this map."""
         part = LocalMap(self.rays)
-        part.points, part.known, part.barred = self.points, self.known, self.barred
-        part.first_feature = self.features_from
+        part.points, part.known, part.barred, part.followed = self.points, self.known, self.barred, self.followed
+        first = len(self.known) if self.first_feature is None else self.first_feature
         for keyframe in self.keyframes:
-            mine = keyframe.ids >= self.features_from
+            mine = keyframe.ids >= first
             part.add_keyframe(keyframe.frame, keyframe.pose, keyframe.ids[mine], keyframe.pixels[mine])
         return part
 

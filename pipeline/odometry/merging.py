@@ -155,7 +155,7 @@ def absorb(base: LocalMap, shown: list[Place], other: LocalMap, places: list[Pla
     base.reserve(first_track + len(other.known))
     fresh = slice(first_track, first_track + len(other.known))
     base.points[fresh] = moved_points(base_from_other, other.points)
-    base.known[fresh], base.barred[fresh] = other.known, other.barred
+    base.known[fresh], base.barred[fresh], base.followed[fresh] = other.known, other.barred, other.followed
     for keyframe in other.keyframes:
         keyframe.pose, keyframe.ids = _in_frame(keyframe.pose, base_from_other, scale), keyframe.ids + first_track
         base.keyframes.append(keyframe)
@@ -192,7 +192,7 @@ def _tie(base: LocalMap, link: Link, places: tuple[list[Place], list[Place]], of
     begun = base.tracks_in_use()
     ids: NDArray[np.int64] = np.arange(begun, begun + int(front.sum()))
     base.reserve(begun + len(ids))
-    base.points[ids], base.known[ids], base.barred[ids] = world[front], True, False
+    base.points[ids], base.known[ids], base.barred[ids], base.followed[ids] = world[front], True, False, False
     for side, offset in enumerate(offsets):
         place, rows = link.places[side], link.rows[side][front]
         base.extend(place.keyframe + offset, ids, place.pixels[rows])

@@ -58,7 +58,7 @@ def to_submap(
         pixels[good].astype(np.float64),
         camera_params,
         camera_sigma,
-        tracks < local_map.features_from,
+        local_map.followed[tracks],
     )
 
 
