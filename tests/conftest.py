@@ -1,5 +1,6 @@
 """Tiny seeded inputs shared by the tests."""
 
+import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,10 @@ import numpy as np
 import psutil
 import pytest
 from numpy.typing import NDArray
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell's background job ignores Ctrl-C, and so would every process that the tests start and interrupt.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
