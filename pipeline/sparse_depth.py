@@ -47,13 +47,14 @@ class SparseDepth:
         return depth, error
 
 
-def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> tuple[NDArray, NDArray]:
+def reliable_points(
+    submap: Submap, angles: NDArray[np.float64], focal: float, settings: SparseSettings
+) -> tuple[NDArray, NDArray]:
     """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each if it was found in each
     frame for itself.
 
-    focal: of the image in which the points were found, px.
+    angles: (P,) the submap's triangulation angles, deg. focal: of the image in which the points were found, px.
     """
-    angles = submap.triangulation_angles()
     lengths = submap.track_lengths()
     good = (
         (submap.error_px <= settings.max_reprojection_px)
@@ -64,13 +65,15 @@ def reliable_points(submap: Submap, focal: float, settings: SparseSettings) -> t
     return good, noise / (focal * np.maximum(submap.ray_spreads(), 1e-6))
 
 
-def error_with_slide(scatter: NDArray, submap: Submap, focal: float, width: int) -> NDArray[np.float64]:
-    """(P,) relative depth error of all points, of which the followed ones also slid across the angle that they span.
+def error_with_slide(
+    scatter: NDArray[np.float64], followed: NDArray[np.bool_], angles: NDArray[np.float64], slide: float
+) -> NDArray[np.float64]:
+    """(P,) relative depth error of all points, of which the followed ones also slid across the angle (deg) that they
+    span. slide: focal lengths.
 
     However many frames saw it on the way, a corner that slid by s px over an angle alpha is off by s / (f alpha).
     """
-    angle = np.maximum(np.radians(submap.triangulation_angles()), 1e-6)
-    return np.where(submap.is_followed, np.hypot(scatter, SLIDE * width / (focal * angle)), scatter)
+    return np.where(followed, np.hypot(scatter, slide / np.maximum(np.radians(angles), 1e-6)), scatter)
 
 
 class SparseDepthMaker:
@@ -79,9 +82,9 @@ class SparseDepthMaker:
     def __init__(self, submap: Submap, pinhole: Camera, settings: SparseSettings) -> None:
         self.submap, self.pinhole, self.settings = submap, pinhole, settings
         # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
-        focal = submap.camera_params[0]
-        self.good, self.scatter = reliable_points(submap, focal, settings)
-        self.error = error_with_slide(self.scatter, submap, focal, pinhole.width)
+        focal, angles = submap.camera_params[0], submap.triangulation_angles()
+        self.good, self.scatter = reliable_points(submap, angles, focal, settings)
+        self.error = error_with_slide(self.scatter, submap.is_followed, angles, SLIDE * pinhole.width / focal)
         order = np.argsort(submap.observations[:, 0], kind="stable")
         frame, self._points = submap.observations[order].T
         self._starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))

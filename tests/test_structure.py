@@ -129,7 +129,7 @@ def test_predicted_error_follows_from_noise():
     noise = 0.5
     exact = tube_submap(frames=10, points=400)
     noisy = tube_submap(frames=10, points=400, noise_px=noise)
-    good, predicted = reliable_points(exact, 160.0, SparseSettings(pixel_noise=noise))
+    good, predicted = reliable_points(exact, exact.triangulation_angles(), 160.0, SparseSettings(pixel_noise=noise))
     ratios = []
     for p in np.flatnonzero(good):
         frame = exact.observations[exact.observations[:, 1] == p, 0]
