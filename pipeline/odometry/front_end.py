@@ -7,6 +7,7 @@ from itertools import count
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
@@ -42,6 +43,14 @@ def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, p
     def read(index: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         return read_image(workspace.image_path(index)), _read_mask(workspace, index)
 
+    # The matrices are so small that a second thread of BLAS costs twice the processor time and is slower for it.
+    with threadpool_limits(1, "blas"):
+        return _track(frames, stride, seed, read, workspace, progress)
+
+
+def _track(
+    frames: Frames, stride: int, seed: int, read: ReadFrame, workspace: Workspace, progress: Progress
+) -> Tracked:
     odometry = Odometry(RayTable(frames.camera), seed, stride)
     started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:

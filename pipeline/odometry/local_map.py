@@ -170,6 +170,7 @@ class LocalMap:
         loss_px: float = LOSS_PX,
         max_error_px: float = MAX_ERROR_PX,
         anchors: int = ANCHORS,
+        tolerance: float = 1e-4,
     ) -> None:
         """Bundle adjustment of the `window` keyframes before number `end` (the latest ones) and of their points.
 
@@ -183,7 +184,7 @@ class LocalMap:
         bundle, tracks = self._bundle(held, free)
         if len(tracks) == 0:
             return
-        result = adjust(bundle, iterations, loss_px)
+        result = adjust(bundle, iterations, loss_px, tolerance)
         for number, keyframe in enumerate(free, start=len(held)):
             keyframe.pose = compose(result.rotation[number], result.translation[number])
         self.points[tracks] = result.points

@@ -87,22 +87,30 @@ def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def sift(
-    rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST
+    rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST, widest: float = np.inf
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Pixels (N,2), COLMAP's convention, and SIFT descriptors (N,128)."""
-    detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=contrast)
+    """Pixels (N,2), COLMAP's convention, and SIFT descriptors (N,128), of features up to `widest` pixels across."""
+    # Without `enable_precise_upscale` OpenCV puts every feature a quarter of a pixel too far right and down.
+    detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=contrast, enable_precise_upscale=True)
     keypoints, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), mask)
-    if descriptors is None:
+    small = np.array([k.size <= widest for k in keypoints], dtype=bool)
+    if descriptors is None or not small.any():
         return np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)
-    return np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5, descriptors.astype(np.uint8)
+    pixels = np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5
+    return pixels[small], descriptors[small].astype(np.uint8)
 
 
 def place_of(
-    local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST
+    local_map: LocalMap,
+    number: int,
+    rgb: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    contrast: float = CONTRAST,
+    widest: float = np.inf,
 ) -> Place:
     """SIFT features within the hull of the keyframe's map points; inverse depth is linear across a plane's image."""
     keyframe = local_map.keyframes[number]
-    pixels, descriptors = sift(rgb, mask, contrast)
+    pixels, descriptors = sift(rgb, mask, contrast, widest)
     known = local_map.known[keyframe.ids]
     nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
     if known.sum() < MIN_POINTS or len(pixels) == 0:

@@ -22,6 +22,9 @@ from pipeline.odometry.places import Place, ReadFrame, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse
 
 CONTRAST = 0.002  # of a feature; pale mucosa has little more
+# A blob's centre shifts with the wall's slant and the lamp's gradient across it, in one direction while the camera
+# moves in one: the wider, the more. What is wider than this bends the scale as followed corners do.
+WIDEST, WIDEST_SHARE = 5.0, 5 / 320  # px and share of the width, the larger of the two
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
 MAX_OFF_SHARE = 0.019  # of the width: a feature from where the map has it, in another keyframe; 6 px of 320
@@ -52,7 +55,8 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
 
 def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
     rgb, mask = read(local_map.keyframes[number].frame)
-    return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST)
+    widest = max(WIDEST, WIDEST_SHARE * rgb.shape[1])
+    return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST, widest)
 
 
 def _near(local_map: LocalMap) -> list[tuple[int, int]]:
