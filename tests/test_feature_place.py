@@ -52,4 +52,5 @@ def test_wide_features_are_left_out():
 
 def test_nothing_small_is_no_feature():
     pixels, codes = sift(blobs(lattice(0), 8.0), MASK, widest=2.0)
-    assert pixels.shape == (0, 2) and codes.shape == (0, 128)
+    assert pixels.shape == (0, 2)
+    assert codes.shape == (0, 128)
