@@ -99,14 +99,14 @@ def _place(part: DenseSubmap, maker: SparseDepthMaker, row: int, frames: Frames)
     rgb = part.rectifier.image(read_image(part.workspace.image_path(index)))
     stored = cv2.imread(str(part.workspace.mask_path(index)), cv2.IMREAD_GRAYSCALE)
     mask = part.rectifier.mask(frames.content if stored is None else stored)
-    found, descriptors = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)))
-    pixels = np.asarray(found, np.float64)
+    found = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)))
+    pixels = np.asarray(found.pixels, np.float64)
     sparse = maker.sparse_depth(row)
     inverse = inverse_depth_at(pixels, sparse.pixels, sparse.depth)
     good = np.isfinite(inverse)
     plane = _on_plane(part, pixels[good])
     points = np.column_stack([plane, np.ones(len(plane))]) / inverse[good, None]
-    return Place(row, pixels[good], descriptors[good], points)
+    return Place(row, pixels[good], found.descriptors[good], points)
 
 
 def _link(

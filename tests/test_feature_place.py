@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.odometry.places import sift
+from pipeline.odometry.places import Place, sift
+from pipeline.odometry.refit import Matched
 
 SIDE = 320
 MASK = np.full((SIDE, SIDE), 255, np.uint8)
@@ -27,7 +28,7 @@ def lattice(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("sigma", [1.2, 1.8, 2.5, 4.0, 6.0])
 def test_a_blob_is_found_at_its_centre(sigma):
     centres = lattice(0)
-    pixels, _ = sift(blobs(centres, sigma), MASK)
+    pixels = sift(blobs(centres, sigma), MASK).pixels
     off = pixels[:, None] - centres
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     off = off[np.arange(len(off)), nearest]
@@ -36,21 +37,27 @@ def test_a_blob_is_found_at_its_centre(sigma):
     assert np.abs(off.mean(axis=0)).max() < 0.03  # px; a quarter without OpenCV's precise upscaling
 
 
-def test_wide_features_are_left_out():
-    rgb = np.maximum(blobs(lattice(0), 1.2), np.roll(blobs(lattice(1), 6.0), 20, axis=(0, 1)))
-    every, codes = sift(rgb, MASK)
-    small, small_codes = sift(rgb, MASK, widest=5.0)
-    assert 40 <= len(small) < len(every)
-    found = {(*pixel, *code) for pixel, code in zip(every, codes, strict=True)}  # a place may have two directions
-    assert {(*pixel, *code) for pixel, code in zip(small, small_codes, strict=True)} < found
-    wide = np.array([p for p in every if tuple(p) not in set(map(tuple, small))])
-    centres = lattice(1) + 20
-    centres = centres[(centres < SIDE - 30).all(axis=1)]
-    nearest = np.linalg.norm(wide[:, None] - centres, axis=2).min(axis=0)
-    assert (nearest < 1).mean() > 0.9  # the wide blobs are among what was left out
+@pytest.mark.parametrize("sigma", [1.2, 2.5, 6.0])
+def test_the_size_of_a_feature_is_that_of_its_blob(sigma):
+    assert np.median(sift(blobs(lattice(0), sigma), MASK).sizes) == pytest.approx(2 * sigma, rel=0.2)
 
 
-def test_nothing_small_is_no_feature():
-    pixels, codes = sift(blobs(lattice(0), 8.0), MASK, widest=2.0)
-    assert pixels.shape == (0, 2)
-    assert codes.shape == (0, 128)
+def place(seed: int, points: np.ndarray, sizes: np.ndarray) -> Place:
+    return Place(seed, points[:, :2], np.zeros((len(points), 128), np.uint8), points, sizes)
+
+
+def test_only_matches_of_narrow_features_may_move_the_map():
+    points = np.random.default_rng(0).normal(size=(6, 3))
+    sizes = np.array([[2.0, 5.0, 5.1, 9.0, 3.0, 20.0], [2.0, 4.0, 5.0, 9.0, 6.0, 4.0]])
+    rows = np.repeat(np.arange(6)[:, None], 2, axis=1)
+    matched = Matched([place(k, points, s) for k, s in enumerate(sizes)], [(0, 1)], [rows], widest=5.0)
+    narrow, wide = matched.tracks(wide=False), matched.tracks(wide=True)
+    assert sorted(narrow.feature[narrow.place == 0]) == [0, 1]  # both are at most five pixels across
+    assert sorted(wide.feature[wide.place == 0]) == [2, 3, 4, 5]
+
+
+def test_a_black_picture_has_no_features():
+    nothing = sift(np.zeros((SIDE, SIDE, 3), np.uint8), MASK)
+    assert nothing.pixels.shape == (0, 2)
+    assert nothing.descriptors.shape == (0, 128)
+    assert nothing.sizes.shape == (0,)

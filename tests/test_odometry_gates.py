@@ -103,7 +103,8 @@ def test_the_first_prediction_knows_the_stride(stride):
 
 def place_of(local_map, number, rows, codes):
     keyframe: Keyframe = local_map.keyframes[number]
-    return Place(number, keyframe.pixels[rows], codes[rows], local_map.points[keyframe.ids[rows]])
+    points = local_map.points[keyframe.ids[rows]]
+    return Place(number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0))
 
 
 def linked(rows, wrong=0, points=None):

@@ -105,8 +105,9 @@ class LocalMap:
             keyframe.seen, keyframe.gain = rays.look_up(keyframe.pixels)
 
     def add_features(self, points: Array, known: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """New tracks (N,) for points (N,3), after all others; they can be forgotten together."""
-        begun = self.first_feature = len(self.known)
+        """New tracks (N,) for points (N,3), after all others; those of all calls can be forgotten together."""
+        begun = len(self.known)
+        self.first_feature = begun if self.first_feature is None else self.first_feature
         self.reserve(begun + len(points))
         ids = np.arange(begun, begun + len(points))
         self.points[ids], self.known[ids], self.followed[ids] = points, known, False

@@ -165,8 +165,7 @@ def absorb(base: LocalMap, shown: list[Place], other: LocalMap, places: list[Pla
     for link in links:
         _tie(base, link, (shown, places), (0, first_keyframe))
     return [
-        Place(p.keyframe + first_keyframe, p.pixels, p.descriptors, moved_points(base_from_other, p.points))
-        for p in places
+        replace(p, keyframe=p.keyframe + first_keyframe, points=moved_points(base_from_other, p.points)) for p in places
     ]
 
 

@@ -30,14 +30,24 @@ SAMPLE = 20_000
 
 
 @dataclass(frozen=True)
+class Features:
+    """pixels (N,2), COLMAP's convention; descriptors (N,128) as SIFT gives them; sizes (N,), pixels across."""
+
+    pixels: Array
+    descriptors: NDArray[np.uint8]
+    sizes: Array
+
+
+@dataclass(frozen=True)
 class Place:
     """keyframe: its number in the map. pixels (N,2), descriptors (N,128) as SIFT gives them, whole numbers below 256,
-    points (N,3) in the map's world."""
+    points (N,3) in the map's world, sizes (N,) in pixels."""
 
     keyframe: int
     pixels: Array
     descriptors: NDArray[np.uint8]
     points: Array
+    sizes: Array
 
     @property
     def rooted(self) -> NDArray[np.float32]:
@@ -86,42 +96,35 @@ def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.sqrt(whole / np.maximum(whole.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
 
 
-def sift(
-    rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST, widest: float = np.inf
-) -> tuple[Array, NDArray[np.uint8]]:
-    """Pixels (N,2), COLMAP's convention, and SIFT descriptors (N,128), of features up to `widest` pixels across."""
+def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST) -> Features:
+    """The strongest SIFT features of a picture (H,W,3) within a mask (H,W)."""
     # Without `enable_precise_upscale` OpenCV puts every feature a quarter of a pixel too far right and down.
     detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=contrast, enable_precise_upscale=True)
     keypoints, descriptors = detector.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), mask)
-    small = np.array([k.size <= widest for k in keypoints], dtype=bool)
-    if descriptors is None or not small.any():
-        return np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)
+    if descriptors is None:
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8), np.zeros(0))
     pixels = np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5
-    return pixels[small], descriptors[small].astype(np.uint8)
+    return Features(pixels, descriptors.astype(np.uint8), np.array([k.size for k in keypoints]))
 
 
 def place_of(
-    local_map: LocalMap,
-    number: int,
-    rgb: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
-    contrast: float = CONTRAST,
-    widest: float = np.inf,
+    local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST
 ) -> Place:
     """SIFT features within the hull of the keyframe's map points; inverse depth is linear across a plane's image."""
     keyframe = local_map.keyframes[number]
-    pixels, descriptors = sift(rgb, mask, contrast, widest)
+    found = sift(rgb, mask, contrast)
     known = local_map.known[keyframe.ids]
-    nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
-    if known.sum() < MIN_POINTS or len(pixels) == 0:
+    nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0))
+    if known.sum() < MIN_POINTS or len(found.pixels) == 0:
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
     front = depth > 0
-    inverse_depth = inverse_depth_at(pixels, keyframe.pixels[known][front], depth[front])
+    inverse_depth = inverse_depth_at(found.pixels, keyframe.pixels[known][front], depth[front])
     good = np.isfinite(inverse_depth)
-    seen, _ = local_map.rays.look_up(pixels[good])
+    seen, _ = local_map.rays.look_up(found.pixels[good])
     local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]
-    return Place(number, pixels[good], descriptors[good], in_camera(inverse(keyframe.pose), local))
+    points = in_camera(inverse(keyframe.pose), local)
+    return Place(number, found.pixels[good], found.descriptors[good], points, found.sizes[good])
 
 
 def inverse_depth_at(pixels: Array, known: Array, depth: Array) -> Array:

@@ -7,6 +7,7 @@ points follow, and the features become points of the map.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from pipeline.odometry.bundle import reprojections
-from pipeline.odometry.feature_tracks import join_features
+from pipeline.odometry.feature_tracks import Tracks, join_features
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, match, place_of
@@ -23,7 +24,7 @@ from pipeline.odometry.poses import Array, in_camera, inverse
 
 CONTRAST = 0.002  # of a feature; pale mucosa has little more
 # A blob's centre shifts with the wall's slant and the lamp's gradient across it, in one direction while the camera
-# moves in one: the wider, the more. What is wider than this bends the scale as followed corners do.
+# moves in one: the wider, the more. What is wider than this follows, as the corners do, and gives depth.
 WIDEST, WIDEST_SHARE = 5.0, 5 / 320  # px and share of the width, the larger of the two
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
@@ -42,21 +43,22 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
-    fitted = _map_of_features(local_map, read)
+    matched = _matched(local_map, read)
+    fitted = _map_of(local_map, matched.tracks(wide=False), matched.places)
     if not _is_held(fitted, TYPICAL):
         return False
     before = fitted.points.copy()
     polish(fitted, changed=True)
     if not _is_held(fitted, TYPICAL / 2):
         return False
+    _take_over(local_map, _map_of(local_map, matched.tracks(wide=True), matched.places))
     _follow(local_map, fitted, before)
     return True
 
 
 def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
     rgb, mask = read(local_map.keyframes[number].frame)
-    widest = max(WIDEST, WIDEST_SHARE * rgb.shape[1])
-    return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST, widest)
+    return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST)
 
 
 def _near(local_map: LocalMap) -> list[tuple[int, int]]:
@@ -90,13 +92,36 @@ def _same(local_map: LocalMap, here: Place, there: Place) -> NDArray[np.int64]:
     return pairs[(local[:, 2] > 0) & near & ~((way < STILL_PX) & (expected > MOVING_PX))]
 
 
-def _map_of_features(local_map: LocalMap, read: ReadFrame) -> LocalMap:
-    """The same keyframes, which see the features and nothing else."""
+@dataclass(frozen=True)
+class Matched:
+    """Features of all keyframes, and of pairs of keyframes (K,2) numbers of those that are the same; what is narrower
+    than `widest` pixels may move the map."""
+
+    places: list[Place]
+    pairs: list[tuple[int, int]]
+    same: list[NDArray[np.int64]]
+    widest: float
+
+    def tracks(self, wide: bool) -> Tracks:
+        """Of matches between two narrow features, or of all others."""
+        narrow = [place.sizes <= self.widest for place in self.places]
+        chosen = [
+            rows[(narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]]) != wide]
+            for (one, other), rows in zip(self.pairs, self.same, strict=True)
+        ]
+        return join_features([place.points for place in self.places], self.pairs, chosen)
+
+
+def _matched(local_map: LocalMap, read: ReadFrame) -> Matched:
     with ThreadPoolExecutor(THREADS) as threads:
         places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
         pairs = _near(local_map)
         same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
-    tracks = join_features([place.points for place in places], pairs, same)
+    return Matched(places, pairs, same, max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width))
+
+
+def _map_of(local_map: LocalMap, tracks: Tracks, places: list[Place]) -> LocalMap:
+    """The same keyframes, which see the tracks and nothing else."""
     fitted = LocalMap(local_map.rays)
     fitted.reserve(len(tracks.points))
     fitted.points[: len(tracks.points)] = tracks.points
