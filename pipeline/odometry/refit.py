@@ -25,7 +25,7 @@ from pipeline.odometry.poses import Array, in_camera, inverse
 CONTRAST = 0.002  # of a feature; pale mucosa has little more
 # A blob's centre shifts with the wall's slant and the lamp's gradient across it, in one direction while the camera
 # moves in one: the wider, the more. What is wider than this follows, as the corners do, and gives depth.
-WIDEST, WIDEST_SHARE = 5.0, 5 / 320  # px and share of the width, the larger of the two
+WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
 MAX_OFF_SHARE = 0.019  # of the width: a feature from where the map has it, in another keyframe; 6 px of 320
