@@ -50,8 +50,8 @@ def test_only_matches_of_narrow_features_may_move_the_map():
     points = np.random.default_rng(0).normal(size=(6, 3))
     sizes = np.array([[2.0, 5.0, 5.1, 9.0, 3.0, 20.0], [2.0, 4.0, 5.0, 9.0, 6.0, 4.0]])
     rows = np.repeat(np.arange(6)[:, None], 2, axis=1)
-    matched = Matched([place(k, points, s) for k, s in enumerate(sizes)], [(0, 1)], [rows], widest=5.0)
-    narrow, wide = matched.tracks(wide=False), matched.tracks(wide=True)
+    matched = Matched([place(k, points, s) for k, s in enumerate(sizes)], [(0, 1)], [rows])
+    narrow, wide = (matched.tracks(wide, widest=5.0) for wide in (False, True))
     assert sorted(narrow.feature[narrow.place == 0]) == [0, 1]  # both are at most five pixels across
     assert sorted(wide.feature[wide.place == 0]) == [2, 3, 4, 5]
 

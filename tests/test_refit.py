@@ -1,12 +1,16 @@
 """A finished map adjusted to the features of its keyframes, on rendered views of a textured tube."""
 
 import copy
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from test_odometry import CAMERA, MASK, RADIUS, camera_at, render, run
 
+import pipeline.odometry.refit as refitting
+from pipeline.odometry import places
+from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.merging import polish_and_merge
 from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.poses import in_camera, inverse
@@ -52,6 +56,14 @@ def bent(local_map, growth):
     return result
 
 
+def frames_of(local_map):
+    return [keyframe.frame for keyframe in local_map.keyframes]
+
+
+def poses_of(local_map):
+    return np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
+
+
 def error(local_map):
     submap = to_submap(local_map, CAMERA.params)
     return trajectory_errors(submap.world_from_camera, TRUE[submap.frames]).ate_rmse
@@ -86,6 +98,39 @@ def test_the_features_lie_on_the_wall(finished):
     off = np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)
     assert len(points) > 300
     assert np.median(off) < 0.01 * RADIUS
+
+
+def sliding(found, wider_than):
+    """The features, the wide ones 1.5 px farther from the picture's centre: as if the wall there were nearer."""
+    outward = found.pixels - np.array(MASK.shape[::-1]) / 2
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    return replace(found, pixels=found.pixels + 1.5 * outward * (found.sizes > wider_than)[:, None])
+
+
+def test_wide_features_follow_and_do_not_move_the_map(finished, monkeypatch):
+    """Where every wide feature is off, the map is right if they follow, and wrong if they take part."""
+    limit = 5.0
+    found = places.sift
+    monkeypatch.setattr(places, "sift", lambda *a: sliding(found(*a), limit))
+    monkeypatch.setattr(refitting, "WIDEST", limit)
+    following, moving = copy.deepcopy(finished), copy.deepcopy(finished)
+    given, add = [], LocalMap.add_features
+    monkeypatch.setattr(LocalMap, "add_features", lambda *a: given.append(add(*a)) or given[-1])
+    assert refit(following, read)
+    assert following.known[given[0]].sum() > 50, "wide features have points"
+    assert not np.isin(given[0], np.concatenate([k.ids for k in following.of_features().keyframes])).any()
+    monkeypatch.setattr(refitting, "WIDEST", np.inf)
+    assert refit(moving, read)
+    off = [trajectory_errors(poses_of(m), TRUE[frames_of(m)]).ate_rmse for m in (following, moving)]
+    assert off[0] < 0.6 * off[1]
+
+
+def test_where_narrow_features_are_too_few_the_wide_ones_help(finished):
+    blurred = [cv2.GaussianBlur(image, (0, 0), 3.3) for image in IMAGES]
+    local_map = bent(finished, 0.25)
+    before = error(local_map)
+    assert refit(local_map, lambda frame: (blurred[frame], MASK))
+    assert error(local_map) < 0.3 * before
 
 
 def test_too_few_features_move_nothing(finished):

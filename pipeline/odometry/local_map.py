@@ -70,6 +70,7 @@ class LocalMap:
         self.keyframes: list[Keyframe] = []
         self.posed: list[PosedFrame] = []
         self.first_feature: int | None = None  # tracks from here on were not followed but found anew, see `refit`
+        self.first_of_last: int | None = None  # tracks from here on came with the last `add_features`
 
     def reserve(self, count: int) -> None:
         """Make room for track numbers below `count`."""
@@ -106,7 +107,7 @@ class LocalMap:
 
     def add_features(self, points: Array, known: NDArray[np.bool_]) -> NDArray[np.int64]:
         """New tracks (N,) for points (N,3), after all others; those of all calls can be forgotten together."""
-        begun = len(self.known)
+        begun = self.first_of_last = len(self.known)
         self.first_feature = begun if self.first_feature is None else self.first_feature
         self.reserve(begun + len(points))
         ids = np.arange(begun, begun + len(points))
@@ -122,13 +123,14 @@ class LocalMap:
         self.followed = self.followed[:first]
         for keyframe in self.keyframes:
             keyframe.keep(keyframe.ids < first)
-        self.first_feature = None
+        self.first_feature = self.first_of_last = None
 
     def of_features(self) -> "LocalMap":
-        """The keyframes with what `add_features` gave them and nothing else; it shares the points with this map."""
+        """The keyframes with what `add_features` gave them last, the features that moved the map; it shares the points
+        with this map."""
         part = LocalMap(self.rays)
         part.points, part.known, part.barred, part.followed = self.points, self.known, self.barred, self.followed
-        first = len(self.known) if self.first_feature is None else self.first_feature
+        first = len(self.known) if self.first_of_last is None else self.first_of_last
         for keyframe in self.keyframes:
             mine = keyframe.ids >= first
             part.add_keyframe(keyframe.frame, keyframe.pose, keyframe.ids[mine], keyframe.pixels[mine])

@@ -2,12 +2,12 @@
 
 A corner that is followed from frame to frame slides a little, and always the same way while the camera moves the same
 way: that bends the scale along the path, and no adjustment of the same corners can see it. Features that each keyframe
-finds for itself, matched to where the map has them, do not slide. The map's shape comes from them alone; the corners'
-points follow, and the features become points of the map.
+finds for itself, matched to where the map has them, slide far less, the narrow ones least. The map's shape comes from
+these alone; wider ones and the corners' points follow, and all features become points of the map.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -23,8 +23,8 @@ from pipeline.odometry.places import Place, ReadFrame, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse
 
 CONTRAST = 0.002  # of a feature; pale mucosa has little more
-# A blob's centre shifts with the wall's slant and the lamp's gradient across it, in one direction while the camera
-# moves in one: the wider, the more. What is wider than this follows, as the corners do, and gives depth.
+# A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
+# more on compressed ones, where fine texture moves with its blocks (docs/front_end.md).
 WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
@@ -40,20 +40,29 @@ THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they
 def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     """Move the map to where its own features have it, if they hold it; says whether they do.
 
+    Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
     matched = _matched(local_map, read)
-    fitted = _map_of(local_map, matched.tracks(wide=False), matched.places)
+    limit = max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width)
+    for widest in (limit, np.inf):
+        moving, others = (_map_of(local_map, matched, wide, widest) for wide in (False, True))
+        before = _adjusted(moving)
+        if before is not None:
+            _take_over(local_map, others)
+            _follow(local_map, moving, before)
+            return True
+    return False
+
+
+def _adjusted(fitted: LocalMap) -> Array | None:
+    """Adjust a map of features: its points (T,3) from before, or None if the features do not hold it."""
     if not _is_held(fitted, TYPICAL):
-        return False
+        return None
     before = fitted.points.copy()
     polish(fitted, changed=True)
-    if not _is_held(fitted, TYPICAL / 2):
-        return False
-    _take_over(local_map, _map_of(local_map, matched.tracks(wide=True), matched.places))
-    _follow(local_map, fitted, before)
-    return True
+    return before if _is_held(fitted, TYPICAL / 2) else None
 
 
 def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
@@ -94,17 +103,15 @@ def _same(local_map: LocalMap, here: Place, there: Place) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Matched:
-    """Features of all keyframes, and of pairs of keyframes (K,2) numbers of those that are the same; what is narrower
-    than `widest` pixels may move the map."""
+    """Features of all keyframes, and of pairs of keyframes (K,2) numbers of those that are the same."""
 
     places: list[Place]
     pairs: list[tuple[int, int]]
     same: list[NDArray[np.int64]]
-    widest: float
 
-    def tracks(self, wide: bool) -> Tracks:
-        """Of matches between two narrow features, or of all others."""
-        narrow = [place.sizes <= self.widest for place in self.places]
+    def tracks(self, wide: bool, widest: float) -> Tracks:
+        """Of matches between two features of at most `widest` pixels across, or of all other matches."""
+        narrow = [place.sizes <= widest for place in self.places]
         chosen = [
             rows[(narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]]) != wide]
             for (one, other), rows in zip(self.pairs, self.same, strict=True)
@@ -117,16 +124,19 @@ def _matched(local_map: LocalMap, read: ReadFrame) -> Matched:
         places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
         pairs = _near(local_map)
         same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
-    return Matched(places, pairs, same, max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width))
+    # What tells features apart has done its part; it is nearly all of their memory.
+    bare = [replace(place, descriptors=np.zeros((0, 128), np.uint8)) for place in places]
+    return Matched(bare, pairs, same)
 
 
-def _map_of(local_map: LocalMap, tracks: Tracks, places: list[Place]) -> LocalMap:
-    """The same keyframes, which see the tracks and nothing else."""
+def _map_of(local_map: LocalMap, matched: Matched, wide: bool, widest: float) -> LocalMap:
+    """The same keyframes, which see the tracks of narrow features, or of the others, and nothing else."""
+    tracks = matched.tracks(wide, widest)
     fitted = LocalMap(local_map.rays)
     fitted.reserve(len(tracks.points))
     fitted.points[: len(tracks.points)] = tracks.points
     fitted.known[: len(tracks.points)] = True
-    for number, (keyframe, place) in enumerate(zip(local_map.keyframes, places, strict=True)):
+    for number, (keyframe, place) in enumerate(zip(local_map.keyframes, matched.places, strict=True)):
         mine = tracks.place == number
         fitted.add_keyframe(keyframe.frame, keyframe.pose, tracks.track[mine], place.pixels[tracks.feature[mine]])
     return fitted
