@@ -14,6 +14,7 @@ from scipy.sparse import bsr_array, csr_array
 
 from pipeline.odometry.poses import Array, moved
 
+TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustment
 FULL = 1_000_000  # entries of a cross matrix up to which it is multiplied as a full one
 MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
 
@@ -45,7 +46,7 @@ class Bundle:
         return np.linalg.norm(self.residuals(), axis=1)
 
 
-def adjust(bundle: Bundle, iterations: int, loss_px: float, tolerance: float = 1e-4) -> Bundle:
+def adjust(bundle: Bundle, iterations: int, loss_px: float, tolerance: float = TOLERANCE) -> Bundle:
     """Lower the robust cost of `bundle`: cameras that are not fixed, and all points. Never raises it.
 
     Without two fixed cameras the scale is free; the damping then keeps it where it was.

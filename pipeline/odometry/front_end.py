@@ -43,7 +43,7 @@ def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, p
     def read(index: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         return read_image(workspace.image_path(index)), _read_mask(workspace, index)
 
-    # The matrices are so small that a second thread of BLAS costs twice the processor time and is slower for it.
+    # Most matrices are small: with a second thread of BLAS a film took twice the processor time, and longer.
     with threadpool_limits(1, "blas"):
         return _track(frames, stride, seed, read, workspace, progress)
 

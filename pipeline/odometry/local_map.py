@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.bundle import Bundle, adjust
+from pipeline.odometry.bundle import TOLERANCE, Bundle, adjust
 from pipeline.odometry.poses import Array, compose, in_camera, inverse
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.triangulation import triangulate
@@ -173,7 +173,7 @@ class LocalMap:
         loss_px: float = LOSS_PX,
         max_error_px: float = MAX_ERROR_PX,
         anchors: int = ANCHORS,
-        tolerance: float = 1e-4,
+        tolerance: float = TOLERANCE,
     ) -> None:
         """Bundle adjustment of the `window` keyframes before number `end` (the latest ones) and of their points.
 

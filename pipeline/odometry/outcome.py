@@ -12,7 +12,7 @@ from pipeline.submap import Submap
 WHOLE = 300  # keyframes that are adjusted in one piece; a longer map is swept by overlapping windows of that length
 HELD = 60  # keyframes outside a window that hold it, so that a tie to a far part of the map is felt from both sides
 FINAL_ITERATIONS = 25
-TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
+FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
 SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
 MIN_SEEN = 8  # points that a frame must see to be called posed
 CHUNK = 500  # frames refined at once
@@ -27,7 +27,7 @@ def polish(local_map: LocalMap, changed: bool = False) -> None:
     for loss_px, max_error_px in SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),):
         count = len(local_map.keyframes)
         for end in sorted({*range(WHOLE, count, WHOLE // 2), count}):
-            local_map.adjust(min(end, WHOLE), FINAL_ITERATIONS, end, loss_px, max_error_px, HELD, TOLERANCE)
+            local_map.adjust(min(end, WHOLE), FINAL_ITERATIONS, end, loss_px, max_error_px, HELD, FINAL_TOLERANCE)
 
 
 def to_submap(

@@ -47,10 +47,10 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
     matched = _matched(local_map, read)
     limit = max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width)
     for widest in (limit, np.inf):
-        moving, others = (_map_of(local_map, matched, wide, widest) for wide in (False, True))
+        moving = _map_of(local_map, matched, False, widest)
         before = _adjusted(moving)
         if before is not None:
-            _take_over(local_map, others)
+            _take_over(local_map, _map_of(local_map, matched, True, widest))
             _follow(local_map, moving, before)
             return True
     return False
