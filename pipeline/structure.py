@@ -35,7 +35,7 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
     if workspace.is_done("structure"):
         return load_structure(workspace)
     mapped = _maps(frames, config, workspace, progress)
-    chosen = max(mapped, key=lambda method: _score(mapped[method], len(frames.index)))
+    chosen = best_mapper(mapped, len(frames.index))
     models = mapped[chosen][:1]
     models += [model for model in mapped[chosen][1:] if model[1].contrary <= config.structure.max_dark_near]
     if not models:
@@ -52,7 +52,7 @@ def _maps(frames: Frames, config: Config, workspace: Workspace, progress: Progre
     if config.front_end == "odometry" or (config.front_end == "auto" and count > MOST_SFM_FRAMES):
         return {"odometry": _map_by_odometry(frames, config, workspace, progress)}
     mapped = _maps_by_colmap(frames, config, workspace, progress)
-    if config.front_end == "auto" and all(_is_doubtful(models, count, config) for models in mapped.values()):
+    if config.front_end == "auto" and all(is_doubtful(models, count, config) for models in mapped.values()):
         mapped["odometry"] = _map_by_odometry(frames, config, workspace, progress)
     return mapped
 
@@ -61,7 +61,7 @@ def _maps_by_colmap(
     frames: Frames, config: Config, workspace: Workspace, progress: Progress
 ) -> dict[str, list[Judged]]:
     """Of the global mapper, and of the incremental one where that leaves doubt; none if matching fails under `auto`."""
-    job = _job(frames, config, workspace)
+    job = colmap_job(frames, config, workspace)
     try:
         run_isolated(WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
     except HaustraError as error:
@@ -69,9 +69,9 @@ def _maps_by_colmap(
             raise
         progress.say(str(error))
         return {}
-    mapped = {"global": _map("global", job, workspace, progress)}
-    if _is_doubtful(mapped["global"], len(frames.index), config):
-        mapped["incremental"] = _map("incremental", job, workspace, progress)
+    mapped = {"global": map_by_colmap("global", job, workspace, progress)}
+    if is_doubtful(mapped["global"], len(frames.index), config):
+        mapped["incremental"] = map_by_colmap("incremental", job, workspace, progress)
     return mapped
 
 
@@ -156,7 +156,8 @@ def camera_trust(guess: Camera, submap: Submap) -> str:
     return text
 
 
-def _job(frames: Frames, config: Config, workspace: Workspace) -> dict[str, object]:
+def colmap_job(frames: Frames, config: Config, workspace: Workspace) -> dict[str, object]:
+    """What COLMAP's worker must know of the run."""
     settings = config.structure
     return {
         "database": str(workspace.features),
@@ -171,7 +172,7 @@ def _job(frames: Frames, config: Config, workspace: Workspace) -> dict[str, obje
     }
 
 
-def _map(method: str, job: dict[str, object], workspace: Workspace, progress: Progress) -> list[Judged]:
+def map_by_colmap(method: str, job: dict[str, object], workspace: Workspace, progress: Progress) -> list[Judged]:
     """All models of one mapper, without frames in common, with their evidence; most frames first.
 
     A mapper that fails is told of, and what it wrote before is used; the other one may still succeed.
@@ -196,12 +197,17 @@ def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
     return lambda index: read_image(workspace.image_path(index))
 
 
-def _is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
+def is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
     """Few frames posed, no frame with enough points to ask the light, or the light says no."""
     settings = config.structure
     posed = sum(evidence.frames for _, evidence, _ in models)
     unasked = not any(evidence.voters for _, evidence, _ in models)
     return posed < settings.min_registered * total or unasked or _contrary(models) > settings.max_dark_near
+
+
+def best_mapper(mapped: dict[str, list[Judged]], total: int) -> str:
+    """The mapper whose models the evidence likes best, of `total` frames; the one asked first where two are alike."""
+    return max(mapped, key=lambda method: _score(mapped[method], total))
 
 
 def _score(models: list[Judged], total: int) -> float:

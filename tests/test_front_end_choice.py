@@ -26,14 +26,14 @@ def asked(monkeypatch, tmp_path):
             asked.append(method)
             return found[method]
 
-        monkeypatch.setattr(structure, "_job", lambda *_: {})
+        monkeypatch.setattr(structure, "colmap_job", lambda *_: {})
         monkeypatch.setattr(structure, "run_isolated", lambda *_: None)
-        monkeypatch.setattr(structure, "_map", lambda method, *_: look_up(method))
+        monkeypatch.setattr(structure, "map_by_colmap", lambda method, *_: look_up(method))
         monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: look_up("odometry"))
         many = SimpleNamespace(index=np.arange(frames))
         maps = structure._maps(many, Config(front_end=front_end), SimpleNamespace(log=tmp_path), SilentProgress())
         assert list(maps) == asked
-        return asked, max(maps, key=lambda method: structure._score(maps[method], frames))
+        return asked, structure.best_mapper(maps, frames)
 
     return call
 
@@ -61,7 +61,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         raise HaustraError("features and matches failed")
 
     def call(front_end):
-        monkeypatch.setattr(structure, "_job", lambda *_: {})
+        monkeypatch.setattr(structure, "colmap_job", lambda *_: {})
         monkeypatch.setattr(structure, "run_isolated", fail)
         monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: [GOOD])
         few = SimpleNamespace(index=np.arange(100))

@@ -1,0 +1,132 @@
+"""Both front ends and COLMAP's two mappers alone, on sequences with true poses, one run for each seed.
+
+    python benchmarks/mapper_seeds.py SUITE/* ../shared/data/ctcolon --seeds 10 --json mapper_seeds.json
+
+Seed by seed over all sequences; every run is written down as it ends, and a call with the same file goes on where the
+one before it stopped. Features and matches of COLMAP are made once for each sequence, with seed 0, since they take as
+long as the mapping and hardly depend on it; each seed then maps them with `global` and with `incremental`. `sfm` is
+what the front end of that name makes of the two: the first, or where it leaves doubt the better by evidence. ATE,
+rotation and wrong runs are those of `front_ends.py`. COLMAP works with one thread, as `reconstruct` has it.
+"""
+
+import argparse
+import json
+import shutil
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from front_ends import errors_of, run, store
+from pipeline.config import Config
+from pipeline.frames import Frames
+from pipeline.isolation import run_isolated
+from pipeline.progress import SilentProgress
+from pipeline.structure import WORKER, Judged, best_mapper, colmap_job, is_doubtful, map_by_colmap
+from pipeline.workspace import Workspace
+from reconstruction.trajectory import read_tum
+from record import spread, write
+
+METHODS = ("odometry", "sfm", "global", "incremental")
+COLMAP = ("global", "incremental")
+
+
+class Matched:
+    """A sequence's frames, and COLMAP's features and matches of them."""
+
+    def __init__(self, folder: Path, scratch: Path) -> None:
+        self.config = Config(front_end="sfm", seed=0)
+        self.frames, self.workspace = store(folder, self.config, scratch / folder.name)
+        job = colmap_job(self.frames, self.config, self.workspace)
+        begin = time.perf_counter()
+        run_isolated(WORKER, "match", job, self.workspace.log / "match.log", "matching", SilentProgress())
+        self.seconds = time.perf_counter() - begin
+
+
+def by_colmap(matched: Matched, seed: int, truth: np.ndarray) -> dict[str, dict[str, Any]]:
+    """The runs of both mappers with one seed, and that of `sfm`."""
+    frames, workspace, config = matched.frames, matched.workspace, matched.config
+    count = len(frames.index)
+    mapped: dict[str, list[Judged]] = {}
+    seconds: dict[str, float] = {}
+    for method in COLMAP:
+        mapped[method], seconds[method] = _timed(method, seed, frames, config, workspace)
+    chosen = best_mapper(mapped, count) if is_doubtful(mapped["global"], count, config) else "global"
+    asked = COLMAP if is_doubtful(mapped["global"], count, config) else COLMAP[:1]
+    runs = {m: _figures(mapped[m], matched.seconds + seconds[m], count, truth) for m in COLMAP}
+    kept = mapped[chosen][:1] + [m for m in mapped[chosen][1:] if m[1].contrary <= config.structure.max_dark_near]
+    spent = matched.seconds + sum(seconds[m] for m in asked)
+    return runs | {"sfm": _figures(kept, spent, count, truth) | {"mapper": chosen}}
+
+
+def _timed(method: str, seed: int, frames: Frames, config: Config, workspace: Workspace) -> tuple[list[Judged], float]:
+    """One mapper on a copy of the matches, since a mapper may write to them."""
+    job = colmap_job(frames, config, workspace)
+    copied = workspace.features.with_name("copied.db")
+    shutil.copyfile(workspace.features, copied)
+    begin = time.perf_counter()
+    models = map_by_colmap(method, job | {"seed": seed, "database": str(copied)}, workspace, SilentProgress())
+    return models, time.perf_counter() - begin
+
+
+def _figures(models: list[Judged], seconds: float, count: int, truth: np.ndarray) -> dict[str, Any]:
+    submaps = [submap for submap, _, _ in models]
+    posed = sum(len(submap.frames) for submap in submaps) / count
+    about = {"used": count, "posed_share": posed, "submaps": len(submaps), "frames_per_s": count / seconds}
+    return about | errors_of(submaps, truth)
+
+
+def table(runs: list[dict[str, Any]]) -> None:
+    for sequence in dict.fromkeys(r["sequence"] for r in runs):
+        for method in METHODS:
+            mine = [r for r in runs if (r["sequence"], r["method"]) == (sequence, method)]
+            if mine:
+                print(f"{sequence:16} {method:12} " + _row(mine))
+
+
+def _row(runs: list[dict[str, Any]]) -> str:
+    wrong = sum(r.get("wrong", True) for r in runs)
+    text = f"posed {100 * _median(runs, 'posed_share'):5.1f} % in {_median(runs, 'submaps'):.0f}"
+    if any("ate_mm" in r for r in runs):
+        ate = spread([r["ate_mm"] for r in runs if "ate_mm" in r])
+        text += f", ATE {ate['median']:.3f} [{ate['min']:.3f}, {ate['max']:.3f}] mm"
+        text += f", rotation {_median(runs, 'rotation_deg'):.2f} deg, {_median(runs, 'frames_per_s'):.1f} frames/s"
+    return text + f", wrong {wrong} of {len(runs)}"
+
+
+def _median(runs: list[dict[str, Any]], name: str) -> float:
+    return float(np.median([r[name] for r in runs if name in r]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--methods", nargs="+", choices=("odometry", "colmap"), default=("odometry", "colmap"))
+    parser.add_argument("--json", type=Path, required=True)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    runs = json.loads(arguments.json.read_text())["runs"] if arguments.json.exists() else []
+    done = {(r["sequence"], r["seed"], r["method"]) for r in runs}
+    with tempfile.TemporaryDirectory() as scratch:
+        matches: dict[str, Matched] = {}
+        for seed in range(arguments.seeds):
+            for folder in arguments.folders:
+                _, truth = read_tum(folder / "trajectory.txt")
+                fresh: dict[str, dict[str, Any]] = {}
+                if "odometry" in arguments.methods and (folder.name, seed, "odometry") not in done:
+                    fresh["odometry"] = run(folder, Config(front_end="odometry", seed=seed), truth)
+                if "colmap" in arguments.methods and (folder.name, seed, "sfm") not in done:
+                    if folder.name not in matches:
+                        matches[folder.name] = Matched(folder, Path(scratch))
+                    fresh |= by_colmap(matches[folder.name], seed, truth)
+                runs += [{"sequence": folder.name, "seed": seed, "method": m} | r for m, r in fresh.items()]
+                write(arguments.json, {"runs": runs})
+    table(runs)
+
+
+if __name__ == "__main__":
+    main()
