@@ -10,9 +10,10 @@ from pipeline.config import Config
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, write_image
 from pipeline.odometry.features import detect, follow, make_view
-from pipeline.odometry.merging import polish_and_merge
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
-from pipeline.odometry.outcome import to_submap
+from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.places import match
 from pipeline.odometry.rays import RayTable
 from pipeline.progress import SilentProgress
@@ -75,11 +76,16 @@ def run(images, seed=0, mask=MASK):
     return odometry.finish(), states
 
 
+def polished(maps: list[LocalMap]) -> list[LocalMap]:
+    for local_map in maps:
+        polish(local_map)
+    return maps
+
+
 @pytest.fixture(scope="module")
 def whole(clip):
     maps, _ = run(clip[0])
-    merged, _ = polish_and_merge(maps, lambda k: (clip[0][k], MASK), 0)
-    return [to_submap(m, CAMERA.params) for m in merged]
+    return [to_submap(m, CAMERA.params) for m in polished(maps)]
 
 
 def test_a_clip_is_posed_whole_and_right(clip, whole):
@@ -124,9 +130,11 @@ def test_loss_begins_a_second_map_and_a_place_seen_again_joins_them(clip):
     maps, states = run(images)
     assert "lost" in states
     assert len(maps) == 2
-    merged, joins = polish_and_merge(maps, lambda k: (images[k], MASK), 0)
-    assert (len(merged), joins) == (1, 1)
-    submap = to_submap(merged[0], CAMERA.params)
+    merged = merge_maps(polished(maps), lambda k: (images[k], MASK), 0)
+    assert [joins for _, joins in merged] == [1]
+    joined = merged[0][0]
+    polish(joined, changed=True)
+    submap = to_submap(joined, CAMERA.params)
     followed = submap.is_followed
     assert min(followed.sum(), (~followed).sum()) > 500, "what ties the two maps was found, all else was followed"
     truth = clip[1][[order[k] for k in submap.frames]]
@@ -153,8 +161,7 @@ def test_other_places_are_not_joined(clip):
     def read(k):
         return (images[id(more[0])][k - 1000] if k >= 1000 else images[id(maps[0])][k]), MASK
 
-    merged, joins = polish_and_merge(maps + more, read, 0)
-    assert (len(merged), joins) == (2, 0)
+    assert [joins for _, joins in merge_maps(polished(maps + more), read, 0)] == [0, 0]
 
 
 @pytest.mark.parametrize("kind", ["black", "white", "frozen", "noise", "masked"])

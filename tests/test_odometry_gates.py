@@ -5,10 +5,12 @@ import pytest
 from test_odometry_geometry import PINHOLE, gains, on_plane, pose, tube
 
 from pipeline.camera import Camera
+from pipeline.odometry import links as linking
 from pipeline.odometry import merging
 from pipeline.odometry.features import normalise
+from pipeline.odometry.links import Shown, find_links, sure_links
 from pipeline.odometry.local_map import Keyframe, LocalMap
-from pipeline.odometry.merging import find_links, merge_maps, strongest
+from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, find_places
@@ -114,7 +116,7 @@ def linked(rows, wrong=0, points=None):
     first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points)
     place, other = place_of(first, 0, rows, codes), place_of(second, 0, rows, codes)
     other.points[:wrong] += rng.uniform(20, 60, (wrong, 3))
-    return find_links(first, [place], second, [other], rng, 0)
+    return find_links(Shown(first, [place]), Shown(second, [other]), rng, 0)
 
 
 def test_a_link_needs_matches_agreement_and_spread():
@@ -133,36 +135,28 @@ def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     """Two keyframes of each map, so many mm apart along a lumen whose points lie some 50 mm ahead."""
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
     maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -1.0)]
-    places = [[place_of(m, number, np.arange(60), codes) for number in (0, 1)] for m in maps]
-    links = find_links(maps[0], places[0], maps[1], places[1], np.random.default_rng(0), 0)
+    shown = [Shown(m, [place_of(m, number, np.arange(60), codes) for number in (0, 1)]) for m in maps]
+    links = find_links(*shown, np.random.default_rng(0), 0)
     assert len(links) == 4
-    assert bool(strongest(links, *maps)) == joined
-    assert strongest(links[:1], *maps) == []
+    assert bool(sure_links(links, *shown)) == joined
+    assert sure_links(links[:1], *shown) == []
 
 
-def test_a_pair_of_places_is_compared_once_and_only_joined_maps_are_adjusted_again(monkeypatch):
+def test_a_pair_of_places_is_compared_once(monkeypatch):
     """Maps 0 and 2 are one place, map 1 is none: after the join only what map 0 gained is shown to map 1."""
     maps = [a_map([[0, 0, 0], [0, 0, 9]], seed=seed) for seed in (0, 5, 0)]
     codes = [np.random.default_rng(seed).integers(0, 255, (60, 128)).astype(np.uint8) for seed in (0, 5, 0)]
     shown = {id(m): [place_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
-    seen, real = [], merging._link
+    seen, real = [], linking._fitted
 
-    def link(first, place, second, other, rng):
+    def fitted(first, place, second, other, rng):
         seen.append((id(place), id(other)))
         return real(first, place, second, other, rng)
 
-    polished = []
     monkeypatch.setattr(merging, "find_places", lambda m, read: shown[id(m)])
-    monkeypatch.setattr(merging, "_link", link)
-    monkeypatch.setattr(merging, "polish", lambda m, changed=False: polished.append((m, changed)))
+    monkeypatch.setattr(linking, "_fitted", fitted)
     assert [joins for _, joins in merge_maps(maps, None, 0)] == [1, 0]
     assert len(set(seen)) == len(seen) == 12
-    polished.clear()
-    maps = [a_map([[0, 0, 0], [0, 0, 9]], seed=seed) for seed in (0, 5, 0)]
-    shown |= {id(m): [place_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
-    merged, joins = merging.polish_and_merge(maps, None, 0)
-    assert (len(merged), joins) == (2, 1)
-    assert [m for m, joined in polished if joined] == [merged[0]]
 
 
 def test_descriptors_are_kept_in_a_byte_each():

@@ -6,12 +6,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from test_odometry import CAMERA, MASK, RADIUS, camera_at, render, run
+from test_odometry import CAMERA, MASK, RADIUS, camera_at, polished, render, run
 
 import pipeline.odometry.refit as refitting
 from pipeline.odometry import places
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.merging import polish_and_merge
 from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.poses import in_camera, inverse
 from pipeline.odometry.refit import refit
@@ -27,8 +26,7 @@ def read(frame):
 
 def make():
     maps, _ = run(IMAGES)
-    merged, _ = polish_and_merge(maps, read, 0)
-    return merged[0]
+    return polished(maps)[0]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,9 @@ Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6. Residua
 and to GTSAM, which takes a Python object for each observation; see docs/front_end.md.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from pipeline.odometry.poses import Array, moved
 
 TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustment
 FULL = 1_000_000  # entries of a cross matrix up to which it is multiplied as a full one
+EVEN = (3 - 5**0.5) / 2  # x of the rows against all are as much as the others against one another: x = (1 - x)^2
 MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
 
 
@@ -104,14 +107,18 @@ def jacobians(local: Array, gain: Array) -> tuple[Array, Array]:
 
 
 class _Sums:
-    """Sums over the observations of each camera and of each point, as products with sparse matrices of ones."""
+    """Sums over the observations of each camera, which lie together, and of each point."""
 
     def __init__(self, bundle: Bundle) -> None:
         count = len(bundle.camera)
-        ones, rows = np.ones(count), np.arange(count)
-        self.by_camera = csr_array((ones, (bundle.camera, rows)), shape=(len(bundle.rotation), count))
-        self.by_point = csr_array((ones, (bundle.point, rows)), shape=(len(bundle.points), count))
+        self.by_point = csr_array((np.ones(count), (bundle.point, np.arange(count))), shape=(len(bundle.points), count))
         self.starts = np.searchsorted(bundle.camera, np.arange(len(bundle.rotation) + 1))
+
+    def by_camera(self, first: Array, second: Array) -> Array:
+        """(C,6,K) sums of first' @ second over each camera's observations, (M,2,6) and (M,2,K)."""
+        parts = [slice(begin, end) for begin, end in pairwise(self.starts.tolist())]
+        width = second.shape[2]
+        return np.stack([first[part].reshape(-1, 6).T @ second[part].reshape(-1, width) for part in parts])
 
 
 @dataclass(frozen=True)
@@ -142,10 +149,10 @@ def _linearise(bundle: Bundle, sums: _Sums, loss_px: float) -> _System:
 
     side = residual[:, :, None]
     return _System(
-        (sums.by_camera @ outer(weighted_pose, by_pose)).reshape(-1, 6, 6),
+        sums.by_camera(weighted_pose, by_pose),
         (sums.by_point @ outer(weighted_point, by_point)).reshape(-1, 3, 3),
         outer(weighted_pose, by_point).reshape(-1, 6, 3),
-        -(sums.by_camera @ outer(weighted_pose, side)),
+        -sums.by_camera(weighted_pose, side)[:, :, 0],
         -(sums.by_point @ outer(weighted_point, side)),
         sums.starts,
     )
@@ -156,30 +163,63 @@ def _solve(bundle: Bundle, system: _System, damping: float) -> tuple[Array, Arra
     cameras, points = len(system.cameras), len(system.points)
     free = np.flatnonzero(~bundle.fixed)
     inverse = _inverse(_damped(system.points, damping))
-    shape = (6 * cameras, 3 * points)
-    cross = bsr_array((system.cross, bundle.point, system.starts), shape=shape)
-    ahead = bsr_array((system.cross @ inverse[bundle.point], bundle.point, system.starts), shape=shape)
+    cross = _Blocks(system.cross, bundle.point, system.starts, points)
+    ahead = replace(cross, data=system.cross @ inverse[bundle.point])
     camera_step = np.zeros((cameras, 6))
     if len(free):
         reduced = -_product(ahead, cross).reshape(cameras, 6, cameras, 6)
         reduced[np.arange(cameras), :, np.arange(cameras)] += _damped(system.cameras, damping)
-        side = system.camera_side - (ahead @ system.point_side.ravel()).reshape(cameras, 6)
+        side = system.camera_side - (ahead.rows(0, cameras) @ system.point_side.ravel()).reshape(cameras, 6)
         normal = reduced[free][:, :, free].reshape(6 * len(free), -1)
         try:
             factor = cho_factor(normal, overwrite_a=True, check_finite=False)
         except LinAlgError:
             return None
         camera_step[free] = cho_solve(factor, side[free].ravel(), check_finite=False).reshape(-1, 6)
-    rest = system.point_side - (cross.T @ camera_step.ravel()).reshape(points, 3)
+    rest = system.point_side - (cross.rows(0, cameras).T @ camera_step.ravel()).reshape(points, 3)
     point_step = np.einsum("pij,pj->pi", inverse, rest)
     return (camera_step, point_step) if np.isfinite(camera_step).all() and np.isfinite(point_step).all() else None
 
 
-def _product(first: bsr_array, second: bsr_array) -> Array:
-    """first @ second.T; a window's matrices are so full that BLAS beats the sparse product nine to one."""
-    if np.prod(first.shape) <= FULL:
-        return first.toarray() @ second.toarray().T
-    return (first @ second.T).toarray()
+@dataclass(frozen=True)
+class _Blocks:
+    """A matrix of (M,6,3) blocks, cameras by points: `point` (M,) columns, `starts` (C+1,) where each camera begins."""
+
+    data: Array
+    point: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    points: int
+
+    @property
+    def cameras(self) -> int:
+        return len(self.starts) - 1
+
+    def rows(self, begin: int, end: int) -> bsr_array:
+        """The rows of some cameras."""
+        part = slice(self.starts[begin], self.starts[end])
+        shape = (6 * (end - begin), 3 * self.points)
+        return bsr_array((self.data[part], self.point[part], self.starts[begin : end + 1] - part.start), shape=shape)
+
+
+def _product(first: _Blocks, second: _Blocks) -> Array:
+    """first @ second', which is known to be symmetric; a window's matrices are so full that BLAS beats the sparse
+    product nine to one. SciPy lets go of the interpreter, so two threads share what is needed of a large one."""
+    count = first.cameras
+    if 18 * count * first.points <= FULL:
+        return first.rows(0, count).toarray() @ second.rows(0, count).toarray().T
+    begin = round(EVEN * count)  # the first rows, whole, and what is right of the others' diagonal: half each
+
+    def part(rows: tuple[int, int], columns: tuple[int, int]) -> Array:
+        return (first.rows(*rows) @ second.rows(*columns).T).toarray()
+
+    with ThreadPoolExecutor(2) as threads:
+        top = threads.submit(part, (0, begin), (0, count))
+        rest = threads.submit(part, (begin, count), (begin, count)).result()
+    product = np.empty((6 * count, 6 * count))
+    product[: 6 * begin] = top.result()
+    product[6 * begin :, 6 * begin :] = rest
+    product[6 * begin :, : 6 * begin] = product[: 6 * begin, 6 * begin :].T
+    return product
 
 
 def _damped(blocks: Array, damping: float) -> Array:

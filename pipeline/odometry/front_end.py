@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.merging import polish_and_merge
+from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.places import ReadFrame
@@ -60,17 +60,34 @@ def _track(
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
     rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
     maps = odometry.finish()
-    with progress.bar("joining submaps", None):
-        merged, joins = polish_and_merge(maps, read, seed)
-    _refit(merged, read, progress)
+    for local_map in maps:
+        polish(local_map)
+    _refit(maps, read, progress)
+    merged, joins = _joined(maps, read, seed, progress)
     found = _submaps(merged, frames.camera.params)
     if found and not frames.camera.trusted:
         found = _with_better_lens(found, merged, frames, seed, read, workspace, progress)
     return Tracked(found, rate, len(maps), joins)
 
 
-def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> None:
-    """Every map moved to where its own features have it; one that they do not hold stays, and a sentence says so."""
+def _joined(maps: list[LocalMap], read: ReadFrame, seed: int, progress: Progress) -> tuple[list[LocalMap], int]:
+    """Maps that saw the same places made one, and how many joins there were.
+
+    After each map has been straightened by its features: a bent map's scale at the seam is not that of the rest.
+    """
+    with progress.bar("joining submaps", None):
+        merged = merge_maps(maps, read, seed)
+    grown = [local_map for local_map, joins in merged if joins]
+    for local_map in _refit(grown, read, progress):
+        polish(local_map, changed=True)
+    return [local_map for local_map, _ in merged], sum(joins for _, joins in merged)
+
+
+def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[LocalMap]:
+    """Every map moved to where its own features have it. Returns those that they do not hold, which stay; a sentence
+    says so."""
+    if not maps:
+        return []
     done = count(1)  # safe from several threads
 
     def counted(frame: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -79,11 +96,13 @@ def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> None:
 
     with progress.bar("features of keyframes", sum(len(m.keyframes) for m in maps)) as advance:
         held = [refit(local_map, counted) for local_map in maps]
-    for local_map in (m for m, yes in zip(maps, held, strict=True) if not yes):
+    left = [local_map for local_map, yes in zip(maps, held, strict=True) if not yes]
+    for local_map in left:
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.say(
             f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
         )
+    return left
 
 
 def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = ()) -> list[Submap]:

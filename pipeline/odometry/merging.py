@@ -1,155 +1,63 @@
 """Submaps that saw the same place become one, on strong evidence only: a false merge is far worse than a missed one.
 
-Strong means: two or more pairs of places, at different views on both sides, each with many matched points that one
-similarity explains in both images, and one and the same similarity for all of them.
+Strong means: two or more pairs of places that look alike, each with many matched points that one similarity explains in
+both images, one and the same similarity for all of them, and borne out by pairs from different views on both sides.
 """
 
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.odometry.links import AROUND, Link, Shown, find_links, joint_similarity, strongest, sure_links
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.outcome import polish
-from pipeline.odometry.places import Place, ReadFrame, find_places, look_alikes, match
-from pipeline.odometry.poses import Array, in_camera, inverse
+from pipeline.odometry.places import Place, ReadFrame, find_places, match
+from pipeline.odometry.poses import Array, in_camera
 from pipeline.odometry.resection import reprojection_errors
-from pipeline.odometry.similarity import (
-    Side,
-    moved_points,
-    refine_similarity,
-    scale_of,
-    similarity_errors,
-    sure_similarity,
-)
+from pipeline.odometry.similarity import moved_points, scale_of
 
-PER_PLACE = 3  # look-alikes tried
-MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neighbours see one and the same picture
-SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
-MAX_SAME_PX = 8.0
-REACH = 4  # places on each side in which a matched point is looked for
-MAX_TIE_PX = 12.0  # from where it should be there
-
-
-@dataclass(frozen=True)
-class Link:
-    """A pair of places that fit: similarity, the points matched (inliers only), and their rows in the places."""
-
-    places: tuple[Place, Place]
-    second_from_first: Array
-    first: Side
-    second: Side
-    rows: tuple[NDArray[np.int64], NDArray[np.int64]]
-
-    def keyframe(self, side: int) -> int:
-        return self.places[side].keyframe
-
-
-def polish_and_merge(maps: list[LocalMap], read: ReadFrame, seed: int) -> tuple[list[LocalMap], int]:
-    """Final maps, adjusted as wholes, and how many joins there were."""
-    for local_map in maps:
-        polish(local_map)
-    if len(maps) < 2:
-        return maps, 0
-    merged = merge_maps(maps, read, seed)
-    for local_map, joins in merged:
-        if joins:
-            polish(local_map, changed=True)
-    return [local_map for local_map, _ in merged], sum(joins for _, joins in merged)
+MAX_TIE_PX = 12.0  # of a matched point from where it should be in a neighbouring place
 
 
 def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[tuple[LocalMap, int]]:
     """The maps with those joined that surely belong together, each with the number of joins that made it.
 
-    A grown map may touch one that it did not before; only the places that it gained are then compared.
+    A grown map may touch one that it did not before; only the places that it gained are then compared. A joined map has
+    forgotten its features and waits for an adjustment.
     """
+    if len(maps) < 2:
+        return [(local_map, 0) for local_map in maps]
     rng = np.random.default_rng(seed)
-    left = [(m, find_places(m, read)) for m in maps]
+    left = [Shown(m, find_places(m, read)) for m in maps]
     merged = []
     while left:
-        base, places = left.pop(0)
+        base = left.pop(0)
         number, joins = 0, 0
         tried = [0] * len(left)  # places of the base that were compared with each of the others,
         found: list[list[Link]] = [[] for _ in left]  # and what they gave
         while number < len(left):
-            other, others = left[number]
-            found[number] += find_links(base, places[tried[number] :], other, others, rng, seed)
-            tried[number] = len(places)
-            links = strongest(found[number], base, other)
+            other = left[number]
+            found[number] += find_links(Shown(base.map, base.places[tried[number] :]), other, rng, seed)
+            tried[number] = len(base.places)
+            links = sure_links(found[number], base, other)
             if not links:
                 number += 1
                 continue
-            places = places + absorb(base, places, other, others, links)
+            base = Shown(base.map, base.places + absorb(base, other, links))
             joins += 1
             del left[number], tried[number], found[number]
             number = 0
-        merged.append((base, joins))
+        merged.append((base.map, joins))
     return merged
 
 
-def find_links(
-    first: LocalMap,
-    places: list[Place],
-    second: LocalMap,
-    others: list[Place],
-    rng: np.random.Generator,
-    seed: int,
-) -> list[Link]:
-    """Every look-alike pair of places that fits."""
-    if not places or not others:
-        return []
-    links = (_link(first, places[i], second, others[j], rng) for i, j in look_alikes(places, others, PER_PLACE, seed))
-    return [link for link in links if link is not None]
-
-
-def strongest(links: list[Link], first: LocalMap, second: LocalMap) -> list[Link]:
-    """The largest set of links that agree on one similarity; empty unless two of them come from different views on
-    both sides, which makes one false likeness not enough."""
-    best: list[Link] = []
-    for link in links:
-        agreeing = [other for other in links if _explains(link.second_from_first, other)]
-        if len(agreeing) > len(best):
-            best = agreeing
-    apart = any(_are_apart(one, other, (first, second)) for one, other in combinations(best, 2))
-    return best if apart else []
-
-
-def _are_apart(one: Link, other: Link, maps: tuple[LocalMap, LocalMap]) -> bool:
-    """Whether two links have a baseline between them, in the first map and in the second."""
-    for side, local_map in enumerate(maps):
-        here, there = (local_map.keyframes[link.keyframe(side)] for link in (one, other))
-        baseline = float(np.linalg.norm(inverse(here.pose)[:3, 3] - inverse(there.pose)[:3, 3]))
-        if baseline < MIN_BASELINE * local_map.median_depth(here):
-            return False
-    return True
-
-
-def _link(first: LocalMap, place: Place, second: LocalMap, other: Place, rng: np.random.Generator) -> Link | None:
-    pairs = match(place.rooted, other.rooted)
-    sides = []
-    for local_map, shown, rows in ((first, place, pairs[:, 0]), (second, other, pairs[:, 1])):
-        seen, gain = local_map.rays.look_up(shown.pixels[rows])
-        sides.append(Side(shown.points[rows], local_map.keyframes[shown.keyframe].pose, seen, gain))
-    pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
-    found = sure_similarity(sides[0], sides[1], pixels, first.rays.camera.width, rng)
-    if found is None:
-        return None
-    similarity, inlier = found
-    inliers = pairs[inlier, 0], pairs[inlier, 1]
-    return Link((place, other), similarity, sides[0].at(inlier), sides[1].at(inlier), inliers)
-
-
-def _explains(similarity: Array, link: Link) -> bool:
-    return float((similarity_errors(similarity, link.first, link.second) < MAX_SAME_PX).mean()) >= SAME_SHARE
-
-
-def absorb(base: LocalMap, shown: list[Place], other: LocalMap, places: list[Place], links: list[Link]) -> list[Place]:
-    """Bring `other` into `base`'s frame and tie the two by the matched points; returns its places in that frame.
-
-    shown, places: of `base` and of `other`.
-    """
-    base_from_other = np.linalg.inv(_joint(links))
+def absorb(shown: Shown, others: Shown, links: list[Link]) -> list[Place]:
+    """Bring the second map into the first one's frame and tie the two by the matched points; returns its places in that
+    frame. Both forget their features: those are found again in the joined map, across the seam too."""
+    base, other = shown.map, others.map
+    base_from_other = np.linalg.inv(joint_similarity(links))
+    base.forget_features()
+    other.forget_features()
     scale = scale_of(base_from_other)
     first_keyframe, first_track = len(base.keyframes), len(base.known)
     base.reserve(first_track + len(other.known))
@@ -162,17 +70,12 @@ def absorb(base: LocalMap, shown: list[Place], other: LocalMap, places: list[Pla
     for posed in other.posed:
         ids = (posed.ids + first_track).astype(np.int32)
         base.posed.append(replace(posed.scaled(scale), keyframe=posed.keyframe + first_keyframe, ids=ids))
-    for link in links:
-        _tie(base, link, (shown, places), (0, first_keyframe))
+    for link in strongest(links):
+        _tie(base, link, (shown.places, others.places), (0, first_keyframe))
     return [
-        replace(p, keyframe=p.keyframe + first_keyframe, points=moved_points(base_from_other, p.points)) for p in places
+        replace(p, keyframe=p.keyframe + first_keyframe, points=moved_points(base_from_other, p.points))
+        for p in others.places
     ]
-
-
-def _joint(links: list[Link]) -> Array:
-    """One similarity from the points of all links: one pair of views alone leaves the scale to its noise."""
-    best = max(links, key=lambda link: sum(_explains(link.second_from_first, other) for other in links))
-    return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
 
 
 def _in_frame(pose: Array, base_from_other: Array, scale: float) -> Array:
@@ -197,7 +100,7 @@ def _tie(base: LocalMap, link: Link, places: tuple[list[Place], list[Place]], of
         base.extend(place.keyframe + offset, ids, place.pixels[rows])
         number = next(k for k, other in enumerate(places[side]) if other.keyframe == place.keyframe)
         for k, other in enumerate(places[side]):
-            if 0 < abs(k - number) <= REACH:
+            if 0 < abs(k - number) <= AROUND:
                 _see_again(base, ids, place.rooted[rows], other, other.keyframe + offset)
 
 

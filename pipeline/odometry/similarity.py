@@ -127,10 +127,14 @@ def sure_similarity(
     found = robust_similarity(first, second, rng)
     if found is None:
         return None
-    inlier = found[1]
+    return found if is_sure(found[1], pixels, width) else None
+
+
+def is_sure(inlier: NDArray[np.bool_], pixels: tuple[Array, Array], width: int) -> bool:
+    """Whether enough matches (N,) agree, spread over both images. pixels: (N,2) in either, `width` px wide."""
     if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
-        return None
-    return None if min(_narrow_spread(p[inlier]) for p in pixels) < MIN_SPREAD * width else found
+        return False
+    return min(_narrow_spread(p[inlier]) for p in pixels) >= MIN_SPREAD * width
 
 
 def _narrow_spread(pixels: Array) -> float:

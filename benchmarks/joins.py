@@ -1,0 +1,159 @@
+"""Submaps of one film with frames missing in the middle: are they joined, and rightly? And are other films' never?
+
+    python benchmarks/joins.py SUITE/* ../shared/data/ctcolon --gaps 10 20 40 --json joins.json
+
+Of each RGB-D folder the middle frames are left out, as a red-out would; either part is tracked for itself and adjusted
+to its features, as `odometry` does, and the maps are joined where the evidence allows. Way: the length that the camera
+truly went in the gap, in mm and in median depths of the frame before it. Scale error: of the similarity between the
+largest map on either side, against the quotient of their Sim(3)s to truth. ATE: RMSE of all posed centres after one
+Sim(3) over the joined map. Then every largest first part is offered to every second part of another film: each join of
+these is false, whatever it looks like.
+"""
+
+import argparse
+import copy
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from front_ends import store
+from pipeline.config import Config
+from pipeline.frames import Frames, read_image
+from pipeline.odometry.links import Shown, find_links, joint_similarity, sure_links
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.merging import merge_maps
+from pipeline.odometry.odometry import Odometry
+from pipeline.odometry.outcome import polish, to_submap
+from pipeline.odometry.places import ReadFrame, find_places
+from pipeline.odometry.rays import RayTable
+from pipeline.odometry.refit import refit
+from pipeline.odometry.similarity import scale_of
+from pipeline.workspace import Workspace
+from reconstruction.trajectory import align_poses, read_tum, trajectory_errors
+from record import write
+
+
+@dataclass(frozen=True)
+class Film:
+    name: str
+    frames: Frames
+    read: ReadFrame
+    truth: np.ndarray
+
+
+def film_of(folder: Path, scratch: Path) -> Film:
+    frames, workspace = store(folder, Config(front_end="odometry"), scratch / folder.name)
+    _, truth = read_tum(folder / "trajectory.txt")
+    return Film(folder.name, frames, _reader(workspace), truth)
+
+
+def _reader(workspace: Workspace) -> ReadFrame:
+    def read(index: int) -> tuple[np.ndarray, np.ndarray]:
+        return read_image(workspace.image_path(index)), cv2.imread(str(workspace.mask_path(index)), 0)
+
+    return read
+
+
+def tracked(film: Film, part: np.ndarray) -> list[LocalMap]:
+    """The maps of some of the frames, adjusted, most keyframes first."""
+    odometry = Odometry(RayTable(film.frames.camera), 0)
+    for index in part.tolist():
+        odometry.feed(index, *film.read(index))
+    maps = odometry.finish()
+    for local_map in maps:
+        polish(local_map)
+        refit(local_map, film.read)
+    return sorted((m for m in maps if to_submap(m, m.rays.camera.params)), key=lambda m: -len(m.keyframes))
+
+
+def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
+    submap = to_submap(local_map, local_map.rays.camera.params)
+    assert submap is not None
+    return align_poses(submap.world_from_camera, truth[submap.frames])
+
+
+def offered(first: LocalMap, second: LocalMap, reads: tuple[ReadFrame, ReadFrame]) -> np.ndarray | None:
+    """`second_from_first` if the evidence is enough for a join."""
+    shown = [Shown(m, find_places(m, read)) for m, read in zip((first, second), reads, strict=True)]
+    links = sure_links(find_links(*shown, np.random.default_rng(0), 0), *shown)
+    return joint_similarity(links) if links else None
+
+
+def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap] | None]:
+    """What becomes of the film without `gap` frames in its middle; the largest map on either side."""
+    index = film.frames.index
+    before, after = index[: (len(index) - gap) // 2], index[(len(index) + gap) // 2 :]
+    way = np.linalg.norm(np.diff(film.truth[before[-1] : after[0] + 1, :3, 3], axis=0), axis=1).sum()
+    result: dict[str, Any] = {"film": film.name, "gap": gap, "way_mm": float(way)}
+    maps = tracked(film, before), tracked(film, after)
+    if not all(maps):
+        return result | {"maps": [len(m) for m in maps]}, None
+    first, second = maps[0][0], maps[1][0]
+    to_truth = [truth_from_map(m, film.truth) for m in (first, second)]
+    depth_mm = first.median_depth(first.keyframes[-1]) * scale_of(to_truth[0])
+    found = offered(first, second, (film.read, film.read))
+    result |= {"maps": [len(m) for m in maps], "way_depths": float(way / depth_mm), "linked": found is not None}
+    if found is not None:
+        right = scale_of(to_truth[0]) / scale_of(to_truth[1])
+        result["scale_error_percent"] = 100 * (scale_of(found) / right - 1)
+    return result, (first, second)
+
+
+def joined(film: Film, first: LocalMap, second: LocalMap) -> dict[str, Any]:
+    """Path errors of the two as one; the maps are used up."""
+    ((merged, joins),) = merge_maps([first, second], film.read, 0)
+    assert joins == 1
+    if not refit(merged, film.read):
+        polish(merged, changed=True)
+    submap = to_submap(merged, merged.rays.camera.params)
+    assert submap is not None
+    errors = trajectory_errors(submap.world_from_camera, film.truth[submap.frames])
+    return {"posed": len(submap.frames), "ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
+
+
+def print_row(row: dict[str, Any]) -> None:
+    text = f"{row['film']:16} gap {row['gap']:3} frames, {row['way_mm']:.1f} mm"
+    if "linked" not in row:
+        print(text + ": no map on one side", flush=True)
+        return
+    text += f" ({row['way_depths']:.2f} depths), maps {row['maps'][0]} + {row['maps'][1]}: "
+    text += "joined" if row["linked"] else "not joined"
+    if "ate_mm" in row:
+        text += f", scale {row['scale_error_percent']:+.1f} %, then ATE {row['ate_mm']:.3f} mm of {row['posed']} frames"
+    print(text, flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
+    parser.add_argument("--gaps", type=int, nargs="+", default=[10, 20, 40], help="frames left out")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    rows: list[dict[str, Any]] = []
+    false: list[tuple[str, str]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        films = [film_of(folder, Path(scratch)) for folder in arguments.folders]
+        halves: dict[str, tuple[LocalMap, LocalMap]] = {}
+        for film in films:
+            for gap in arguments.gaps:
+                row, pair = cut(film, gap)
+                if gap == min(arguments.gaps) and pair is not None:
+                    halves[film.name] = pair
+                if pair is not None and row["linked"]:
+                    row |= joined(film, *copy.deepcopy(pair))
+                rows.append(row)
+                print_row(row)
+        reads = {film.name: film.read for film in films}
+        pairs = [(a, b) for a in halves for b in halves if a != b]
+        false = [(a, b) for a, b in pairs if offered(halves[a][0], halves[b][1], (reads[a], reads[b])) is not None]
+    print(f"parts of different films: {len(false)} joined of {len(pairs)} pairs {false or ''}")
+    write(arguments.json, {"gaps": arguments.gaps, "rows": rows, "strangers": len(pairs), "false": false})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""Links: pairs of places of two maps that one similarity explains, and when they are evidence enough for a join.
+
+A pair that looks alike is fitted for itself; such fits must agree with one another. What they agree on is then asked of
+the places around them, where it has nothing left to fit: a true join is borne out by views from many sides.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.places import Place, look_alikes, match
+from pipeline.odometry.poses import Array, inverse
+from pipeline.odometry.similarity import (
+    MAX_ERROR_PX,
+    Side,
+    is_sure,
+    refine_similarity,
+    similarity_errors,
+    sure_similarity,
+)
+
+PER_PLACE = 3  # look-alikes tried
+MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neighbours see one and the same picture
+SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
+MAX_SAME_PX = 8.0
+AROUND = 4  # places on each side of a linked one that are asked for support
+ASKED = 5  # links, the strongest, around which they are asked
+
+
+@dataclass(frozen=True)
+class Link:
+    """A pair of places that fit: similarity, the points matched (inliers only), and their rows in the places."""
+
+    places: tuple[Place, Place]
+    second_from_first: Array
+    first: Side
+    second: Side
+    rows: tuple[NDArray[np.int64], NDArray[np.int64]]
+
+    def keyframe(self, side: int) -> int:
+        return self.places[side].keyframe
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A map and its places."""
+
+    map: LocalMap
+    places: list[Place]
+
+
+def find_links(first: Shown, second: Shown, rng: np.random.Generator, seed: int) -> list[Link]:
+    """Every look-alike pair of places that fits, each with a similarity of its own."""
+    if not first.places or not second.places:
+        return []
+    pairs = look_alikes(first.places, second.places, PER_PLACE, seed)
+    links = (_fitted(first, first.places[i], second, second.places[j], rng) for i, j in pairs)
+    return [link for link in links if link is not None]
+
+
+def sure_links(links: list[Link], first: Shown, second: Shown) -> list[Link]:
+    """What bears out the similarity on which most links agree: every pair of places around them that it explains.
+
+    Empty unless two links agree, and unless two of the pairs come from different views on both sides: one false
+    likeness is never enough.
+    """
+    agreeing = _agreeing(links)
+    if len(agreeing) < 2:
+        return []
+    found = _support(joint_similarity(agreeing), agreeing, first, second)
+    found = _support(joint_similarity(found), agreeing, first, second) if found else []
+    return (
+        found if any(_are_apart(one, other, (first.map, second.map)) for one, other in combinations(found, 2)) else []
+    )
+
+
+def _fitted(first: Shown, place: Place, second: Shown, other: Place, rng: np.random.Generator) -> Link | None:
+    pairs, sides = _matched(first, place, second, other)
+    pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
+    found = sure_similarity(*sides, pixels, first.map.rays.camera.width, rng)
+    return None if found is None else _link((place, other), found[0], sides, pairs, found[1])
+
+
+def _matched(first: Shown, place: Place, second: Shown, other: Place) -> tuple[NDArray[np.int64], tuple[Side, Side]]:
+    """(K,2) rows of features that look alike, and what either map knows of them."""
+    pairs = match(place.rooted, other.rooted)
+    return pairs, (_side(first.map, place, pairs[:, 0]), _side(second.map, other, pairs[:, 1]))
+
+
+def _side(local_map: LocalMap, place: Place, rows: NDArray[np.int64]) -> Side:
+    seen, gain = local_map.rays.look_up(place.pixels[rows])
+    return Side(place.points[rows], local_map.keyframes[place.keyframe].pose, seen, gain)
+
+
+def _link(
+    places: tuple[Place, Place],
+    similarity: Array,
+    sides: tuple[Side, Side],
+    pairs: NDArray[np.int64],
+    inlier: NDArray[np.bool_],
+) -> Link:
+    rows = pairs[inlier, 0], pairs[inlier, 1]
+    return Link(places, similarity, sides[0].at(inlier), sides[1].at(inlier), rows)
+
+
+def strongest(links: list[Link]) -> list[Link]:
+    """Of links the strongest, each place in one of them at most: what ties the maps, without saying all of it twice."""
+    kept: list[Link] = []
+    for link in sorted(links, key=lambda link: -len(link.rows[0])):
+        if not any(link.keyframe(side) == other.keyframe(side) for other in kept for side in (0, 1)):
+            kept.append(link)
+    return kept
+
+
+def _agreeing(links: list[Link]) -> list[Link]:
+    """The largest set of links that the similarity of one of them explains."""
+    best: list[Link] = []
+    for link in links:
+        agreeing = [other for other in links if _explains(link.second_from_first, other)]
+        if len(agreeing) > len(best):
+            best = agreeing
+    return best
+
+
+def _explains(similarity: Array, link: Link) -> bool:
+    return float((similarity_errors(similarity, link.first, link.second) < MAX_SAME_PX).mean()) >= SAME_SHARE
+
+
+def joint_similarity(links: list[Link]) -> Array:
+    """One similarity from the points of all links: one pair of views alone leaves the scale to its noise."""
+    best = max(links, key=lambda link: sum(_explains(link.second_from_first, other) for other in links))
+    return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
+
+
+def _support(similarity: Array, links: list[Link], first: Shown, second: Shown) -> list[Link]:
+    """Linked pairs of places, and pairs around the strongest, whose matches `similarity` explains as it stands."""
+    rows = [{place.keyframe: row for row, place in enumerate(shown.places)} for shown in (first, second)]
+    asked = set()
+    for number, link in enumerate(sorted(links, key=lambda link: -len(link.rows[0]))):
+        i, j = (of[link.keyframe(side)] for side, of in enumerate(rows))
+        reach = AROUND if number < ASKED else 0
+        asked |= set(product(_around(i, reach, len(first.places)), _around(j, reach, len(second.places))))
+    tried = (_guided(similarity, first, first.places[a], second, second.places[b]) for a, b in sorted(asked))
+    return [link for link in tried if link is not None]
+
+
+def _around(row: int, reach: int, count: int) -> range:
+    return range(max(0, row - reach), min(row + reach + 1, count))
+
+
+def _guided(similarity: Array, first: Shown, place: Place, second: Shown, other: Place) -> Link | None:
+    pairs, sides = _matched(first, place, second, other)
+    inlier = similarity_errors(similarity, *sides) < MAX_ERROR_PX
+    pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
+    if not is_sure(inlier, pixels, first.map.rays.camera.width):
+        return None
+    return _link((place, other), similarity, sides, pairs, inlier)
+
+
+def _are_apart(one: Link, other: Link, maps: tuple[LocalMap, LocalMap]) -> bool:
+    """Whether two links have a baseline between them, in the first map and in the second."""
+    for side, local_map in enumerate(maps):
+        here, there = (local_map.keyframes[link.keyframe(side)] for link in (one, other))
+        baseline = float(np.linalg.norm(inverse(here.pose)[:3, 3] - inverse(there.pose)[:3, 3]))
+        if baseline < MIN_BASELINE * local_map.median_depth(here):
+            return False
+    return True
