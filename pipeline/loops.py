@@ -22,6 +22,7 @@ from reconstruction.pose_graph import scale_of, tie_information, with_common_err
 
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MIN_GAP = 5  # keyframes between two that may be a loop
+CONTRAST = 0.008  # of a feature; a fifth of OpenCV's
 REACH = 1.0  # scene units: median depths between cameras that should see the same
 MAX_TURN = np.radians(40)  # between their views
 ACROSS_PX, ALONG = 1.5, 0.03  # sigma of a matched feature's place, and of its depth as a share
@@ -99,7 +100,7 @@ def _place(part: DenseSubmap, maker: SparseDepthMaker, row: int, frames: Frames)
     rgb = part.rectifier.image(read_image(part.workspace.image_path(index)))
     stored = cv2.imread(str(part.workspace.mask_path(index)), cv2.IMREAD_GRAYSCALE)
     mask = part.rectifier.mask(frames.content if stored is None else stored)
-    found = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)))
+    found = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)), CONTRAST)
     pixels = np.asarray(found.pixels, np.float64)
     sparse = maker.sparse_depth(row)
     inverse = inverse_depth_at(pixels, sparse.pixels, sparse.depth)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.odometry.places import Place, sift
+from pipeline.odometry.places import CONTRAST, Place, sift
 from pipeline.odometry.refit import Matched
 
 SIDE = 320
@@ -28,7 +28,7 @@ def lattice(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("sigma", [1.2, 1.8, 2.5, 4.0, 6.0])
 def test_a_blob_is_found_at_its_centre(sigma):
     centres = lattice(0)
-    pixels = sift(blobs(centres, sigma), MASK).pixels
+    pixels = sift(blobs(centres, sigma), MASK, CONTRAST).pixels
     off = pixels[:, None] - centres
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     off = off[np.arange(len(off)), nearest]
@@ -39,7 +39,7 @@ def test_a_blob_is_found_at_its_centre(sigma):
 
 @pytest.mark.parametrize("sigma", [1.2, 2.5, 6.0])
 def test_the_size_of_a_feature_is_that_of_its_blob(sigma):
-    assert np.median(sift(blobs(lattice(0), sigma), MASK).sizes) == pytest.approx(2 * sigma, rel=0.2)
+    assert np.median(sift(blobs(lattice(0), sigma), MASK, CONTRAST).sizes) == pytest.approx(2 * sigma, rel=0.2)
 
 
 def place(seed: int, points: np.ndarray, sizes: np.ndarray) -> Place:
@@ -57,7 +57,7 @@ def test_only_matches_of_narrow_features_may_move_the_map():
 
 
 def test_a_black_picture_has_no_features():
-    nothing = sift(np.zeros((SIDE, SIDE, 3), np.uint8), MASK)
+    nothing = sift(np.zeros((SIDE, SIDE, 3), np.uint8), MASK, CONTRAST)
     assert nothing.pixels.shape == (0, 2)
     assert nothing.descriptors.shape == (0, 128)
     assert nothing.sizes.shape == (0,)

@@ -1,5 +1,7 @@
 """The streaming front end's gates, one by one: what may be tracked, what is adjusted, what joins two maps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_odometry_geometry import PINHOLE, gains, on_plane, pose, tube
@@ -109,32 +111,45 @@ def place_of(local_map, number, rows, codes):
     return Place(number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0))
 
 
-def linked(rows, wrong=0, points=None):
+def linked(count=60, wrong=0, points=None):
     """Links of one place in two maps of the same wall, of which `wrong` matched points lie elsewhere in the second."""
     rng = np.random.default_rng(1)
-    codes = rng.integers(0, 255, (60, 128)).astype(np.uint8)
+    codes = rng.integers(0, 255, (count, 128)).astype(np.uint8)
+    points = tube(count, np.random.default_rng(0)) if points is None else points
     first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points)
-    place, other = place_of(first, 0, rows, codes), place_of(second, 0, rows, codes)
+    place, other = (place_of(m, 0, np.arange(count), codes) for m in (first, second))
     other.points[:wrong] += rng.uniform(20, 60, (wrong, 3))
     return find_links(Shown(first, [place]), Shown(second, [other]), rng, 0)
 
 
 def test_a_link_needs_matches_agreement_and_spread():
-    assert len(linked(np.arange(60))) == 1
-    assert len(linked(np.arange(20))) == 1
-    assert linked(np.arange(19)) == []  # too few matches
-    assert len(linked(np.arange(60), wrong=30)) == 1
-    assert linked(np.arange(60), wrong=38) == []  # 22 agree, of 60
+    assert len(linked(60)) == 1
+    assert len(linked(20)) == 1
+    assert linked(19) == []  # too few matches
+    assert len(linked(60, wrong=38)) == 1
+    assert linked(60, wrong=42) == []  # 18 agree
+    assert len(linked(120, wrong=90)) == 1  # a quarter agrees
+    assert linked(120, wrong=98) == []  # 22 agree, but of 120
     ridge = tube(60, np.random.default_rng(0))
     ridge[:, 1] = 0.02 * ridge[:, 1]
-    assert linked(np.arange(60), points=ridge) == []  # all on a line of the image
+    assert linked(60, points=ridge) == []  # all on a line of the image
+
+
+def test_what_stands_still_in_the_picture_links_nothing():
+    """Dirt on the lens: alike in two maps, at the same pixels, and with the map's depth around it."""
+    codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
+    for way, count in ((0.0, 0), (0.4, 0), (3.0, 1)):
+        first, second = a_map([[0, 0, 0]]), a_map([[0, 0, 0]])
+        place = place_of(first, 0, np.arange(60), codes)
+        other = replace(place, pixels=place.pixels + np.array([way, 0]))
+        assert len(find_links(Shown(first, [place]), Shown(second, [other]), np.random.default_rng(0), 0)) == count
 
 
 @pytest.mark.parametrize(("apart", "joined"), [(0.0, False), (1.0, False), (10.0, True)])
 def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     """Two keyframes of each map, so many mm apart along a lumen whose points lie some 50 mm ahead."""
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
-    maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -1.0)]
+    maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -4.0)]
     shown = [Shown(m, [place_of(m, number, np.arange(60), codes) for number in (0, 1)]) for m in maps]
     links = find_links(*shown, np.random.default_rng(0), 0)
     assert len(links) == 4

@@ -27,6 +27,7 @@ MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neig
 SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
 MAX_SAME_PX = 8.0
 AROUND = 4  # places on each side of a linked one that are asked for support
+STILL_PX = 1.0
 ASKED = 5  # links, the strongest, around which they are asked
 
 
@@ -85,8 +86,13 @@ def _fitted(first: Shown, place: Place, second: Shown, other: Place, rng: np.ran
 
 
 def _matched(first: Shown, place: Place, second: Shown, other: Place) -> tuple[NDArray[np.int64], tuple[Side, Side]]:
-    """(K,2) rows of features that look alike, and what either map knows of them."""
+    """(K,2) rows of features that look alike, and what either map knows of them.
+
+    Not of those at the same pixel in both: dirt and text are alike wherever the camera is.
+    """
     pairs = match(place.rooted, other.rooted)
+    way = np.linalg.norm(place.pixels[pairs[:, 0]] - other.pixels[pairs[:, 1]], axis=1)
+    pairs = pairs[way > STILL_PX]
     return pairs, (_side(first.map, place, pairs[:, 0]), _side(second.map, other, pairs[:, 1]))
 
 

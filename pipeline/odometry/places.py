@@ -21,7 +21,7 @@ from pipeline.odometry.poses import Array, in_camera, inverse
 ReadFrame = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # frame -> rgb (H,W,3), mask (H,W)
 
 FEATURES = 1000
-CONTRAST = 0.008  # a fifth of OpenCV's: mucosa has weak contrast
+CONTRAST = 0.002  # a twentieth of OpenCV's: pale mucosa has little more
 RATIO = 0.85  # best over second-best distance
 MIN_POINTS = 25  # of a place worth remembering
 MAX_PLACES = 60  # of a map
@@ -96,7 +96,7 @@ def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.sqrt(whole / np.maximum(whole.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
 
 
-def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST) -> Features:
+def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float) -> Features:
     """The strongest SIFT features of a picture (H,W,3) within a mask (H,W)."""
     # Without `enable_precise_upscale` OpenCV puts every feature a quarter of a pixel too far right and down.
     detector = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=contrast, enable_precise_upscale=True)
@@ -107,12 +107,10 @@ def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONT
     return Features(pixels, descriptors.astype(np.uint8), np.array([k.size for k in keypoints]))
 
 
-def place_of(
-    local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float = CONTRAST
-) -> Place:
+def place_of(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Place:
     """SIFT features within the hull of the keyframe's map points; inverse depth is linear across a plane's image."""
     keyframe = local_map.keyframes[number]
-    found = sift(rgb, mask, contrast)
+    found = sift(rgb, mask, CONTRAST)
     known = local_map.known[keyframe.ids]
     nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0))
     if known.sum() < MIN_POINTS or len(found.pixels) == 0:

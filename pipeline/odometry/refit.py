@@ -22,7 +22,6 @@ from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, ReadFrame, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse
 
-CONTRAST = 0.002  # of a feature; pale mucosa has little more
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
 # more on compressed ones, where fine texture moves with its blocks (docs/front_end.md).
 WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
@@ -67,7 +66,7 @@ def _adjusted(fitted: LocalMap) -> Array | None:
 
 def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
     rgb, mask = read(local_map.keyframes[number].frame)
-    return place_of(local_map, number, rgb, local_map.rays.masked(mask), CONTRAST)
+    return place_of(local_map, number, rgb, local_map.rays.masked(mask))
 
 
 def _near(local_map: LocalMap) -> list[tuple[int, int]]:

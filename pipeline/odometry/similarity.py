@@ -13,10 +13,11 @@ from pipeline.odometry.resection import reprojection_errors, rounds_needed
 from reconstruction.errors import ReconstructionError
 from reconstruction.trajectory import align_umeyama
 
-ROUNDS = 300
+ROUNDS = 1000
 MAX_ERROR_PX = 4.0
 MIN_INLIERS = 20
-MIN_INLIER_SHARE = 0.4  # of the matches; by chance a twentieth agrees
+# Of the matches. Places of different films agree in 5 of them at most, a seventh; see docs/front_end.md.
+MIN_INLIER_SHARE = 0.2
 MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
 MAX_SCALE = 20.0  # two maps of one place are in units of its depth; farther apart is a false fit
 
