@@ -1,7 +1,8 @@
-"""Stage 2: working frames to submaps of poses and points, by COLMAP (front end `sfm`) or by `odometry`.
+"""Stage 2: working frames to submaps of poses and points, by `odometry` or by COLMAP (front end `sfm`).
 
-The global mapper goes first: it has no two-view start that could be false. Where its model leaves frames out or the
-endoscope's own light contradicts it, the incremental mapper gives a second opinion, and evidence decides.
+`auto` asks odometry, and COLMAP where that leaves frames out or the endoscope's own light contradicts it. Of COLMAP's
+mappers the global one goes first, as it has no two-view start that could be false; where it leaves doubt too, the
+incremental one follows. Evidence decides between all that were asked.
 """
 
 import shutil
@@ -26,7 +27,7 @@ from pipeline.workspace import Workspace, damage_named
 
 WORKER = "pipeline.colmap_worker"
 MIN_SUBMAP = 3  # frames
-MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` takes odometry for longer videos
+MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` does not ask it of longer videos
 Judged = tuple[Submap, Evidence, Path]
 
 
@@ -48,12 +49,12 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
 
 def _maps(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> dict[str, list[Judged]]:
     """The models of each mapper that was asked: another one where those before it leave doubt."""
-    count = len(frames.index)
-    if config.front_end == "odometry" or (config.front_end == "auto" and count > MOST_SFM_FRAMES):
-        return {"odometry": _map_by_odometry(frames, config, workspace, progress)}
-    mapped = _maps_by_colmap(frames, config, workspace, progress)
-    if config.front_end == "auto" and all(is_doubtful(models, count, config) for models in mapped.values()):
-        mapped["odometry"] = _map_by_odometry(frames, config, workspace, progress)
+    if config.front_end == "sfm":
+        return _maps_by_colmap(frames, config, workspace, progress)
+    count, mapped = len(frames.index), {"odometry": _map_by_odometry(frames, config, workspace, progress)}
+    if config.front_end == "auto" and count <= MOST_SFM_FRAMES and is_doubtful(mapped["odometry"], count, config):
+        progress.say("odometry leaves doubt; asking COLMAP")
+        mapped |= _maps_by_colmap(frames, config, workspace, progress)
     return mapped
 
 

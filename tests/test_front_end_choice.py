@@ -1,4 +1,4 @@
-"""`--front-end auto`: COLMAP for clips, odometry for long videos and where COLMAP's models leave doubt."""
+"""`--front-end auto`: odometry, and COLMAP for clips of which odometry's map leaves doubt."""
 
 from types import SimpleNamespace
 
@@ -38,22 +38,27 @@ def asked(monkeypatch, tmp_path):
     return call
 
 
-def test_a_good_global_model_is_enough(asked):
-    assert asked("auto", 100, {"global": [GOOD]}) == (["global"], "global")
+def test_a_good_map_of_odometry_is_enough(asked):
+    assert asked("auto", 100, {"odometry": [GOOD]}) == (["odometry"], "odometry")
 
 
-def test_a_long_video_goes_to_odometry_at_once(asked):
-    assert asked("auto", structure.MOST_SFM_FRAMES + 1, {"odometry": [GOOD]}) == (["odometry"], "odometry")
+def test_colmap_is_asked_where_odometry_leaves_doubt(asked):
+    assert asked("auto", 100, {"odometry": [DARK], "global": [GOOD]}) == (["odometry", "global"], "global")
+    found = {"odometry": [], "global": [], "incremental": [GOOD]}
+    assert asked("auto", 100, found) == (["odometry", "global", "incremental"], "incremental")
 
 
-def test_odometry_is_asked_where_both_mappers_leave_doubt(asked):
-    found = {"global": [], "incremental": [DARK], "odometry": [GOOD]}
-    assert asked("auto", 100, found) == (["global", "incremental", "odometry"], "odometry")
+def test_colmap_is_not_asked_of_a_long_video(asked):
+    assert asked("auto", structure.MOST_SFM_FRAMES + 1, {"odometry": [DARK]}) == (["odometry"], "odometry")
 
 
-def test_odometry_that_finds_nothing_does_not_win(asked):
-    found = {"global": [], "incremental": [DARK], "odometry": []}
-    assert asked("auto", 100, found)[1] == "incremental"
+def test_a_mapper_that_finds_nothing_does_not_win(asked):
+    assert asked("auto", 100, {"odometry": [DARK], "global": [], "incremental": []})[1] == "odometry"
+
+
+def test_sfm_and_odometry_ask_nobody_else(asked):
+    assert asked("sfm", 100, {"global": [DARK], "incremental": []})[0] == ["global", "incremental"]
+    assert asked("odometry", 100, {"odometry": []})[0] == ["odometry"]
 
 
 def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
@@ -63,7 +68,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
     def call(front_end):
         monkeypatch.setattr(structure, "colmap_job", lambda *_: {})
         monkeypatch.setattr(structure, "run_isolated", fail)
-        monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: [GOOD])
+        monkeypatch.setattr(structure, "_map_by_odometry", lambda *_: [DARK])
         few = SimpleNamespace(index=np.arange(100))
         return structure._maps(few, Config(front_end=front_end), SimpleNamespace(log=tmp_path), SilentProgress())
 

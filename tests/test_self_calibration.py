@@ -1,15 +1,18 @@
 """The lens from the map: a focal length that is a sixth off is found where the motion determines it, and only there."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.camera import Camera
+from pipeline.odometry import front_end
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.rays import RayTable
-from pipeline.odometry.self_calibration import MAX_FOCAL_SIGMA, MIN_VIEWS, refine_lens, thinned
+from pipeline.odometry.self_calibration import MAX_FOCAL_SIGMA, MIN_VIEWS, Lens, refine_lens, thinned
 from pipeline.progress import SilentProgress
 from pipeline.submap import Submap
 
@@ -139,3 +142,40 @@ def test_job_and_log_stay_in_the_run_folder(tmp_path):
     refine_lens(filmed(*wandering()), GUESS, 0, tmp_path, SilentProgress())
     assert {p.name for p in tmp_path.iterdir()} == {"lens", "lens.log", "lens.job.json"}
     assert set(json.loads((tmp_path / "lens" / "lens.json").read_text())) == {"params", "sigma"}
+
+
+@pytest.mark.parametrize(
+    ("focals", "asked", "last"),
+    [
+        ((157.0, 159.5, 159.6), 3, 159.5),
+        ((134.05,), 1, 134.0),
+        ((150.0, 155.0, 158.0, 160.0), 3, 158.0),
+        ((None,), 1, 134),
+    ],
+)
+def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkeypatch, focals, asked, last):
+    """Lenses come in this order; None is one that the motion does not determine."""
+    whole, seen, maps = filmed(*wandering()), [], [SimpleNamespace(posed=[], keyframes=[])]
+    maps[0].of_features = lambda: maps[0]
+    given = iter(focals)
+
+    def refine(submap, camera, *rest):
+        seen.append((submap.camera_params[0], camera.params[0]))
+        focal = next(given)
+        if focal is None:
+            return Lens(camera, (9.0,), False)
+        return Lens(replace(camera, params=(focal, *camera.params[1:])), (0.1 * len(seen),), True)
+
+    monkeypatch.setattr(front_end, "refine_lens", refine)
+    monkeypatch.setattr(front_end, "_with_lens", lambda *_: None)
+    monkeypatch.setattr(
+        front_end,
+        "_submaps",
+        lambda maps, params, sigma=(): [replace(whole, camera_params=params, camera_sigma=sigma)],
+    )
+    frames, workspace = SimpleNamespace(camera=GUESS), SimpleNamespace(log=None)
+    (found,) = front_end._with_better_lens([whole], maps, frames, 0, None, workspace, SilentProgress())
+    assert len(seen) == asked
+    assert all(of_map == of_camera for of_map, of_camera in seen)
+    assert found.camera_params[0] == last
+    assert found.camera_sigma[0] == (9.0 if focals[0] is None else pytest.approx(0.1 * asked))

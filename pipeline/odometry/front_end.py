@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from pipeline.camera import Camera
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
 from pipeline.odometry.local_map import LocalMap
@@ -24,6 +25,8 @@ from pipeline.submap import Submap
 from pipeline.workspace import Workspace
 
 MIN_FRAMES = 3  # of a submap
+LENS_ROUNDS = 3
+FAR, SETTLED = 0.01, 0.001  # of the width, by which a better lens shifts pixels: first to corners; no need to ask again
 
 
 @dataclass(frozen=True)
@@ -123,20 +126,45 @@ def _with_better_lens(
 ) -> list[Submap]:
     """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not.
 
-    Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit.
+    Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
+    for not fitting the guess would have spoken against it, so a lens that moved far is asked once more of the map that
+    was adjusted with it.
     """
     largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
-    by_features = _submaps([largest.of_features()], frames.camera.params)
-    step = KEYFRAME_STEP if by_features else FRAME_STEP
-    lens = refine_lens((by_features or found)[0], frames.camera, seed, workspace.log, progress, step)
-    if not lens.determined:
-        return [replace(submap, camera_sigma=lens.sigma) for submap in found]
-    rays = RayTable(lens.camera)
+    camera = frames.camera
+    for _ in range(LENS_ROUNDS):
+        by_features = _submaps([largest.of_features()], camera.params)
+        step = KEYFRAME_STEP if by_features else FRAME_STEP
+        lens = refine_lens((by_features or found)[0], camera, seed, workspace.log, progress, step)
+        shift = _shift(camera, lens.camera)
+        if not lens.determined or shift < SETTLED:
+            return [replace(submap, camera_sigma=lens.sigma) for submap in found]
+        camera = lens.camera
+        _with_lens(maps, camera, shift > FAR, read, progress)
+        found = _submaps(maps, camera.params, lens.sigma)
+        if not found:
+            break
+    return found
+
+
+def _shift(old: Camera, new: Camera) -> float:
+    """By how much one lens puts what another sees elsewhere: RMS over the picture, as a share of its width."""
+    x, y = np.meshgrid(*(np.linspace(0.5, size - 0.5, 9) for size in (old.width, old.height)))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    seen, _ = RayTable(old).look_up(pixels)
+    off = new.project(np.concatenate([seen, np.ones((len(seen), 1))], axis=1)) - pixels
+    return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
+
+
+def _with_lens(maps: list[LocalMap], camera: Camera, far: bool, read: ReadFrame, progress: Progress) -> None:
+    """Adjust all maps with another lens; one that is far from the last is first fitted to the followed corners."""
+    rays = RayTable(camera)
     for local_map in maps:
         local_map.recalibrate(rays)
+        if far:
+            polish(local_map, changed=True)
+    for local_map in _refit(maps, read, progress):
         polish(local_map, changed=True)
-    _refit(maps, read, progress)
-    return _submaps(maps, lens.camera.params, lens.sigma)
 
 
 def _read_mask(workspace: Workspace, index: int) -> NDArray[np.uint8]:
