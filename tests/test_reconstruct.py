@@ -35,8 +35,9 @@ ARTEFACTS = [
 
 
 def tiny_config(**changes):
-    """The first 26 frames of the embedded clip, every second one used."""
-    return load_config(None, camera=str(CAMERA), frames={"end_s": 0.86, "stride": 2}, lumen_mm=40.0, **changes)
+    """The first 26 frames of the embedded clip, every second one used, by COLMAP."""
+    settings = {"camera": str(CAMERA), "frames": {"end_s": 0.86, "stride": 2}, "lumen_mm": 40.0, "front_end": "sfm"}
+    return load_config(None, **(settings | changes))
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,18 @@ def test_error_against_the_clips_truth(finished):
     assert comparison.simcol3d.rot_median_deg < 0.5
     assert comparison.surface.precision > 0.5
     assert comparison.surface.accuracy_median < 1.0
+
+
+def test_the_default_goes_by_odometry(tmp_path, finished):
+    folder = tmp_path / "auto"
+    reconstruct(VIDEO, folder, tiny_config(front_end="auto"))
+    record = yaml.safe_load((folder / "run.yaml").read_text())
+    assert record["stages"]["structure"]["mapper"] == "odometry"
+    assert [name for name in ARTEFACTS if not (folder / name).exists()] == []
+    mine, colmaps = (compare_run(run, FOLDER) for run in (folder, finished[0]))
+    assert mine.posed == colmaps.posed
+    assert mine.sim3.ate_rmse < 0.1
+    assert mine.surface.precision > 0.5
 
 
 def test_the_sparse_model_is_in_output_units(finished):
