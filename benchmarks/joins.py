@@ -4,10 +4,10 @@
 
 Of each RGB-D folder the middle frames are left out, as a red-out would; either part is tracked for itself and adjusted
 to its features, as `odometry` does, and the maps are joined where the evidence allows. Way: the length that the camera
-truly went in the gap, in mm and in median depths of the frame before it. Scale error: of the similarity between the
-largest map on either side, against the quotient of their Sim(3)s to truth. ATE: RMSE of all posed centres after one
-Sim(3) over the joined map. Then every largest first part is offered to every second part of another film: each join of
-these is false, whatever it looks like.
+truly went in the gap, in mm and in median depths of the frame before it. Maps: on either side -> left. Scale error: of
+the similarity between the largest map on either side, where they are linked, against the quotient of their Sim(3)s to
+truth. ATE: RMSE of the centres of the largest map that is left, after one Sim(3). Then every largest first part is
+offered to every second part of another film: each join of these is false, whatever it looks like.
 """
 
 import argparse
@@ -88,43 +88,42 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
     index = film.frames.index
     before, after = index[: (len(index) - gap) // 2], index[(len(index) + gap) // 2 :]
     way = np.linalg.norm(np.diff(film.truth[before[-1] : after[0] + 1, :3, 3], axis=0), axis=1).sum()
-    result: dict[str, Any] = {"film": film.name, "gap": gap, "way_mm": float(way)}
     maps = tracked(film, before), tracked(film, after)
+    result: dict[str, Any] = {"film": film.name, "gap": gap, "way_mm": float(way), "maps": [len(m) for m in maps]}
     if not all(maps):
-        return result | {"maps": [len(m) for m in maps]}, None
+        return result, None
     first, second = maps[0][0], maps[1][0]
     to_truth = [truth_from_map(m, film.truth) for m in (first, second)]
-    depth_mm = first.median_depth(first.keyframes[-1]) * scale_of(to_truth[0])
+    result["way_depths"] = float(way / (first.median_depth(first.keyframes[-1]) * scale_of(to_truth[0])))
     found = offered(first, second, (film.read, film.read))
-    result |= {"maps": [len(m) for m in maps], "way_depths": float(way / depth_mm), "linked": found is not None}
     if found is not None:
         right = scale_of(to_truth[0]) / scale_of(to_truth[1])
         result["scale_error_percent"] = 100 * (scale_of(found) / right - 1)
-    return result, (first, second)
+    return result | joined(film, copy.deepcopy(maps[0] + maps[1])), (first, second)
 
 
-def joined(film: Film, first: LocalMap, second: LocalMap) -> dict[str, Any]:
-    """Path errors of the two as one; the maps are used up."""
-    ((merged, joins),) = merge_maps([first, second], film.read, 0)
-    assert joins == 1
-    if not refit(merged, film.read):
-        polish(merged, changed=True)
-    submap = to_submap(merged, merged.rays.camera.params)
-    assert submap is not None
+def joined(film: Film, maps: list[LocalMap]) -> dict[str, Any]:
+    """How many maps are left of all, and the path errors of the largest; the maps are used up."""
+    merged = merge_maps(maps, film.read, 0)
+    for local_map, joins in merged:
+        if joins and not refit(local_map, film.read):
+            polish(local_map, changed=True)
+    submaps = [to_submap(m, m.rays.camera.params) for m, _ in merged]
+    submap = max((s for s in submaps if s is not None), key=lambda s: len(s.frames))
     errors = trajectory_errors(submap.world_from_camera, film.truth[submap.frames])
-    return {"posed": len(submap.frames), "ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
+    left = {"left": len(merged), "posed": len(submap.frames)}
+    return left | {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
 
 
 def print_row(row: dict[str, Any]) -> None:
     text = f"{row['film']:16} gap {row['gap']:3} frames, {row['way_mm']:.1f} mm"
-    if "linked" not in row:
+    if "left" not in row:
         print(text + ": no map on one side", flush=True)
         return
-    text += f" ({row['way_depths']:.2f} depths), maps {row['maps'][0]} + {row['maps'][1]}: "
-    text += "joined" if row["linked"] else "not joined"
-    if "ate_mm" in row:
-        text += f", scale {row['scale_error_percent']:+.1f} %, then ATE {row['ate_mm']:.3f} mm of {row['posed']} frames"
-    print(text, flush=True)
+    text += f" ({row['way_depths']:.2f} depths), maps {row['maps'][0]} + {row['maps'][1]} -> {row['left']}"
+    if "scale_error_percent" in row:
+        text += f", scale {row['scale_error_percent']:+.1f} %"
+    print(text + f"; largest: ATE {row['ate_mm']:.3f} mm of {row['posed']} frames", flush=True)
 
 
 def main() -> None:
@@ -144,8 +143,6 @@ def main() -> None:
                 row, pair = cut(film, gap)
                 if gap == min(arguments.gaps) and pair is not None:
                     halves[film.name] = pair
-                if pair is not None and row["linked"]:
-                    row |= joined(film, *copy.deepcopy(pair))
                 rows.append(row)
                 print_row(row)
         reads = {film.name: film.read for film in films}
