@@ -105,10 +105,10 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
 def joined(film: Film, maps: list[LocalMap]) -> dict[str, Any]:
     """How many maps are left of all, and the path errors of the largest; the maps are used up."""
     merged = merge_maps(maps, film.read, 0)
-    for local_map, joins in merged:
-        if joins and not refit(local_map, film.read):
-            polish(local_map, changed=True)
-    submaps = [to_submap(m, m.rays.camera.params) for m, _ in merged]
+    for whole in merged:
+        if len(whole.members) > 1 and refit(whole.map, film.read) is None:
+            polish(whole.map, changed=True)
+    submaps = [to_submap(whole.map, whole.map.rays.camera.params) for whole in merged]
     submap = max((s for s in submaps if s is not None), key=lambda s: len(s.frames))
     errors = trajectory_errors(submap.world_from_camera, film.truth[submap.frames])
     left = {"left": len(merged), "posed": len(submap.frames)}

@@ -23,6 +23,7 @@ from reconstruction.pose_graph import scale_of, tie_information, with_common_err
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MIN_GAP = 5  # keyframes between two that may be a loop
 CONTRAST = 0.008  # of a feature; a fifth of OpenCV's
+MIN_INLIER_SHARE = 0.4  # of the matches
 REACH = 1.0  # scene units: median depths between cameras that should see the same
 MAX_TURN = np.radians(40)  # between their views
 ACROSS_PX, ALONG = 1.5, 0.03  # sigma of a matched feature's place, and of its depth as a share
@@ -130,7 +131,7 @@ def _link(
         for part, place, rows in zip(parts, pair, pairs.T, strict=True)
     ]
     pixels = second.pixels[pairs[:, 1]], first.pixels[pairs[:, 0]]
-    found = sure_similarity(sides[1], sides[0], pixels, parts[0].camera.width, rng)
+    found = sure_similarity(sides[1], sides[0], pixels, parts[0].camera.width, rng, MIN_INLIER_SHARE)
     if found is None:
         return None
     start, inlier = found

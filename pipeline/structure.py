@@ -199,9 +199,11 @@ def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
 
 
 def is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
-    """Few frames posed, no frame with enough points to ask the light, or the light says no."""
+    """Few frames posed, most of them in pieces, no frame with enough points to ask the light, or the light says no."""
     settings = config.structure
     posed = sum(evidence.frames for _, evidence, _ in models)
+    if 2 * max((evidence.frames for _, evidence, _ in models), default=0) < total:
+        return True
     unasked = not any(evidence.voters for _, evidence, _ in models)
     return posed < settings.min_registered * total or unasked or _contrary(models) > settings.max_dark_near
 

@@ -11,7 +11,6 @@ from pipeline.errors import HaustraError
 from pipeline.frames import Frames, write_image
 from pipeline.odometry.features import detect, follow, make_view
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.places import match
@@ -121,47 +120,6 @@ def test_the_same_seed_gives_the_same_result(clip):
     one, other = (to_submap(maps[0], CAMERA.params) for maps in (first, second))
     np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
     np.testing.assert_array_equal(one.points, other.points)
-
-
-def test_loss_begins_a_second_map_and_a_place_seen_again_joins_them(clip):
-    """Black frames, then the way back: the second map sees what the first one saw."""
-    images = clip[0][:26] + [np.zeros_like(clip[0][0])] * 12 + clip[0][25:8:-1]
-    order = [*range(26), *[-1] * 12, *range(25, 8, -1)]
-    maps, states = run(images)
-    assert "lost" in states
-    assert len(maps) == 2
-    merged = merge_maps(polished(maps), lambda k: (images[k], MASK), 0)
-    assert [joins for _, joins in merged] == [1]
-    joined = merged[0][0]
-    polish(joined, changed=True)
-    submap = to_submap(joined, CAMERA.params)
-    followed = submap.is_followed
-    assert min(followed.sum(), (~followed).sum()) > 500, "what ties the two maps was found, all else was followed"
-    truth = clip[1][[order[k] for k in submap.frames]]
-    assert submap.frames[-1] > 38 > submap.frames[0]
-    assert trajectory_errors(submap.world_from_camera, truth).ate_rmse < 0.5
-
-
-def test_other_places_are_not_joined(clip):
-    """The same tube with another wall: nothing in common but its shape."""
-    maps, _ = run(clip[0][:20])
-    global TEXTURE
-    kept = TEXTURE
-    try:
-        TEXTURE = wall_texture(seed=9)
-        others = [render(camera_at(k)) for k in range(20)]
-    finally:
-        TEXTURE = kept
-    more, _ = run(others)
-    images = {id(maps[0]): clip[0], id(more[0]): others}
-    for local_map in more:
-        for keyframe in local_map.keyframes:
-            keyframe.frame += 1000
-
-    def read(k):
-        return (images[id(more[0])][k - 1000] if k >= 1000 else images[id(maps[0])][k]), MASK
-
-    assert [joins for _, joins in merge_maps(polished(maps + more), read, 0)] == [0, 0]
 
 
 @pytest.mark.parametrize("kind", ["black", "white", "frozen", "noise", "masked"])

@@ -111,14 +111,14 @@ def place_of(local_map, number, rows, codes):
     return Place(number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0))
 
 
-def linked(count=60, wrong=0, points=None):
-    """Links of one place in two maps of the same wall, of which `wrong` matched points lie elsewhere in the second."""
+def linked(count=60, wrong=0, points=None, others=None):
+    """Links of one place in two maps of the same wall (or of points and `others`), with `wrong` false matches."""
     rng = np.random.default_rng(1)
     codes = rng.integers(0, 255, (count, 128)).astype(np.uint8)
     points = tube(count, np.random.default_rng(0)) if points is None else points
-    first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points)
-    place, other = (place_of(m, 0, np.arange(count), codes) for m in (first, second))
-    other.points[:wrong] += rng.uniform(20, 60, (wrong, 3))
+    first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points if others is None else others)
+    mixed = np.concatenate([np.roll(codes[:wrong], 1, axis=0), codes[wrong:]])
+    place, other = place_of(first, 0, np.arange(count), codes), place_of(second, 0, np.arange(count), mixed)
     return find_links(Shown(first, [place]), Shown(second, [other]), rng, 0)
 
 
@@ -133,6 +133,15 @@ def test_a_link_needs_matches_agreement_and_spread():
     ridge = tube(60, np.random.default_rng(0))
     ridge[:, 1] = 0.02 * ridge[:, 1]
     assert linked(60, points=ridge) == []  # all on a line of the image
+
+
+def test_one_thing_that_occurs_in_two_places_links_nothing():
+    """Half of the features are the same, rigid and spread; the wall around them is half as far again in one map."""
+    wall = tube(120, np.random.default_rng(0))
+    elsewhere = wall.copy()
+    elsewhere[60:] *= 1.5
+    assert len(linked(120, wrong=60, points=wall)) == 1
+    assert linked(120, points=wall, others=elsewhere) == []
 
 
 def test_what_stands_still_in_the_picture_links_nothing():
@@ -170,7 +179,7 @@ def test_a_pair_of_places_is_compared_once(monkeypatch):
 
     monkeypatch.setattr(merging, "find_places", lambda m, read: shown[id(m)])
     monkeypatch.setattr(linking, "_fitted", fitted)
-    assert [joins for _, joins in merge_maps(maps, None, 0)] == [1, 0]
+    assert [whole.members for whole in merge_maps(maps, None, 0)] == [(0, 2), (1,)]
     assert len(set(seen)) == len(seen) == 12
 
 

@@ -178,4 +178,22 @@ def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkey
     assert len(seen) == asked
     assert all(of_map == of_camera for of_map, of_camera in seen)
     assert found.camera_params[0] == last
-    assert found.camera_sigma[0] == (9.0 if focals[0] is None else pytest.approx(0.1 * asked))
+    # A later round that determines nothing leaves the lens that was found, and its sigma.
+    sigma = 9.0 if focals[0] is None else 0.1 * (asked - (focals[-1] is None))
+    assert found.camera_sigma[0] == pytest.approx(sigma)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        GUESS,
+        Camera("SIMPLE_RADIAL", 320, 320, (150.0, 160.0, 160.0, -0.3)),
+        Camera("OPENCV_FISHEYE", 320, 320, (100.0, 100.0, 160.0, 160.0, 0.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_lens_shifts_nothing_against_itself_and_pixels_by_its_focal_length_against_another(camera):
+    assert front_end.lens_shift(camera, camera) < 2e-4
+    longer = replace(camera, params=(1.01 * camera.params[0], *camera.params[1:]))
+    # A pixel at radius r moves by r / 100, or by less where the lens compresses; the whole picture's RMS radius is 0.41
+    # widths, and that of what has a ray is less.
+    assert 0.0015 < front_end.lens_shift(camera, longer) < 0.0042

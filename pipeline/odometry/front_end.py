@@ -1,5 +1,6 @@
 """Working frames to submaps by streaming odometry: the door of this package."""
 
+import copy
 import time
 from dataclasses import dataclass, replace
 from itertools import count
@@ -65,30 +66,48 @@ def _track(
     maps = odometry.finish()
     for local_map in maps:
         polish(local_map)
-    _refit(maps, read, progress)
-    merged, joins = _joined(maps, read, seed, progress)
+    held = _refit(maps, read, progress)
+    merged, joins = _joined(maps, held, read, seed, progress)
     found = _submaps(merged, frames.camera.params)
     if found and not frames.camera.trusted:
         found = _with_better_lens(found, merged, frames, seed, read, workspace, progress)
     return Tracked(found, rate, len(maps), joins)
 
 
-def _joined(maps: list[LocalMap], read: ReadFrame, seed: int, progress: Progress) -> tuple[list[LocalMap], int]:
+def _joined(
+    maps: list[LocalMap], held: list[float | None], read: ReadFrame, seed: int, progress: Progress
+) -> tuple[list[LocalMap], int]:
     """Maps that saw the same places made one, and how many joins there were.
 
-    After each map has been straightened by its features: a bent map's scale at the seam is not that of the rest.
+    After each map has been straightened by its features: a bent map's scale at the seam is not that of the rest. Where
+    the features that held the parts do not hold the whole, the parts are given back: a seam must not cost them that.
     """
+    if len(maps) < 2:
+        return maps, 0
+    apart = copy.deepcopy(maps)
     with progress.bar("joining submaps", None):
         merged = merge_maps(maps, read, seed)
-    grown = [local_map for local_map, joins in merged if joins]
-    for local_map in _refit(grown, read, progress):
-        polish(local_map, changed=True)
-    return [local_map for local_map, _ in merged], sum(joins for _, joins in merged)
+    result: list[LocalMap] = []
+    for whole in merged:
+        if len(whole.members) == 1:
+            result.append(whole.map)
+            continue
+        (by,) = _refit([whole.map], read, progress)
+        before = [width for width in (held[number] for number in whole.members) if width is not None]
+        if len(before) < len(whole.members):  # one of them never was
+            if by is None:
+                polish(whole.map, changed=True)
+        elif by is None or by > max(before):
+            progress.say(f"{len(before)} submaps look alike, but their features do not hold together; they stay apart")
+            result += [apart[number] for number in whole.members]
+            continue
+        result.append(whole.map)
+    return result, len(maps) - len(result)
 
 
-def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[LocalMap]:
-    """Every map moved to where its own features have it. Returns those that they do not hold, which stay; a sentence
-    says so."""
+def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[float | None]:
+    """Every map moved to where its own features have it. Those that they do not hold (None) stay, and a sentence says
+    so; of the others, how wide the features were at most."""
     if not maps:
         return []
     done = count(1)  # safe from several threads
@@ -99,13 +118,12 @@ def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[Lo
 
     with progress.bar("features of keyframes", sum(len(m.keyframes) for m in maps)) as advance:
         held = [refit(local_map, counted) for local_map in maps]
-    left = [local_map for local_map, yes in zip(maps, held, strict=True) if not yes]
-    for local_map in left:
+    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.say(
             f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
         )
-    return left
+    return held
 
 
 def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = ()) -> list[Submap]:
@@ -127,8 +145,8 @@ def _with_better_lens(
     """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not.
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
-    for not fitting the guess would have spoken against it, so a lens that moved far is asked once more of the map that
-    was adjusted with it.
+    for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
+    it, until it stays.
     """
     largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
     camera = frames.camera
@@ -136,35 +154,44 @@ def _with_better_lens(
         by_features = _submaps([largest.of_features()], camera.params)
         step = KEYFRAME_STEP if by_features else FRAME_STEP
         lens = refine_lens((by_features or found)[0], camera, seed, workspace.log, progress, step)
-        shift = _shift(camera, lens.camera)
+        if not lens.determined and camera is not frames.camera:
+            break  # what was found before stands
+        shift = lens_shift(camera, lens.camera)
         if not lens.determined or shift < SETTLED:
             return [replace(submap, camera_sigma=lens.sigma) for submap in found]
         camera = lens.camera
         _with_lens(maps, camera, shift > FAR, read, progress)
-        found = _submaps(maps, camera.params, lens.sigma)
-        if not found:
+        refined = _submaps(maps, camera.params, lens.sigma)
+        if not refined:
             break
+        found = refined
     return found
 
 
-def _shift(old: Camera, new: Camera) -> float:
-    """By how much one lens puts what another sees elsewhere: RMS over the picture, as a share of its width."""
-    x, y = np.meshgrid(*(np.linspace(0.5, size - 0.5, 9) for size in (old.width, old.height)))
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-    seen, _ = RayTable(old).look_up(pixels)
+def lens_shift(old: Camera, new: Camera) -> float:
+    """By how much one lens puts what another sees elsewhere: RMS over the picture, as a share of its width. Where
+    either has no ray does not count; infinite if that is everywhere."""
+    rays = RayTable(old)
+    rows, columns = np.nonzero(rays.usable & RayTable(new).usable)
+    if len(rows) == 0:
+        return float("inf")
+    pixels = np.stack([columns, rows], axis=1)[:: max(1, len(rows) // 5000)] + 0.5
+    seen, _ = rays.look_up(pixels)
     off = new.project(np.concatenate([seen, np.ones((len(seen), 1))], axis=1)) - pixels
     return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
 
 
 def _with_lens(maps: list[LocalMap], camera: Camera, far: bool, read: ReadFrame, progress: Progress) -> None:
-    """Adjust all maps with another lens; one that is far from the last is first fitted to the followed corners."""
+    """Adjust all maps with another lens; with one that is far from the last, first to the followed corners alone."""
     rays = RayTable(camera)
     for local_map in maps:
         local_map.recalibrate(rays)
         if far:
+            local_map.forget_features()
             polish(local_map, changed=True)
-    for local_map in _refit(maps, read, progress):
-        polish(local_map, changed=True)
+    for local_map, by in zip(maps, _refit(maps, read, progress), strict=True):
+        if by is None:
+            polish(local_map, changed=True)
 
 
 def _read_mask(workspace: Workspace, index: int) -> NDArray[np.uint8]:

@@ -1,7 +1,8 @@
 """Links: pairs of places of two maps that one similarity explains, and when they are evidence enough for a join.
 
 A pair that looks alike is fitted for itself; such fits must agree with one another. What they agree on is then asked of
-the places around them, where it has nothing left to fit: a true join is borne out by views from many sides.
+the places around them as it stands, and it must hold from different views. Every link, fitted or asked, must also lay
+the two maps' surfaces on each other: what was matched may be one thing that occurs twice, the wall around it is not.
 """
 
 from dataclasses import dataclass
@@ -11,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.places import Place, look_alikes, match
-from pipeline.odometry.poses import Array, inverse
+from pipeline.odometry.places import Place, inverse_depth_at, look_alikes, match
+from pipeline.odometry.poses import Array, in_camera, inverse
 from pipeline.odometry.similarity import (
     MAX_ERROR_PX,
     Side,
     is_sure,
+    moved_points,
     refine_similarity,
     similarity_errors,
     sure_similarity,
@@ -27,6 +29,12 @@ MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neig
 SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
 MAX_SAME_PX = 8.0
 AROUND = 4  # places on each side of a linked one that are asked for support
+# Of the matches; places of different films agree in 5 of them at most, a seventh (docs/front_end.md).
+MIN_INLIER_SHARE = 0.2
+ROUNDS = 1000  # so few that agree are met in 99.9 of 100 tries
+# Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true links 0.67 and more
+# are, of tubes laid into each other at random under 0.4 in the median (docs/front_end.md).
+SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
 STILL_PX = 1.0
 ASKED = 5  # links, the strongest, around which they are asked
 
@@ -63,16 +71,17 @@ def find_links(first: Shown, second: Shown, rng: np.random.Generator, seed: int)
 
 
 def sure_links(links: list[Link], first: Shown, second: Shown) -> list[Link]:
-    """What bears out the similarity on which most links agree: every pair of places around them that it explains.
+    """What bears out the similarity on which most links agree: the pairs of places around them that it explains.
 
-    Empty unless two links agree, and unless two of the pairs come from different views on both sides: one false
-    likeness is never enough.
+    Empty unless two links agree, and unless two of the pairs come from different views on both sides: neighbours see
+    one and the same picture. Pairs that do not bear it out are not counted against it, since they may see other wall.
     """
     agreeing = _agreeing(links)
     if len(agreeing) < 2:
         return []
-    found = _support(joint_similarity(agreeing), agreeing, first, second)
-    found = _support(joint_similarity(found), agreeing, first, second) if found else []
+    asked = _asked(agreeing, first, second)
+    found = _support(joint_similarity(agreeing), asked, first, second)
+    found = _support(joint_similarity(found), asked, first, second) if found else []
     return (
         found if any(_are_apart(one, other, (first.map, second.map)) for one, other in combinations(found, 2)) else []
     )
@@ -81,8 +90,10 @@ def sure_links(links: list[Link], first: Shown, second: Shown) -> list[Link]:
 def _fitted(first: Shown, place: Place, second: Shown, other: Place, rng: np.random.Generator) -> Link | None:
     pairs, sides = _matched(first, place, second, other)
     pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
-    found = sure_similarity(*sides, pixels, first.map.rays.camera.width, rng)
-    return None if found is None else _link((place, other), found[0], sides, pairs, found[1])
+    found = sure_similarity(*sides, pixels, first.map.rays.camera.width, rng, MIN_INLIER_SHARE, ROUNDS)
+    if found is None or not _lays_surfaces_together(found[0], first, place, second, other):
+        return None
+    return _link((place, other), found[0], sides, pairs, found[1])
 
 
 def _matched(first: Shown, place: Place, second: Shown, other: Place) -> tuple[NDArray[np.int64], tuple[Side, Side]]:
@@ -141,29 +152,60 @@ def joint_similarity(links: list[Link]) -> Array:
     return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
 
 
-def _support(similarity: Array, links: list[Link], first: Shown, second: Shown) -> list[Link]:
-    """Linked pairs of places, and pairs around the strongest, whose matches `similarity` explains as it stands."""
+@dataclass(frozen=True)
+class _Pair:
+    """Two places with their matched features, (K,2) rows, and what either map knows of these."""
+
+    places: tuple[Place, Place]
+    pairs: NDArray[np.int64]
+    sides: tuple[Side, Side]
+
+
+def _asked(links: list[Link], first: Shown, second: Shown) -> list[_Pair]:
+    """Linked pairs of places, and pairs around the strongest."""
     rows = [{place.keyframe: row for row, place in enumerate(shown.places)} for shown in (first, second)]
     asked = set()
     for number, link in enumerate(sorted(links, key=lambda link: -len(link.rows[0]))):
         i, j = (of[link.keyframe(side)] for side, of in enumerate(rows))
         reach = AROUND if number < ASKED else 0
         asked |= set(product(_around(i, reach, len(first.places)), _around(j, reach, len(second.places))))
-    tried = (_guided(similarity, first, first.places[a], second, second.places[b]) for a, b in sorted(asked))
-    return [link for link in tried if link is not None]
+    both = [(first.places[a], second.places[b]) for a, b in sorted(asked)]
+    return [_Pair(pair, *_matched(first, pair[0], second, pair[1])) for pair in both]
+
+
+def _support(similarity: Array, asked: list[_Pair], first: Shown, second: Shown) -> list[Link]:
+    """The pairs whose matches and surfaces `similarity` explains as it stands."""
+    width, found = first.map.rays.camera.width, []
+    for pair in asked:
+        inlier = similarity_errors(similarity, *pair.sides) < MAX_ERROR_PX
+        pixels = tuple(place.pixels[rows] for place, rows in zip(pair.places, pair.pairs.T, strict=True))
+        sure = is_sure(inlier, (pixels[0], pixels[1]), width, MIN_INLIER_SHARE)
+        if sure and _lays_surfaces_together(similarity, first, pair.places[0], second, pair.places[1]):
+            found.append(_link(pair.places, similarity, pair.sides, pair.pairs, inlier))
+    return found
 
 
 def _around(row: int, reach: int, count: int) -> range:
     return range(max(0, row - reach), min(row + reach + 1, count))
 
 
-def _guided(similarity: Array, first: Shown, place: Place, second: Shown, other: Place) -> Link | None:
-    pairs, sides = _matched(first, place, second, other)
-    inlier = similarity_errors(similarity, *sides) < MAX_ERROR_PX
-    pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
-    if not is_sure(inlier, pixels, first.map.rays.camera.width):
-        return None
-    return _link((place, other), similarity, sides, pairs, inlier)
+def _lays_surfaces_together(second_from_first: Array, first: Shown, place: Place, second: Shown, other: Place) -> bool:
+    """Whether most features of each place that fall on the other's surface lie on it."""
+    there = _share_on(moved_points(second_from_first, place.points), second.map, other)
+    back = _share_on(moved_points(np.linalg.inv(second_from_first), other.points), first.map, place)
+    return min(there, back) >= SAME_SURFACE
+
+
+def _share_on(points: Array, local_map: LocalMap, place: Place) -> float:
+    """Share of points (N,3), of those in the hull of a place's features, that are as far as the features around."""
+    pose = local_map.keyframes[place.keyframe].pose
+    local = in_camera(pose, points)
+    local = local[local[:, 2] > 0]
+    depth = in_camera(pose, place.points)[:, 2]
+    surface = inverse_depth_at(local_map.rays.project(local), place.pixels, depth)
+    inside = np.isfinite(surface) & (surface > 0)
+    off = np.abs(np.log(local[inside, 2] * surface[inside]))
+    return float((off < MAX_DEPTH_RATIO).mean()) if len(off) else 0.0
 
 
 def _are_apart(one: Link, other: Link, maps: tuple[LocalMap, LocalMap]) -> bool:

@@ -4,7 +4,7 @@ Strong means: two or more pairs of places that look alike, each with many matche
 both images, one and the same similarity for all of them, and borne out by pairs from different views on both sides.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,24 +19,31 @@ from pipeline.odometry.similarity import moved_points, scale_of
 MAX_TIE_PX = 12.0  # of a matched point from where it should be in a neighbouring place
 
 
-def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[tuple[LocalMap, int]]:
-    """The maps with those joined that surely belong together, each with the number of joins that made it.
+@dataclass(frozen=True)
+class Merged:
+    """A map and the numbers of those that it was made of; one that was made of several waits for an adjustment."""
 
-    A grown map may touch one that it did not before; only the places that it gained are then compared. A joined map has
-    forgotten its features and waits for an adjustment.
+    map: LocalMap
+    members: tuple[int, ...]
+
+
+def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[Merged]:
+    """The maps with those joined that surely belong together; what is joined has forgotten its features.
+
+    A grown map may touch one that it did not before; only the places that it gained are then compared.
     """
     if len(maps) < 2:
-        return [(local_map, 0) for local_map in maps]
+        return [Merged(local_map, (number,)) for number, local_map in enumerate(maps)]
     rng = np.random.default_rng(seed)
-    left = [Shown(m, find_places(m, read)) for m in maps]
+    left = [(number, Shown(m, find_places(m, read))) for number, m in enumerate(maps)]
     merged = []
     while left:
-        base = left.pop(0)
-        number, joins = 0, 0
+        first, base = left.pop(0)
+        members, number = [first], 0
         tried = [0] * len(left)  # places of the base that were compared with each of the others,
         found: list[list[Link]] = [[] for _ in left]  # and what they gave
         while number < len(left):
-            other = left[number]
+            name, other = left[number]
             found[number] += find_links(Shown(base.map, base.places[tried[number] :]), other, rng, seed)
             tried[number] = len(base.places)
             links = sure_links(found[number], base, other)
@@ -44,10 +51,10 @@ def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[tuple[L
                 number += 1
                 continue
             base = Shown(base.map, base.places + absorb(base, other, links))
-            joins += 1
+            members.append(name)
             del left[number], tried[number], found[number]
             number = 0
-        merged.append((base.map, joins))
+        merged.append(Merged(base.map, tuple(members)))
     return merged
 
 

@@ -36,8 +36,9 @@ MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
 
-def refit(local_map: LocalMap, read: ReadFrame) -> bool:
-    """Move the map to where its own features have it, if they hold it; says whether they do.
+def refit(local_map: LocalMap, read: ReadFrame) -> float | None:
+    """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
+    None if they do not hold it.
 
     Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
     The features of an earlier call are forgotten first.
@@ -51,8 +52,8 @@ def refit(local_map: LocalMap, read: ReadFrame) -> bool:
         if before is not None:
             _take_over(local_map, _map_of(local_map, matched, True, widest))
             _follow(local_map, moving, before)
-            return True
-    return False
+            return widest
+    return None
 
 
 def _adjusted(fitted: LocalMap) -> Array | None:

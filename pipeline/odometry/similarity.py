@@ -13,11 +13,8 @@ from pipeline.odometry.resection import reprojection_errors, rounds_needed
 from reconstruction.errors import ReconstructionError
 from reconstruction.trajectory import align_umeyama
 
-ROUNDS = 1000
 MAX_ERROR_PX = 4.0
 MIN_INLIERS = 20
-# Of the matches. Places of different films agree in 5 of them at most, a seventh; see docs/front_end.md.
-MIN_INLIER_SHARE = 0.2
 MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
 MAX_SCALE = 20.0  # two maps of one place are in units of its depth; farther apart is a false fit
 
@@ -46,13 +43,13 @@ def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Ar
 
 
 def robust_similarity(
-    first: Side, second: Side, rng: np.random.Generator, max_error_px: float = MAX_ERROR_PX
+    first: Side, second: Side, rng: np.random.Generator, most_rounds: int = 300, max_error_px: float = MAX_ERROR_PX
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """The 4x4 `second_from_first` with scale, and which pairs of points (N,) agree; None if no sample gave any."""
     count = len(first.points)
     if count < 4:
         return None
-    best, most, rounds, done = None, 3, ROUNDS, 0
+    best, most, rounds, done = None, 3, most_rounds, 0
     while done < rounds:
         done += 1
         sample = rng.choice(count, 3, replace=False)
@@ -64,7 +61,7 @@ def robust_similarity(
         agreeing = int((similarity_errors(found, first, second) < max_error_px).sum())
         if agreeing > most:
             best, most = found, agreeing
-            rounds = min(ROUNDS, rounds_needed((most / count) ** 3))
+            rounds = min(most_rounds, rounds_needed((most / count) ** 3))
     if best is None:
         return None
     for _ in range(3):
@@ -117,23 +114,27 @@ def _fit(source: Array, target: Array) -> Array | None:
 
 
 def sure_similarity(
-    first: Side, second: Side, pixels: tuple[Array, Array], width: int, rng: np.random.Generator
+    first: Side,
+    second: Side,
+    pixels: tuple[Array, Array],
+    width: int,
+    rng: np.random.Generator,
+    min_share: float,
+    most_rounds: int = 300,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
-    """`robust_similarity` if enough of the matches agree, spread over both images.
+    """`robust_similarity` if enough of the matches agree, a share of `min_share` at least, spread over both images.
 
     pixels: (N,2) where the points lie in either image, `width` px wide.
     """
     if len(first.points) < MIN_INLIERS:
         return None
-    found = robust_similarity(first, second, rng)
-    if found is None:
-        return None
-    return found if is_sure(found[1], pixels, width) else None
+    found = robust_similarity(first, second, rng, most_rounds)
+    return found if found is not None and is_sure(found[1], pixels, width, min_share) else None
 
 
-def is_sure(inlier: NDArray[np.bool_], pixels: tuple[Array, Array], width: int) -> bool:
+def is_sure(inlier: NDArray[np.bool_], pixels: tuple[Array, Array], width: int, min_share: float) -> bool:
     """Whether enough matches (N,) agree, spread over both images. pixels: (N,2) in either, `width` px wide."""
-    if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
+    if inlier.sum() < MIN_INLIERS or inlier.mean() < min_share:
         return False
     return min(_narrow_spread(p[inlier]) for p in pixels) >= MIN_SPREAD * width
 
