@@ -1,12 +1,14 @@
 """Lens models against OpenCV, crops and scales against projecting first, rectification against straight lines."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from pipeline.calibration import calibrate
 from pipeline.camera import Camera, guess_camera, read_camera
@@ -111,3 +113,25 @@ def test_wrong_camera_files_are_named(tmp_path, fields, message):
     path.write_text(json.dumps(fields))
     with pytest.raises(HaustraError, match=message):
         read_camera(path)
+
+
+def test_a_guessed_lens_can_become_a_fisheye():
+    """Two radial terms follow an equidistant lens over 118 degrees to two pixels at worst; one does not."""
+    theta = np.radians(np.linspace(0.5, 59, 60))
+    rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+    true = Camera("OPENCV_FISHEYE", 320, 320, (156.2, 156.2, 160.0, 160.0, -0.02, 0.0, 0.0, 0.0)).project(rays)[:, 0]
+    guess = guess_camera(320, 320, (0, 0, 320, 320))
+    free = [0, *range(3, len(guess.params))]  # focal length and radial terms
+
+    def off(values):
+        params = np.array(guess.params)
+        params[free] = values
+        return replace(guess, params=tuple(params)).project(rays)[:, 0] - true
+
+    found = least_squares(off, np.array(guess.params)[free]).x
+    assert np.abs(off(found)).max() < 2.0
+    one = replace(guess, model="SIMPLE_RADIAL", params=guess.params[:4])
+    best = least_squares(
+        lambda x: replace(one, params=(x[0], 160.0, 160.0, x[1])).project(rays)[:, 0] - true, [150, -0.1]
+    )
+    assert np.abs(best.fun).max() > 5.0
