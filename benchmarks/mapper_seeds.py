@@ -2,11 +2,14 @@
 
     python benchmarks/mapper_seeds.py SUITE/* ../shared/data/ctcolon --seeds 10 --json mapper_seeds.json
 
-Seed by seed over all sequences; every run is written down as it ends, and a call with the same file goes on where the
-one before it stopped. Features and matches of COLMAP are made once for each sequence, with seed 0, since they take as
-long as the mapping and hardly depend on it; each seed then maps them with `global` and with `incremental`. `sfm` is
-what the front end of that name makes of the two: the first, or where it leaves doubt the better by evidence. ATE,
-rotation and wrong runs are those of `front_ends.py`. COLMAP works with one thread, as `reconstruct` has it.
+Seed by seed over all sequences; every run is written down, with its commit, as it ends, and a call with the same file
+goes on where the one before it stopped. Features and matches of COLMAP are made once for each sequence, with seed 0,
+since they take as long as the mapping (how far they depend on the seed was not measured); each seed then maps them with
+`global` and with `incremental`. `sfm` is what the front end of that name makes of both: the first, or where it leaves
+doubt the better by evidence. Of every method the models count that `reconstruct` would keep: the largest, and others
+that the lamp does not contradict. ATE, rotation and wrong runs are those of `front_ends.py`, each method's over the
+frames that it posed. Processor time is the fairer speed: COLMAP matches and maps with one thread, as `reconstruct` has
+it, while odometry's last steps use two.
 """
 
 import argparse
@@ -20,7 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from front_ends import errors_of, run, store
+from front_ends import errors_of, processor_seconds, run, store
 from pipeline.config import Config
 from pipeline.frames import Frames
 from pipeline.isolation import run_isolated
@@ -28,7 +31,7 @@ from pipeline.progress import SilentProgress
 from pipeline.structure import WORKER, Judged, best_mapper, colmap_job, is_doubtful, map_by_colmap
 from pipeline.workspace import Workspace
 from reconstruction.trajectory import read_tum
-from record import spread, write
+from record import environment, spread, write
 
 METHODS = ("odometry", "sfm", "global", "incremental")
 COLMAP = ("global", "incremental")
@@ -41,9 +44,9 @@ class Matched:
         self.config = Config(front_end="sfm", seed=0)
         self.frames, self.workspace = store(folder, self.config, scratch / folder.name)
         job = colmap_job(self.frames, self.config, self.workspace)
-        begin = time.perf_counter()
+        begin = np.array([time.perf_counter(), processor_seconds()])
         run_isolated(WORKER, "match", job, self.workspace.log / "match.log", "matching", SilentProgress())
-        self.seconds = time.perf_counter() - begin
+        self.spent = np.array([time.perf_counter(), processor_seconds()]) - begin  # wall and processor seconds
 
 
 def by_colmap(matched: Matched, seed: int, truth: np.ndarray) -> dict[str, dict[str, Any]]:
@@ -51,32 +54,35 @@ def by_colmap(matched: Matched, seed: int, truth: np.ndarray) -> dict[str, dict[
     frames, workspace, config = matched.frames, matched.workspace, matched.config
     count = len(frames.index)
     mapped: dict[str, list[Judged]] = {}
-    seconds: dict[str, float] = {}
+    spent: dict[str, np.ndarray] = {}
     for method in COLMAP:
-        mapped[method], seconds[method] = _timed(method, seed, frames, config, workspace)
+        mapped[method], spent[method] = _timed(method, seed, frames, config, workspace)
     chosen = best_mapper(mapped, count) if is_doubtful(mapped["global"], count, config) else "global"
     asked = COLMAP if is_doubtful(mapped["global"], count, config) else COLMAP[:1]
-    runs = {m: _figures(mapped[m], matched.seconds + seconds[m], count, truth) for m in COLMAP}
-    kept = mapped[chosen][:1] + [m for m in mapped[chosen][1:] if m[1].contrary <= config.structure.max_dark_near]
-    spent = matched.seconds + sum(seconds[m] for m in asked)
-    return runs | {"sfm": _figures(kept, spent, count, truth) | {"mapper": chosen}}
+    runs = {m: _figures(mapped[m], matched.spent + spent[m], count, truth, config) for m in COLMAP}
+    both = matched.spent + sum(spent[m] for m in asked)
+    return runs | {"sfm": _figures(mapped[chosen], both, count, truth, config) | {"mapper": chosen}}
 
 
-def _timed(method: str, seed: int, frames: Frames, config: Config, workspace: Workspace) -> tuple[list[Judged], float]:
+def _timed(
+    method: str, seed: int, frames: Frames, config: Config, workspace: Workspace
+) -> tuple[list[Judged], np.ndarray]:
     """One mapper on a copy of the matches, since a mapper may write to them."""
     job = colmap_job(frames, config, workspace)
     copied = workspace.features.with_name("copied.db")
     shutil.copyfile(workspace.features, copied)
-    begin = time.perf_counter()
+    begin = np.array([time.perf_counter(), processor_seconds()])
     models = map_by_colmap(method, job | {"seed": seed, "database": str(copied)}, workspace, SilentProgress())
-    return models, time.perf_counter() - begin
+    return models, np.array([time.perf_counter(), processor_seconds()]) - begin
 
 
-def _figures(models: list[Judged], seconds: float, count: int, truth: np.ndarray) -> dict[str, Any]:
-    submaps = [submap for submap, _, _ in models]
+def _figures(models: list[Judged], spent: np.ndarray, count: int, truth: np.ndarray, config: Config) -> dict[str, Any]:
+    """Errors of the models that `reconstruct` would keep; spent: wall and processor seconds."""
+    kept = models[:1] + [m for m in models[1:] if m[1].contrary <= config.structure.max_dark_near]
+    submaps = [submap for submap, _, _ in kept]
     posed = sum(len(submap.frames) for submap in submaps) / count
-    about = {"used": count, "posed_share": posed, "submaps": len(submaps), "frames_per_s": count / seconds}
-    return about | errors_of(submaps, truth)
+    speed = {"frames_per_s": count / spent[0], "processor_ms_per_frame": 1e3 * spent[1] / count}
+    return {"used": count, "posed_share": posed, "submaps": len(submaps)} | speed | errors_of(submaps, truth)
 
 
 def table(runs: list[dict[str, Any]]) -> None:
@@ -93,7 +99,8 @@ def _row(runs: list[dict[str, Any]]) -> str:
     if any("ate_mm" in r for r in runs):
         ate = spread([r["ate_mm"] for r in runs if "ate_mm" in r])
         text += f", ATE {ate['median']:.3f} [{ate['min']:.3f}, {ate['max']:.3f}] mm"
-        text += f", rotation {_median(runs, 'rotation_deg'):.2f} deg, {_median(runs, 'frames_per_s'):.1f} frames/s"
+        text += f", rotation {_median(runs, 'rotation_deg'):.2f} deg"
+        text += f", {_median(runs, 'processor_ms_per_frame'):.0f} ms of processor a frame"
     return text + f", wrong {wrong} of {len(runs)}"
 
 
@@ -123,8 +130,10 @@ def main() -> None:
                     if folder.name not in matches:
                         matches[folder.name] = Matched(folder, Path(scratch))
                     fresh |= by_colmap(matches[folder.name], seed, truth)
-                runs += [{"sequence": folder.name, "seed": seed, "method": m} | r for m, r in fresh.items()]
-                write(arguments.json, {"runs": runs})
+                about = {"sequence": folder.name, "seed": seed, "commit": environment()["commit"]}
+                runs += [about | {"method": m} | r for m, r in fresh.items()]
+                if fresh:
+                    write(arguments.json, {"runs": runs})
     table(runs)
 
 

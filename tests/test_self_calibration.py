@@ -167,20 +167,15 @@ def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkey
         return Lens(replace(camera, params=(focal, *camera.params[1:])), (0.1 * len(seen),), True)
 
     monkeypatch.setattr(front_end, "refine_lens", refine)
-    monkeypatch.setattr(front_end, "_with_lens", lambda *_: None)
-    monkeypatch.setattr(
-        front_end,
-        "_submaps",
-        lambda maps, params, sigma=(): [replace(whole, camera_params=params, camera_sigma=sigma)],
-    )
-    frames, workspace = SimpleNamespace(camera=GUESS), SimpleNamespace(log=None)
-    (found,) = front_end._with_better_lens([whole], maps, frames, 0, None, workspace, SilentProgress())
+    monkeypatch.setattr(front_end, "_with_lens", lambda maps, camera, *_: [camera.params[0]])
+    monkeypatch.setattr(front_end, "_submaps", lambda maps, params: [replace(whole, camera_params=params)])
+    workspace = SimpleNamespace(log=None)
+    camera, sigma, held = front_end._better_lens(maps, [GUESS.params[0]], GUESS, 0, None, workspace, SilentProgress())
     assert len(seen) == asked
     assert all(of_map == of_camera for of_map, of_camera in seen)
-    assert found.camera_params[0] == last
+    assert camera.params[0] == last == held[0]
     # A later round that determines nothing leaves the lens that was found, and its sigma.
-    sigma = 9.0 if focals[0] is None else 0.1 * (asked - (focals[-1] is None))
-    assert found.camera_sigma[0] == pytest.approx(sigma)
+    assert sigma[0] == pytest.approx(9.0 if focals[0] is None else 0.1 * (asked - (focals[-1] is None)))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import copy
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 
 import cv2
@@ -67,11 +67,12 @@ def _track(
     for local_map in maps:
         polish(local_map)
     held = _refit(maps, read, progress)
+    camera: Camera = frames.camera
+    sigma: tuple[float, ...] = ()
+    if maps and not camera.trusted:
+        camera, sigma, held = _better_lens(maps, held, camera, seed, read, workspace, progress)
     merged, joins = _joined(maps, held, read, seed, progress)
-    found = _submaps(merged, frames.camera.params)
-    if found and not frames.camera.trusted:
-        found = _with_better_lens(found, merged, frames, seed, read, workspace, progress)
-    return Tracked(found, rate, len(maps), joins)
+    return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins)
 
 
 def _joined(
@@ -133,39 +134,41 @@ def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float
     return sorted(kept, key=lambda submap: -len(submap.frames))
 
 
-def _with_better_lens(
-    found: list[Submap],
+def _better_lens(
     maps: list[LocalMap],
-    frames: Frames,
+    held: list[float | None],
+    guess: Camera,
     seed: int,
     read: ReadFrame,
     workspace: Workspace,
     progress: Progress,
-) -> list[Submap]:
-    """All maps adjusted with the lens that the largest submap determines, or with the guess if it does not.
+) -> tuple[Camera, tuple[float, ...], list[float | None]]:
+    """All maps adjusted with the lens that the largest one determines, or left with the guess if it does not; the lens,
+    its sigmas, and what holds the maps now.
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
     it, until it stays.
     """
     largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
-    camera = frames.camera
+    camera = guess
+    sigma: tuple[float, ...] = ()
     for _ in range(LENS_ROUNDS):
         by_features = _submaps([largest.of_features()], camera.params)
-        step = KEYFRAME_STEP if by_features else FRAME_STEP
-        lens = refine_lens((by_features or found)[0], camera, seed, workspace.log, progress, step)
-        if not lens.determined and camera is not frames.camera:
-            break  # what was found before stands
-        shift = lens_shift(camera, lens.camera)
-        if not lens.determined or shift < SETTLED:
-            return [replace(submap, camera_sigma=lens.sigma) for submap in found]
-        camera = lens.camera
-        _with_lens(maps, camera, shift > FAR, read, progress)
-        refined = _submaps(maps, camera.params, lens.sigma)
-        if not refined:
+        asked = by_features or _submaps([largest], camera.params)
+        if not asked:
             break
-        found = refined
-    return found
+        step = KEYFRAME_STEP if by_features else FRAME_STEP
+        lens = refine_lens(asked[0], camera, seed, workspace.log, progress, step)
+        if not lens.determined:
+            return camera, sigma or lens.sigma, held  # an earlier round's answer stands
+        shift = lens_shift(camera, lens.camera)
+        sigma = lens.sigma
+        if shift < SETTLED:
+            break
+        camera = lens.camera
+        held = _with_lens(maps, camera, shift > FAR, read, progress)
+    return camera, sigma, held
 
 
 def lens_shift(old: Camera, new: Camera) -> float:
@@ -181,7 +184,9 @@ def lens_shift(old: Camera, new: Camera) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
 
 
-def _with_lens(maps: list[LocalMap], camera: Camera, far: bool, read: ReadFrame, progress: Progress) -> None:
+def _with_lens(
+    maps: list[LocalMap], camera: Camera, far: bool, read: ReadFrame, progress: Progress
+) -> list[float | None]:
     """Adjust all maps with another lens; with one that is far from the last, first to the followed corners alone."""
     rays = RayTable(camera)
     for local_map in maps:
@@ -189,9 +194,10 @@ def _with_lens(maps: list[LocalMap], camera: Camera, far: bool, read: ReadFrame,
         if far:
             local_map.forget_features()
             polish(local_map, changed=True)
-    for local_map, by in zip(maps, _refit(maps, read, progress), strict=True):
-        if by is None:
-            polish(local_map, changed=True)
+    held = _refit(maps, read, progress)
+    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+        polish(local_map, changed=True)
+    return held
 
 
 def _read_mask(workspace: Workspace, index: int) -> NDArray[np.uint8]:
