@@ -1,6 +1,6 @@
 """Front end `odometry`: poses and points frame by frame, in submaps that outlive loss of tracking.
 
-`front_end` is the door. Below it: `odometry` (the state machine), `tracking` (features), `start` (two views), `local_map`
-(keyframes, points, bundle adjustment), `refit` (last adjustment, to features found anew), `self_calibration` (a guessed
-lens), `links` and `merging` (submaps that saw the same place), `outcome` (the `Submap`).
+`front_end` is the door. Below it: `odometry` (the state machine), `tracking` (features), `start` (two views),
+`local_map` (keyframes, points, bundle adjustment), `refit` (last adjustment, to features found anew),
+`self_calibration` (a guessed lens), `links` and `merging` (submaps that saw the same place), `outcome` (the `Submap`).
 """
