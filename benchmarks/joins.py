@@ -22,19 +22,20 @@ import numpy as np
 
 from front_ends import store
 from pipeline.config import Config
-from pipeline.frames import Frames, read_image
+from pipeline.frames import Frames
+from pipeline.odometry.front_end import frame_reader, join_maps, refit_maps
 from pipeline.odometry.links import Shown, find_links, joint_similarity, sure_links
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.places import ReadFrame, find_places
 from pipeline.odometry.rays import RayTable
-from pipeline.odometry.refit import refit
 from pipeline.odometry.similarity import scale_of
-from pipeline.workspace import Workspace
+from pipeline.progress import SilentProgress
 from reconstruction.trajectory import align_poses, read_tum, trajectory_errors
 from record import write
+
+Held = tuple[LocalMap, float | None]  # and how wide the features that moved it were; None where they do not hold it
 
 
 @dataclass(frozen=True)
@@ -48,17 +49,10 @@ class Film:
 def film_of(folder: Path, scratch: Path) -> Film:
     frames, workspace = store(folder, Config(front_end="odometry"), scratch / folder.name)
     _, truth = read_tum(folder / "trajectory.txt")
-    return Film(folder.name, frames, _reader(workspace), truth)
+    return Film(folder.name, frames, frame_reader(workspace), truth)
 
 
-def _reader(workspace: Workspace) -> ReadFrame:
-    def read(index: int) -> tuple[np.ndarray, np.ndarray]:
-        return read_image(workspace.image_path(index)), cv2.imread(str(workspace.mask_path(index)), 0)
-
-    return read
-
-
-def tracked(film: Film, part: np.ndarray) -> list[LocalMap]:
+def tracked(film: Film, part: np.ndarray) -> list[Held]:
     """The maps of some of the frames, adjusted, most keyframes first."""
     odometry = Odometry(RayTable(film.frames.camera), 0)
     for index in part.tolist():
@@ -66,8 +60,8 @@ def tracked(film: Film, part: np.ndarray) -> list[LocalMap]:
     maps = odometry.finish()
     for local_map in maps:
         polish(local_map)
-        refit(local_map, film.read)
-    return sorted((m for m in maps if to_submap(m, m.rays.camera.params)), key=lambda m: -len(m.keyframes))
+    held = zip(maps, refit_maps(maps, film.read, SilentProgress()), strict=True)
+    return sorted((h for h in held if to_submap(h[0], h[0].rays.camera.params)), key=lambda h: -len(h[0].keyframes))
 
 
 def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
@@ -92,7 +86,7 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
     result: dict[str, Any] = {"film": film.name, "gap": gap, "way_mm": float(way), "maps": [len(m) for m in maps]}
     if not all(maps):
         return result, None
-    first, second = maps[0][0], maps[1][0]
+    first, second = maps[0][0][0], maps[1][0][0]
     to_truth = [truth_from_map(m, film.truth) for m in (first, second)]
     result["way_depths"] = float(way / (first.median_depth(first.keyframes[-1]) * scale_of(to_truth[0])))
     found = offered(first, second, (film.read, film.read))
@@ -102,17 +96,15 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
     return result | joined(film, copy.deepcopy(maps[0] + maps[1])), (first, second)
 
 
-def joined(film: Film, maps: list[LocalMap]) -> dict[str, Any]:
+def joined(film: Film, held: list[Held]) -> dict[str, Any]:
     """How many maps are left of all, and the path errors of the largest; the maps are used up."""
-    merged = merge_maps(maps, film.read, 0)
-    for whole in merged:
-        if len(whole.members) > 1 and refit(whole.map, film.read) is None:
-            polish(whole.map, changed=True)
-    submaps = [to_submap(whole.map, whole.map.rays.camera.params) for whole in merged]
+    maps, by = map(list, zip(*held, strict=True))
+    left, _ = join_maps(maps, by, film.read, 0, SilentProgress())
+    submaps = [to_submap(m, m.rays.camera.params) for m in left]
     submap = max((s for s in submaps if s is not None), key=lambda s: len(s.frames))
     errors = trajectory_errors(submap.world_from_camera, film.truth[submap.frames])
-    left = {"left": len(merged), "posed": len(submap.frames)}
-    return left | {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
+    about = {"left": len(left), "posed": len(submap.frames)}
+    return about | {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
 
 
 def print_row(row: dict[str, Any]) -> None:

@@ -28,7 +28,7 @@ from pipeline.config import Config
 from pipeline.frames import Frames
 from pipeline.isolation import run_isolated
 from pipeline.progress import SilentProgress
-from pipeline.structure import WORKER, Judged, best_mapper, colmap_job, is_doubtful, map_by_colmap
+from pipeline.structure import WORKER, Judged, believed, best_mapper, colmap_job, is_doubtful, map_by_colmap
 from pipeline.workspace import Workspace
 from reconstruction.trajectory import read_tum
 from record import environment, spread, write
@@ -57,8 +57,8 @@ def by_colmap(matched: Matched, seed: int, truth: np.ndarray) -> dict[str, dict[
     spent: dict[str, np.ndarray] = {}
     for method in COLMAP:
         mapped[method], spent[method] = _timed(method, seed, frames, config, workspace)
-    chosen = best_mapper(mapped, count) if is_doubtful(mapped["global"], count, config) else "global"
     asked = COLMAP if is_doubtful(mapped["global"], count, config) else COLMAP[:1]
+    chosen = best_mapper({m: mapped[m] for m in asked}, count)
     runs = {m: _figures(mapped[m], matched.spent + spent[m], count, truth, config) for m in COLMAP}
     both = matched.spent + sum(spent[m] for m in asked)
     return runs | {"sfm": _figures(mapped[chosen], both, count, truth, config) | {"mapper": chosen}}
@@ -78,8 +78,7 @@ def _timed(
 
 def _figures(models: list[Judged], spent: np.ndarray, count: int, truth: np.ndarray, config: Config) -> dict[str, Any]:
     """Errors of the models that `reconstruct` would keep; spent: wall and processor seconds."""
-    kept = models[:1] + [m for m in models[1:] if m[1].contrary <= config.structure.max_dark_near]
-    submaps = [submap for submap, _, _ in kept]
+    submaps = [submap for submap, _, _ in believed(models, config)]
     posed = sum(len(submap.frames) for submap in submaps) / count
     speed = {"frames_per_s": count / spent[0], "processor_ms_per_frame": 1e3 * spent[1] / count}
     return {"used": count, "posed_share": posed, "submaps": len(submaps)} | speed | errors_of(submaps, truth)

@@ -27,6 +27,7 @@ from pipeline.workspace import Workspace, damage_named
 
 WORKER = "pipeline.colmap_worker"
 MIN_SUBMAP = 3  # frames
+MIN_WHOLE = 0.5  # of the frames in the largest model: a video in smaller pieces is worth another opinion
 MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` does not ask it of longer videos
 Judged = tuple[Submap, Evidence, Path]
 
@@ -37,8 +38,7 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
         return load_structure(workspace)
     mapped = _maps(frames, config, workspace, progress)
     chosen = best_mapper(mapped, len(frames.index))
-    models = mapped[chosen][:1]
-    models += [model for model in mapped[chosen][1:] if model[1].contrary <= config.structure.max_dark_near]
+    models = believed(mapped[chosen], config)
     if not models:
         raise HaustraError(_why_no_model(mapped, len(frames.index), workspace))
     _keep(models, workspace)
@@ -202,10 +202,15 @@ def is_doubtful(models: list[Judged], total: int, config: Config) -> bool:
     """Few frames posed, most of them in pieces, no frame with enough points to ask the light, or the light says no."""
     settings = config.structure
     posed = sum(evidence.frames for _, evidence, _ in models)
-    if 2 * max((evidence.frames for _, evidence, _ in models), default=0) < total:
+    if max((evidence.frames for _, evidence, _ in models), default=0) < MIN_WHOLE * total:
         return True
     unasked = not any(evidence.voters for _, evidence, _ in models)
     return posed < settings.min_registered * total or unasked or _contrary(models) > settings.max_dark_near
+
+
+def believed(models: list[Judged], config: Config) -> list[Judged]:
+    """The largest model, and of the others those that the light does not contradict."""
+    return models[:1] + [model for model in models[1:] if model[1].contrary <= config.structure.max_dark_near]
 
 
 def best_mapper(mapped: dict[str, list[Judged]], total: int) -> str:

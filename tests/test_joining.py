@@ -32,13 +32,13 @@ def there_and_back(clip):
     def read(number):
         return images[number], MASK
 
-    return maps, front_end._refit(polished(maps), read, SilentProgress()), read, order
+    return maps, front_end.refit_maps(polished(maps), read, SilentProgress()), read, order
 
 
 def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
     maps, held, read, order = there_and_back
     assert None not in held
-    (joined,), joins = front_end._joined(copy.deepcopy(maps), held, read, 0, SilentProgress())
+    (joined,), joins = front_end.join_maps(copy.deepcopy(maps), held, read, 0, SilentProgress())
     assert joins == 1
     numbers = [int(k.ids.max()) for k in joined.keyframes]
     assert max(numbers) < len(joined.known)
@@ -60,13 +60,13 @@ def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch)
     monkeypatch.setattr(front_end, "merge_maps", lambda *_: [together])
     for outcome in (None, np.inf):
         monkeypatch.setattr(front_end, "refit", lambda *_, outcome=outcome: outcome)
-        kept, joins = front_end._joined(copy.deepcopy(maps), held, read, 0, SilentProgress())
+        kept, joins = front_end.join_maps(copy.deepcopy(maps), held, read, 0, SilentProgress())
         assert joins == 0
         for local_map, before in zip(kept, poses, strict=True):
             np.testing.assert_array_equal([k.pose for k in local_map.keyframes], before)
             assert any((k.ids >= local_map.first_of_last).any() for k in local_map.keyframes), "with their features"
     monkeypatch.setattr(front_end, "refit", lambda *_: held[0])
-    assert front_end._joined(copy.deepcopy(maps), held, read, 0, SilentProgress()) == ([together.map], 1)
+    assert front_end.join_maps(copy.deepcopy(maps), held, read, 0, SilentProgress()) == ([together.map], 1)
 
 
 def test_other_places_are_not_joined(clip, monkeypatch):

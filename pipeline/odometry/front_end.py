@@ -43,13 +43,9 @@ class Tracked:
 
 def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames one after the other, then polish each map; a guessed lens is refined with them."""
-
-    def read(index: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        return read_image(workspace.image_path(index)), _read_mask(workspace, index)
-
     # Most matrices are small: with a second thread of BLAS a film took twice the processor time, and longer.
     with threadpool_limits(1, "blas"):
-        return _track(frames, stride, seed, read, workspace, progress)
+        return _track(frames, stride, seed, frame_reader(workspace), workspace, progress)
 
 
 def _track(
@@ -66,16 +62,16 @@ def _track(
     maps = odometry.finish()
     for local_map in maps:
         polish(local_map)
-    held = _refit(maps, read, progress)
-    camera: Camera = frames.camera
+    held = refit_maps(maps, read, progress)
+    camera = frames.camera
     sigma: tuple[float, ...] = ()
     if maps and not camera.trusted:
         camera, sigma, held = _better_lens(maps, held, camera, seed, read, workspace, progress)
-    merged, joins = _joined(maps, held, read, seed, progress)
+    merged, joins = join_maps(maps, held, read, seed, progress)
     return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins)
 
 
-def _joined(
+def join_maps(
     maps: list[LocalMap], held: list[float | None], read: ReadFrame, seed: int, progress: Progress
 ) -> tuple[list[LocalMap], int]:
     """Maps that saw the same places made one, and how many joins there were.
@@ -93,7 +89,7 @@ def _joined(
         if len(whole.members) == 1:
             result.append(whole.map)
             continue
-        (by,) = _refit([whole.map], read, progress)
+        (by,) = refit_maps([whole.map], read, progress)
         before = [width for width in (held[number] for number in whole.members) if width is not None]
         if len(before) < len(whole.members):  # one of them never was
             if by is None:
@@ -106,7 +102,7 @@ def _joined(
     return result, len(maps) - len(result)
 
 
-def _refit(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[float | None]:
+def refit_maps(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[float | None]:
     """Every map moved to where its own features have it. Those that they do not hold (None) stay, and a sentence says
     so; of the others, how wide the features were at most."""
     if not maps:
@@ -194,10 +190,15 @@ def _with_lens(
         if far:
             local_map.forget_features()
             polish(local_map, changed=True)
-    held = _refit(maps, read, progress)
+    held = refit_maps(maps, read, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         polish(local_map, changed=True)
     return held
+
+
+def frame_reader(workspace: Workspace) -> ReadFrame:
+    """Pictures and masks of the stored working frames, by their number."""
+    return lambda index: (read_image(workspace.image_path(index)), _read_mask(workspace, index))
 
 
 def _read_mask(workspace: Workspace, index: int) -> NDArray[np.uint8]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.places import Place, inverse_depth_at, look_alikes, match
+from pipeline.odometry.places import STILL_PX, Place, inverse_depth_at, look_alikes, match
 from pipeline.odometry.poses import Array, in_camera, inverse
 from pipeline.odometry.similarity import (
     MAX_ERROR_PX,
@@ -36,7 +36,6 @@ ROUNDS = 1000  # so few that agree are met in 99.9 of 100 tries
 # Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true links 0.67 and more
 # are, of tubes laid into each other at random under 0.4 in the median (docs/front_end.md).
 SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
-STILL_PX = 1.0
 ASKED = 5  # links, the strongest, around which they are asked
 
 
@@ -83,45 +82,48 @@ def sure_links(links: list[Link], first: Shown, second: Shown) -> list[Link]:
     asked = _asked(agreeing, first, second)
     found = _support(joint_similarity(agreeing), asked, first, second)
     found = _support(joint_similarity(found), asked, first, second) if found else []
-    return (
-        found if any(_are_apart(one, other, (first.map, second.map)) for one, other in combinations(found, 2)) else []
-    )
+    maps = first.map, second.map
+    return found if any(_are_apart(one, other, maps) for one, other in combinations(found, 2)) else []
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two places with their matched features, (K,2) rows, and what either map knows of these."""
+
+    places: tuple[Place, Place]
+    pairs: NDArray[np.int64]
+    sides: tuple[Side, Side]
+
+    @property
+    def pixels(self) -> tuple[Array, Array]:
+        return self.places[0].pixels[self.pairs[:, 0]], self.places[1].pixels[self.pairs[:, 1]]
+
+    def link(self, similarity: Array, inlier: NDArray[np.bool_]) -> Link:
+        rows = self.pairs[inlier, 0], self.pairs[inlier, 1]
+        return Link(self.places, similarity, self.sides[0].at(inlier), self.sides[1].at(inlier), rows)
 
 
 def _fitted(first: Shown, place: Place, second: Shown, other: Place, rng: np.random.Generator) -> Link | None:
-    pairs, sides = _matched(first, place, second, other)
-    pixels = place.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
-    found = sure_similarity(*sides, pixels, first.map.rays.camera.width, rng, MIN_INLIER_SHARE, ROUNDS)
+    pair = _matched(first, place, second, other)
+    width = first.map.rays.camera.width
+    found = sure_similarity(*pair.sides, pair.pixels, width, rng, MIN_INLIER_SHARE, ROUNDS)
     if found is None or not _lays_surfaces_together(found[0], first, place, second, other):
         return None
-    return _link((place, other), found[0], sides, pairs, found[1])
+    return pair.link(*found)
 
 
-def _matched(first: Shown, place: Place, second: Shown, other: Place) -> tuple[NDArray[np.int64], tuple[Side, Side]]:
-    """(K,2) rows of features that look alike, and what either map knows of them.
-
-    Not of those at the same pixel in both: dirt and text are alike wherever the camera is.
-    """
+def _matched(first: Shown, place: Place, second: Shown, other: Place) -> _Pair:
+    """Features that look alike; not those at the same pixel in both, as dirt and text are wherever the camera is."""
     pairs = match(place.rooted, other.rooted)
     way = np.linalg.norm(place.pixels[pairs[:, 0]] - other.pixels[pairs[:, 1]], axis=1)
     pairs = pairs[way > STILL_PX]
-    return pairs, (_side(first.map, place, pairs[:, 0]), _side(second.map, other, pairs[:, 1]))
+    sides = _side(first.map, place, pairs[:, 0]), _side(second.map, other, pairs[:, 1])
+    return _Pair((place, other), pairs, sides)
 
 
 def _side(local_map: LocalMap, place: Place, rows: NDArray[np.int64]) -> Side:
     seen, gain = local_map.rays.look_up(place.pixels[rows])
     return Side(place.points[rows], local_map.keyframes[place.keyframe].pose, seen, gain)
-
-
-def _link(
-    places: tuple[Place, Place],
-    similarity: Array,
-    sides: tuple[Side, Side],
-    pairs: NDArray[np.int64],
-    inlier: NDArray[np.bool_],
-) -> Link:
-    rows = pairs[inlier, 0], pairs[inlier, 1]
-    return Link(places, similarity, sides[0].at(inlier), sides[1].at(inlier), rows)
 
 
 def strongest(links: list[Link]) -> list[Link]:
@@ -153,15 +155,6 @@ def joint_similarity(links: list[Link]) -> Array:
     return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """Two places with their matched features, (K,2) rows, and what either map knows of these."""
-
-    places: tuple[Place, Place]
-    pairs: NDArray[np.int64]
-    sides: tuple[Side, Side]
-
-
 def _asked(links: list[Link], first: Shown, second: Shown) -> list[_Pair]:
     """Linked pairs of places, and pairs around the strongest."""
     rows = [{place.keyframe: row for row, place in enumerate(shown.places)} for shown in (first, second)]
@@ -170,8 +163,7 @@ def _asked(links: list[Link], first: Shown, second: Shown) -> list[_Pair]:
         i, j = (of[link.keyframe(side)] for side, of in enumerate(rows))
         reach = AROUND if number < ASKED else 0
         asked |= set(product(_around(i, reach, len(first.places)), _around(j, reach, len(second.places))))
-    both = [(first.places[a], second.places[b]) for a, b in sorted(asked)]
-    return [_Pair(pair, *_matched(first, pair[0], second, pair[1])) for pair in both]
+    return [_matched(first, first.places[a], second, second.places[b]) for a, b in sorted(asked)]
 
 
 def _support(similarity: Array, asked: list[_Pair], first: Shown, second: Shown) -> list[Link]:
@@ -179,10 +171,9 @@ def _support(similarity: Array, asked: list[_Pair], first: Shown, second: Shown)
     width, found = first.map.rays.camera.width, []
     for pair in asked:
         inlier = similarity_errors(similarity, *pair.sides) < MAX_ERROR_PX
-        pixels = tuple(place.pixels[rows] for place, rows in zip(pair.places, pair.pairs.T, strict=True))
-        sure = is_sure(inlier, (pixels[0], pixels[1]), width, MIN_INLIER_SHARE)
+        sure = is_sure(inlier, pair.pixels, width, MIN_INLIER_SHARE)
         if sure and _lays_surfaces_together(similarity, first, pair.places[0], second, pair.places[1]):
-            found.append(_link(pair.places, similarity, pair.sides, pair.pairs, inlier))
+            found.append(pair.link(similarity, inlier))
     return found
 
 

@@ -25,6 +25,7 @@ CONTRAST = 0.002  # a twentieth of OpenCV's: pale mucosa has little more
 RATIO = 0.85  # best over second-best distance
 MIN_POINTS = 25  # of a place worth remembering
 MAX_PLACES = 60  # of a map
+STILL_PX = 1.0  # what moves by less from picture to picture may be dirt or text
 WORDS = 32
 SAMPLE = 20_000
 

@@ -19,7 +19,7 @@ from pipeline.odometry.bundle import reprojections
 from pipeline.odometry.feature_tracks import Tracks, join_features
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import polish
-from pipeline.odometry.places import Place, ReadFrame, match, place_of
+from pipeline.odometry.places import STILL_PX, Place, ReadFrame, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse
 
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
@@ -28,7 +28,7 @@ WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of 
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
 MAX_OFF_SHARE = 0.019  # of the width: a feature from where the map has it, in another keyframe; 6 px of 320
-STILL_PX, MOVING_PX = 1.0, 1.5  # way of what does not move, and of what the map expects to
+MOVING_PX = 1.5  # way of what the map expects to move
 MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follows its neighbour
 TYPICAL = 100  # features of the median keyframe: fewer are no better than the corners
 MIN_TIE = 12  # features that hold two keyframes together
