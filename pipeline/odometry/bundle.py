@@ -1,24 +1,21 @@
-"""Bundle adjustment: Levenberg-Marquardt on the Schur complement of the points, in NumPy and SciPy's block-sparse rows.
+"""Bundle adjustment: Levenberg-Marquardt on the Schur complement of the points (`schur`), in NumPy.
 
 Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6. Residuals are linear in the plane z = 1 (see
 `rays`), down-weighted by Cauchy's loss through reweighting. Preferred to Ceres, which would live in another process,
 and to GTSAM, which takes a Python object for each observation; see docs/front_end.md.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array
 
 from pipeline.odometry.poses import Array, moved
+from pipeline.odometry.schur import Blocks, product, solve
 
 TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustment
-FULL = 1_000_000  # entries of a cross matrix up to which it is multiplied as a full one
-EVEN = (3 - 5**0.5) / 2  # x of the rows against all are as much as the others against one another: x = (1 - x)^2
 MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
 
 
@@ -163,63 +160,19 @@ def _solve(bundle: Bundle, system: _System, damping: float) -> tuple[Array, Arra
     cameras, points = len(system.cameras), len(system.points)
     free = np.flatnonzero(~bundle.fixed)
     inverse = _inverse(_damped(system.points, damping))
-    cross = _Blocks(system.cross, bundle.point, system.starts, points)
+    cross = Blocks(system.cross, bundle.point, system.starts, points)
     ahead = replace(cross, data=system.cross @ inverse[bundle.point])
     camera_step = np.zeros((cameras, 6))
     if len(free):
-        reduced = -_product(ahead, cross).reshape(cameras, 6, cameras, 6)
-        reduced[np.arange(cameras), :, np.arange(cameras)] += _damped(system.cameras, damping)
+        reduced = product(ahead, cross).subtracted_from(_damped(system.cameras, damping))
         side = system.camera_side - (ahead.rows(0, cameras) @ system.point_side.ravel()).reshape(cameras, 6)
-        normal = reduced[free][:, :, free].reshape(6 * len(free), -1)
-        try:
-            factor = cho_factor(normal, overwrite_a=True, check_finite=False)
-        except LinAlgError:
+        step = solve(reduced.among(free), side[free])
+        if step is None:
             return None
-        camera_step[free] = cho_solve(factor, side[free].ravel(), check_finite=False).reshape(-1, 6)
+        camera_step[free] = step
     rest = system.point_side - (cross.rows(0, cameras).T @ camera_step.ravel()).reshape(points, 3)
     point_step = np.einsum("pij,pj->pi", inverse, rest)
     return (camera_step, point_step) if np.isfinite(camera_step).all() and np.isfinite(point_step).all() else None
-
-
-@dataclass(frozen=True)
-class _Blocks:
-    """A matrix of (M,6,3) blocks, cameras by points: `point` (M,) columns, `starts` (C+1,) where each camera begins."""
-
-    data: Array
-    point: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    points: int
-
-    @property
-    def cameras(self) -> int:
-        return len(self.starts) - 1
-
-    def rows(self, begin: int, end: int) -> bsr_array:
-        """The rows of some cameras."""
-        part = slice(self.starts[begin], self.starts[end])
-        shape = (6 * (end - begin), 3 * self.points)
-        return bsr_array((self.data[part], self.point[part], self.starts[begin : end + 1] - part.start), shape=shape)
-
-
-def _product(first: _Blocks, second: _Blocks) -> Array:
-    """first @ second', which is known to be symmetric; a window's matrices are so full that BLAS beats the sparse
-    product nine to one. SciPy lets go of the interpreter, so two threads share what is needed of a large one."""
-    count = first.cameras
-    if 18 * count * first.points <= FULL:
-        return first.rows(0, count).toarray() @ second.rows(0, count).toarray().T
-    begin = round(EVEN * count)  # the first rows, whole, and what is right of the others' diagonal: half each
-
-    def part(rows: tuple[int, int], columns: tuple[int, int]) -> Array:
-        return (first.rows(*rows) @ second.rows(*columns).T).toarray()
-
-    with ThreadPoolExecutor(2) as threads:
-        top = threads.submit(part, (0, begin), (0, count))
-        rest = threads.submit(part, (begin, count), (begin, count)).result()
-    product = np.empty((6 * count, 6 * count))
-    product[: 6 * begin] = top.result()
-    product[6 * begin :, 6 * begin :] = rest
-    product[6 * begin :, : 6 * begin] = product[: 6 * begin, 6 * begin :].T
-    return product
 
 
 def _damped(blocks: Array, damping: float) -> Array:

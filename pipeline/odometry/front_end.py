@@ -60,9 +60,9 @@ def _track(
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
     rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
     maps = odometry.finish()
-    for local_map in maps:
-        polish(local_map)
     held = refit_maps(maps, read, progress)
+    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+        polish(local_map)
     camera = frames.camera
     sigma: tuple[float, ...] = ()
     if maps and not camera.trusted:

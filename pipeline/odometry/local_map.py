@@ -5,6 +5,7 @@ keyframe before it and 12 bytes for each point that it saw, which the result nee
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,10 +257,10 @@ class LocalMap:
         lost = tracks[left < 2]
         self.known[lost] = False
         self.barred[lost] = True
-        for number, keyframe in enumerate(cameras):
-            mine = bad & (bundle.camera == number)
-            if mine.any():
-                keyframe.keep(~np.isin(keyframe.ids, tracks[bundle.point[mine]]))
+        starts = np.searchsorted(bundle.camera, np.arange(len(cameras) + 1))
+        for keyframe, (begin, end) in zip(cameras, pairwise(starts.tolist()), strict=True):
+            if bad[begin:end].any():
+                keyframe.keep(~np.isin(keyframe.ids, tracks[bundle.point[begin:end][bad[begin:end]]]))
 
     def forget_unused(self) -> None:
         """Keyframes that left the window keep only tracks that became points."""

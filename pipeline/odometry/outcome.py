@@ -9,8 +9,6 @@ from pipeline.odometry.poses import Array, compose, inverse
 from pipeline.odometry.resection import refine_poses
 from pipeline.submap import Submap
 
-WHOLE = 300  # keyframes that are adjusted in one piece; a longer map is swept by overlapping windows of that length
-HELD = 60  # keyframes outside a window that hold it, so that a tie to a far part of the map is felt from both sides
 FINAL_ITERATIONS = 25
 FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
 SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
@@ -24,10 +22,9 @@ def polish(local_map: LocalMap, changed: bool = False) -> None:
     A map that was just `changed`, joined from two or given another lens, is first let settle: it starts some pixels
     off, and must not be culled for that.
     """
+    count = len(local_map.keyframes)
     for loss_px, max_error_px in SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),):
-        count = len(local_map.keyframes)
-        for end in sorted({*range(WHOLE, count, WHOLE // 2), count}):
-            local_map.adjust(min(end, WHOLE), FINAL_ITERATIONS, end, loss_px, max_error_px, HELD, FINAL_TOLERANCE)
+        local_map.adjust(count, FINAL_ITERATIONS, count, loss_px, max_error_px, tolerance=FINAL_TOLERANCE)
 
 
 def to_submap(

@@ -67,17 +67,19 @@ def find_places(local_map: LocalMap, read: ReadFrame) -> list[Place]:
 
 
 def match(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.int64]:
-    """(K,2) rows of descriptors that are each other's nearest and clearly nearer than the second nearest."""
+    """(K,2) rows of descriptors, of length one, that are each other's nearest and clearly nearer than the second
+    nearest."""
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    squared = (first**2).sum(1)[:, None] + (second**2).sum(1)[None] - 2 * first @ second.T
-    row = np.arange(len(first))
-    nearest = squared.argmin(axis=1)
-    mutual = squared.argmin(axis=0)[nearest] == row
-    best = squared[row, nearest]
-    squared[row, nearest] = np.inf
-    good = mutual & (np.maximum(best, 0) < RATIO**2 * squared.min(axis=1))
-    return np.stack([row[good], nearest[good]], axis=1)
+    likeness = first @ second.T  # squared distances are 2 - 2 likeness
+    row, nearest = np.arange(len(first)), likeness.argmax(axis=1)
+    best = likeness[row, nearest]
+    mutual = best == likeness.max(axis=0)[nearest]
+    likeness[row, nearest] = -1
+    good = mutual & (np.maximum(1 - best, 0) < RATIO**2 * (1 - likeness.max(axis=1)))
+    _, once = np.unique(nearest[good], return_index=True)  # twins: the first
+    chosen = np.flatnonzero(good)[np.sort(once)]
+    return np.stack([chosen, nearest[chosen]], axis=1)
 
 
 def look_alikes(first: list[Place], second: list[Place], per_place: int, seed: int) -> list[tuple[int, int]]:

@@ -6,9 +6,10 @@ finds for itself, matched to where the map has them, slide far less, the narrow 
 these alone; wider ones and the corners' points follow, and all features become points of the map.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,10 @@ MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follo
 TYPICAL = 100  # features of the median keyframe: fewer are no better than the corners
 MIN_TIE = 12  # features that hold two keyframes together
 MAX_FOLLOWING = 0.1  # share of keyframes that may follow
+ROOTED = 64  # keyframes whose descriptors are kept as RootSIFT, half a megabyte each
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
+
+Rooted = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its features' descriptors, (N,128)
 
 
 def refit(local_map: LocalMap, read: ReadFrame) -> float | None:
@@ -85,12 +89,13 @@ def _near(local_map: LocalMap) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _same(local_map: LocalMap, here: Place, there: Place) -> NDArray[np.int64]:
-    """(K,2) features of two keyframes that look alike and lie where the map says.
+def _same(local_map: LocalMap, places: list[Place], rooted: Rooted, pair: tuple[int, int]) -> NDArray[np.int64]:
+    """(K,2) features of a pair of keyframes that look alike and lie where the map says.
 
     What stands still in the picture where the wall should move is dirt, a reflection or text that was burned in.
     """
-    pairs = match(here.rooted, there.rooted)
+    here, there = (places[number] for number in pair)
+    pairs = match(*(rooted(number) for number in pair))
     if len(pairs) == 0:
         return pairs
     first, second = here.pixels[pairs[:, 0]], there.pixels[pairs[:, 1]]
@@ -123,7 +128,9 @@ def _matched(local_map: LocalMap, read: ReadFrame) -> Matched:
     with ThreadPoolExecutor(THREADS) as threads:
         places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
         pairs = _near(local_map)
-        same = list(threads.map(lambda pair: _same(local_map, places[pair[0]], places[pair[1]]), pairs))
+        # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
+        rooted = lru_cache(ROOTED)(lambda number: places[number].rooted)
+        same = list(threads.map(partial(_same, local_map, places, rooted), pairs))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(place, descriptors=np.zeros((0, 128), np.uint8)) for place in places]
     return Matched(bare, pairs, same)
