@@ -24,11 +24,12 @@ from front_ends import store
 from pipeline.config import Config
 from pipeline.frames import Frames
 from pipeline.odometry.front_end import frame_reader, join_maps, refit_maps
+from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
 from pipeline.odometry.links import Shown, find_links, joint_similarity, sure_links
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
-from pipeline.odometry.places import ReadFrame, find_places
+from pipeline.odometry.places import FindFeatures, find_places
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.similarity import scale_of
 from pipeline.progress import SilentProgress
@@ -42,6 +43,7 @@ Held = tuple[LocalMap, float | None]  # and how wide the features that moved it 
 class Film:
     name: str
     frames: Frames
+    features: KeyframeFeatures
     read: ReadFrame
     truth: np.ndarray
 
@@ -49,7 +51,8 @@ class Film:
 def film_of(folder: Path, scratch: Path) -> Film:
     frames, workspace = store(folder, Config(front_end="odometry"), scratch / folder.name)
     _, truth = read_tum(folder / "trajectory.txt")
-    return Film(folder.name, frames, frame_reader(workspace), truth)
+    read = frame_reader(workspace)
+    return Film(folder.name, frames, KeyframeFeatures(read), read, truth)
 
 
 def tracked(film: Film, part: np.ndarray) -> list[Held]:
@@ -60,7 +63,7 @@ def tracked(film: Film, part: np.ndarray) -> list[Held]:
     maps = odometry.finish()
     for local_map in maps:
         polish(local_map)
-    held = zip(maps, refit_maps(maps, film.read, SilentProgress()), strict=True)
+    held = zip(maps, refit_maps(maps, film.features, SilentProgress()), strict=True)
     return sorted((h for h in held if to_submap(h[0], h[0].rays.camera.params)), key=lambda h: -len(h[0].keyframes))
 
 
@@ -70,9 +73,9 @@ def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
     return align_poses(submap.world_from_camera, truth[submap.frames])
 
 
-def offered(first: LocalMap, second: LocalMap, reads: tuple[ReadFrame, ReadFrame]) -> np.ndarray | None:
+def offered(first: LocalMap, second: LocalMap, finders: tuple[FindFeatures, FindFeatures]) -> np.ndarray | None:
     """`second_from_first` if the evidence is enough for a join."""
-    shown = [Shown(m, find_places(m, read)) for m, read in zip((first, second), reads, strict=True)]
+    shown = [Shown(m, find_places(m, find)) for m, find in zip((first, second), finders, strict=True)]
     links = sure_links(find_links(*shown, np.random.default_rng(0), 0), *shown)
     return joint_similarity(links) if links else None
 
@@ -89,7 +92,7 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
     first, second = maps[0][0][0], maps[1][0][0]
     to_truth = [truth_from_map(m, film.truth) for m in (first, second)]
     result["way_depths"] = float(way / (first.median_depth(first.keyframes[-1]) * scale_of(to_truth[0])))
-    found = offered(first, second, (film.read, film.read))
+    found = offered(first, second, (film.features, film.features))
     if found is not None:
         right = scale_of(to_truth[0]) / scale_of(to_truth[1])
         result["scale_error_percent"] = 100 * (scale_of(found) / right - 1)
@@ -99,7 +102,7 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
 def joined(film: Film, held: list[Held]) -> dict[str, Any]:
     """How many maps are left of all, and the path errors of the largest; the maps are used up."""
     maps, by = map(list, zip(*held, strict=True))
-    left, _ = join_maps(maps, by, film.read, 0, SilentProgress())
+    left, _ = join_maps(maps, by, film.features, 0, SilentProgress())
     submaps = [to_submap(m, m.rays.camera.params) for m in left]
     submap = max((s for s in submaps if s is not None), key=lambda s: len(s.frames))
     errors = trajectory_errors(submap.world_from_camera, film.truth[submap.frames])
@@ -137,9 +140,9 @@ def main() -> None:
                     halves[film.name] = pair
                 rows.append(row)
                 print_row(row)
-        reads = {film.name: film.read for film in films}
+        finders = {film.name: film.features for film in films}
         pairs = [(a, b) for a in halves for b in halves if a != b]
-        false = [(a, b) for a, b in pairs if offered(halves[a][0], halves[b][1], (reads[a], reads[b])) is not None]
+        false = [(a, b) for a, b in pairs if offered(halves[a][0], halves[b][1], (finders[a], finders[b])) is not None]
     print(f"parts of different films: {len(false)} joined of {len(pairs)} pairs {false or ''}")
     write(arguments.json, {"gaps": arguments.gaps, "rows": rows, "strangers": len(pairs), "false": false})
 

@@ -8,6 +8,7 @@ import test_odometry
 from test_odometry import CAMERA, MASK, camera_at, polished, render, run, wall_texture
 
 from pipeline.odometry import front_end
+from pipeline.odometry.keyframe_features import KeyframeFeatures
 from pipeline.odometry.merging import Merged, merge_maps
 from pipeline.odometry.outcome import to_submap
 from pipeline.progress import SilentProgress
@@ -32,13 +33,14 @@ def there_and_back(clip):
     def read(number):
         return images[number], MASK
 
-    return maps, front_end.refit_maps(polished(maps), read, SilentProgress()), read, order
+    find = KeyframeFeatures(read)
+    return maps, front_end.refit_maps(polished(maps), find, SilentProgress()), find, order
 
 
 def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
-    maps, held, read, order = there_and_back
+    maps, held, find, order = there_and_back
     assert None not in held
-    (joined,), joins = front_end.join_maps(copy.deepcopy(maps), held, read, 0, SilentProgress())
+    (joined,), joins = front_end.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
     assert joins == 1
     numbers = [int(k.ids.max()) for k in joined.keyframes]
     assert max(numbers) < len(joined.known)
@@ -54,19 +56,19 @@ def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
 
 
 def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch):
-    maps, held, read, _ = there_and_back
+    maps, held, find, _ = there_and_back
     poses = [[k.pose.copy() for k in m.keyframes] for m in maps]
     together = Merged(copy.deepcopy(maps[0]), (0, 1))
     monkeypatch.setattr(front_end, "merge_maps", lambda *_: [together])
     for outcome in (None, np.inf):
         monkeypatch.setattr(front_end, "refit", lambda *_, outcome=outcome: outcome)
-        kept, joins = front_end.join_maps(copy.deepcopy(maps), held, read, 0, SilentProgress())
+        kept, joins = front_end.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
         assert joins == 0
         for local_map, before in zip(kept, poses, strict=True):
             np.testing.assert_array_equal([k.pose for k in local_map.keyframes], before)
             assert any((k.ids >= local_map.first_of_last).any() for k in local_map.keyframes), "with their features"
     monkeypatch.setattr(front_end, "refit", lambda *_: held[0])
-    assert front_end.join_maps(copy.deepcopy(maps), held, read, 0, SilentProgress()) == ([together.map], 1)
+    assert front_end.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress()) == ([together.map], 1)
 
 
 def test_other_places_are_not_joined(clip, monkeypatch):
@@ -83,4 +85,4 @@ def test_other_places_are_not_joined(clip, monkeypatch):
     def read(k):
         return (images[id(more[0])][k - 1000] if k >= 1000 else images[id(maps[0])][k]), MASK
 
-    assert [whole.members for whole in merge_maps(polished(maps + more), read, 0)] == [(0,), (1,)]
+    assert [whole.members for whole in merge_maps(polished(maps + more), KeyframeFeatures(read), 0)] == [(0,), (1,)]

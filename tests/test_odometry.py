@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from pipeline.camera import Camera
@@ -174,15 +175,37 @@ def test_new_corners_keep_away_from_old_ones(clip):
     assert len(cells) == len(places)
 
 
+def unit(descriptors):
+    return (descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)).astype(np.float32)
+
+
 def test_matches_are_mutual_and_clear():
     rng = np.random.default_rng(0)
-    descriptors = rng.normal(size=(40, 128)).astype(np.float32)
+    descriptors = unit(rng.normal(size=(40, 128)))
     shuffled = rng.permutation(40)
-    noisy = descriptors[shuffled] + 0.05 * rng.normal(size=(40, 128)).astype(np.float32)
+    noisy = unit(descriptors[shuffled] + 0.005 * rng.normal(size=(40, 128)))
     pairs = match(descriptors, noisy)
     assert len(pairs) == 40
     assert (shuffled[pairs[:, 1]] == pairs[:, 0]).all()
     assert len(match(descriptors, np.concatenate([noisy, noisy]))) == 0
+    twins = match(np.concatenate([descriptors, descriptors]), noisy)
+    np.testing.assert_array_equal(twins, pairs, "of twins the first")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_matches_are_those_of_a_search_by_distance(seed):
+    """Against SciPy's distances: nearest both ways, and nearer than 0.85 of the second nearest."""
+    rng = np.random.default_rng(seed)
+    first, second = unit(rng.random((90, 16))), unit(rng.random((70, 16)))
+    second[:30] = unit(first[20:50] + 0.05 * rng.normal(size=(30, 16)))
+    distance = cdist(first.astype(float), second.astype(float))
+    expected = [
+        (i, int(row.argmin()))
+        for i, row in enumerate(distance)
+        if distance[:, row.argmin()].argmin() == i and row.min() < 0.85 * np.partition(row, 1)[1]
+    ]
+    assert len(expected) > 10
+    np.testing.assert_array_equal(match(first, second), expected)
 
 
 def stored(tmp_path, images):

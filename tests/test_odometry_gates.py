@@ -10,11 +10,11 @@ from pipeline.camera import Camera
 from pipeline.odometry import links as linking
 from pipeline.odometry import merging
 from pipeline.odometry.features import normalise
+from pipeline.odometry.keyframe_features import KeyframeFeatures
 from pipeline.odometry.links import Shown, find_links, sure_links
 from pipeline.odometry.local_map import Keyframe, LocalMap
 from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
-from pipeline.odometry.outcome import polish
 from pipeline.odometry.places import Place, find_places
 from pipeline.odometry.poses import inverse
 from pipeline.odometry.rays import RayTable
@@ -52,20 +52,6 @@ def test_noise_alone_has_no_pose():
     found = robust_pose(points, seen, gains(60), 1.0, rng)
     if found is not None:  # six points that agree by chance are no more than that
         assert (reprojection_errors(found, points, seen, gains(60)) < 1).mean() < 0.2
-
-
-@pytest.mark.parametrize("count", [5, 299, 300, 301, 449, 450, 451, 900])
-def test_every_keyframe_is_adjusted_at_the_end(count):
-    class Stub:
-        keyframes = [None] * count
-        touched = np.zeros(count, int)
-
-        def adjust(self, window, iterations, end, *rest):
-            self.touched[max(0, end - window) : end] += 1
-
-    stub = Stub()
-    polish(stub)
-    assert stub.touched.min() >= 2  # once before what does not fit is dropped, and once after
 
 
 def a_map(centres, ids=None, points=None, seed=0):
@@ -177,7 +163,7 @@ def test_a_pair_of_places_is_compared_once(monkeypatch):
         seen.append((id(place), id(other)))
         return real(first, place, second, other, rng)
 
-    monkeypatch.setattr(merging, "find_places", lambda m, read: shown[id(m)])
+    monkeypatch.setattr(merging, "find_places", lambda m, find: shown[id(m)])
     monkeypatch.setattr(linking, "_fitted", fitted)
     assert [whole.members for whole in merge_maps(maps, None, 0)] == [(0, 2), (1,)]
     assert len(set(seen)) == len(seen) == 12
@@ -186,6 +172,6 @@ def test_a_pair_of_places_is_compared_once(monkeypatch):
 def test_descriptors_are_kept_in_a_byte_each():
     rng = np.random.default_rng(0)
     image = np.repeat(rng.integers(60, 200, (80, 80, 1), dtype=np.uint8), 3, axis=2).repeat(4, 0).repeat(4, 1)
-    (place,) = find_places(a_map([[0, 0, 0]]), lambda frame: (image, np.full((320, 320), 255, np.uint8)))
+    (place,) = find_places(a_map([[0, 0, 0]]), KeyframeFeatures(lambda _: (image, np.full((320, 320), 255, np.uint8))))
     assert place.descriptors.dtype == np.uint8
     np.testing.assert_allclose(np.linalg.norm(place.rooted, axis=1), 1, atol=1e-3)

@@ -9,7 +9,8 @@ import pytest
 from test_odometry import CAMERA, MASK, RADIUS, camera_at, polished, render, run
 
 import pipeline.odometry.refit as refitting
-from pipeline.odometry import places
+from pipeline.odometry import keyframe_features
+from pipeline.odometry.keyframe_features import KeyframeFeatures
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.poses import in_camera, inverse
@@ -70,7 +71,7 @@ def error(local_map):
 def test_a_bent_scale_is_taken_back(finished):
     crooked = bent(finished, 0.25)
     before = error(crooked)
-    assert refit(crooked, read)
+    assert refit(crooked, KeyframeFeatures(read))
     assert before > 0.4
     assert error(crooked) < 0.05 * before
 
@@ -78,7 +79,7 @@ def test_a_bent_scale_is_taken_back(finished):
 def test_features_and_followed_corners_are_told_apart(finished):
     assert to_submap(finished, CAMERA.params).is_followed.all()
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, read)
+    assert refit(local_map, KeyframeFeatures(read))
     submap = to_submap(local_map, CAMERA.params)
     assert not to_submap(local_map.of_features(), CAMERA.params).is_followed.any()
     between = ~np.isin(submap.frames, [keyframe.frame for keyframe in local_map.keyframes])
@@ -89,7 +90,7 @@ def test_features_and_followed_corners_are_told_apart(finished):
 
 def test_the_features_lie_on_the_wall(finished):
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, read)
+    assert refit(local_map, KeyframeFeatures(read))
     submap = to_submap(local_map.of_features(), CAMERA.params)
     aligned = align_umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
     points = submap.points @ aligned[:3, :3].T + aligned[:3, 3]
@@ -108,17 +109,17 @@ def sliding(found, wider_than):
 def test_wide_features_follow_and_do_not_move_the_map(finished, monkeypatch):
     """Where every wide feature is off, the map is right if they follow, and wrong if they take part."""
     limit = 5.0
-    found = places.sift
-    monkeypatch.setattr(places, "sift", lambda *a: sliding(found(*a), limit))
+    found = keyframe_features.sift
+    monkeypatch.setattr(keyframe_features, "sift", lambda *a: sliding(found(*a), limit))
     monkeypatch.setattr(refitting, "WIDEST", limit)
     following, moving = copy.deepcopy(finished), copy.deepcopy(finished)
     given, add = [], LocalMap.add_features
     monkeypatch.setattr(LocalMap, "add_features", lambda *a: given.append(add(*a)) or given[-1])
-    assert refit(following, read)
+    assert refit(following, KeyframeFeatures(read))
     assert following.known[given[0]].sum() > 50, "wide features have points"
     assert not np.isin(given[0], np.concatenate([k.ids for k in following.of_features().keyframes])).any()
     monkeypatch.setattr(refitting, "WIDEST", np.inf)
-    assert refit(moving, read)
+    assert refit(moving, KeyframeFeatures(read))
     off = [trajectory_errors(poses_of(m), TRUE[frames_of(m)]).ate_rmse for m in (following, moving)]
     assert off[0] < 0.6 * off[1]
 
@@ -127,7 +128,7 @@ def test_where_narrow_features_are_too_few_the_wide_ones_help(finished):
     blurred = [cv2.GaussianBlur(image, (0, 0), 3.3) for image in IMAGES]
     local_map = bent(finished, 0.25)
     before = error(local_map)
-    assert refit(local_map, lambda frame: (blurred[frame], MASK))
+    assert refit(local_map, KeyframeFeatures(lambda frame: (blurred[frame], MASK)))
     assert error(local_map) < 0.3 * before
 
 
@@ -135,7 +136,7 @@ def test_too_few_features_move_nothing(finished):
     local_map = copy.deepcopy(finished)
     poses = [keyframe.pose.copy() for keyframe in local_map.keyframes]
     points = local_map.points.copy()
-    assert not refit(local_map, lambda frame: (cv2.GaussianBlur(IMAGES[frame], (0, 0), 6), MASK))
+    assert not refit(local_map, KeyframeFeatures(lambda frame: (cv2.GaussianBlur(IMAGES[frame], (0, 0), 6), MASK)))
     np.testing.assert_array_equal(local_map.points, points)
     np.testing.assert_array_equal([keyframe.pose for keyframe in local_map.keyframes], poses)
 
@@ -147,7 +148,7 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
     for keyframe in local_map.keyframes[blind : blind + 1]:
         keyframe.keep(np.zeros(len(keyframe.ids), bool))
     hidden = np.zeros_like(MASK)
-    assert refit(local_map, lambda number: (IMAGES[number], hidden if number == frame else MASK))
+    assert refit(local_map, KeyframeFeatures(lambda number: (IMAGES[number], hidden if number == frame else MASK)))
     poses = np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
     true = TRUE[[keyframe.frame for keyframe in local_map.keyframes]]
     aligned = align_umeyama(poses[:, :3, 3], true[:, :3, 3], with_scale=True)
@@ -159,10 +160,10 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
 
 def test_a_second_time_the_features_of_the_first_are_forgotten(finished):
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, read)
+    assert refit(local_map, KeyframeFeatures(read))
     once = local_map.of_features()
     seen = [len(keyframe.ids) for keyframe in once.keyframes]
-    assert refit(local_map, read)
+    assert refit(local_map, KeyframeFeatures(read))
     again = [len(keyframe.ids) for keyframe in local_map.of_features().keyframes]
     assert np.median(again) == pytest.approx(np.median(seen), rel=0.1)
     local_map.forget_features()
@@ -171,8 +172,8 @@ def test_a_second_time_the_features_of_the_first_are_forgotten(finished):
 
 def test_two_runs_agree_to_the_bit(finished):
     first, second = copy.deepcopy(finished), copy.deepcopy(finished)
-    assert refit(first, read)
-    assert refit(second, read)
+    assert refit(first, KeyframeFeatures(read))
+    assert refit(second, KeyframeFeatures(read))
     np.testing.assert_array_equal(first.points, second.points)
     for one, other in zip(first.keyframes, second.keyframes, strict=True):
         np.testing.assert_array_equal(one.pose, other.pose)
@@ -181,7 +182,7 @@ def test_two_runs_agree_to_the_bit(finished):
 
 def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
     local_map = bent(finished, 0.25)
-    assert refit(local_map, read)
+    assert refit(local_map, KeyframeFeatures(read))
     corners = local_map.first_feature
     for keyframe in local_map.keyframes:
         mine = local_map.known[keyframe.ids] & (keyframe.ids < corners)
@@ -197,5 +198,5 @@ def test_text_burned_into_the_picture_does_not_bend_the_map(finished):
     for row in range(4):
         cv2.putText(letters, "ABC 123", (8, 24 + 14 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, lambda frame: (np.maximum(IMAGES[frame], letters), MASK))
+    assert refit(local_map, KeyframeFeatures(lambda frame: (np.maximum(IMAGES[frame], letters), MASK)))
     assert error(local_map) < error(finished)

@@ -13,11 +13,12 @@ from threadpoolctl import threadpool_limits
 from pipeline.camera import Camera
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
+from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
-from pipeline.odometry.places import ReadFrame
+from pipeline.odometry.places import Features, FindFeatures
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.refit import refit
 from pipeline.odometry.self_calibration import FRAME_STEP, KEYFRAME_STEP, refine_lens
@@ -44,35 +45,43 @@ class Tracked:
 def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames one after the other, then polish each map; a guessed lens is refined with them."""
     # Most matrices are small: with a second thread of BLAS a film took twice the processor time, and longer.
-    with threadpool_limits(1, "blas"):
-        return _track(frames, stride, seed, frame_reader(workspace), workspace, progress)
+    with threadpool_limits(1, "blas"), KeyframeFeatures(frame_reader(workspace)) as features:
+        return _track(frames, stride, seed, frame_reader(workspace), features, workspace, progress)
 
 
 def _track(
-    frames: Frames, stride: int, seed: int, read: ReadFrame, workspace: Workspace, progress: Progress
+    frames: Frames,
+    stride: int,
+    seed: int,
+    read: ReadFrame,
+    features: KeyframeFeatures,
+    workspace: Workspace,
+    progress: Progress,
 ) -> Tracked:
     odometry = Odometry(RayTable(frames.camera), seed, stride)
     started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:
         for done, index in enumerate(frames.index.tolist(), start=1):
             state = odometry.feed(index, *read(index))
+            if odometry.keyframe == index:
+                features.begin(index)
             pace = done / max(time.perf_counter() - started, 1e-9)
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
     rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
     maps = odometry.finish()
-    held = refit_maps(maps, read, progress)
+    held = refit_maps(maps, features, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         polish(local_map)
     camera = frames.camera
     sigma: tuple[float, ...] = ()
     if maps and not camera.trusted:
-        camera, sigma, held = _better_lens(maps, held, camera, seed, read, workspace, progress)
-    merged, joins = join_maps(maps, held, read, seed, progress)
+        camera, sigma, held = _better_lens(maps, held, camera, seed, features, workspace, progress)
+    merged, joins = join_maps(maps, held, features, seed, progress)
     return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins)
 
 
 def join_maps(
-    maps: list[LocalMap], held: list[float | None], read: ReadFrame, seed: int, progress: Progress
+    maps: list[LocalMap], held: list[float | None], find: FindFeatures, seed: int, progress: Progress
 ) -> tuple[list[LocalMap], int]:
     """Maps that saw the same places made one, and how many joins there were.
 
@@ -83,13 +92,13 @@ def join_maps(
         return maps, 0
     apart = copy.deepcopy(maps)
     with progress.bar("joining submaps", None):
-        merged = merge_maps(maps, read, seed)
+        merged = merge_maps(maps, find, seed)
     result: list[LocalMap] = []
     for whole in merged:
         if len(whole.members) == 1:
             result.append(whole.map)
             continue
-        (by,) = refit_maps([whole.map], read, progress)
+        (by,) = refit_maps([whole.map], find, progress)
         before = [width for width in (held[number] for number in whole.members) if width is not None]
         if len(before) < len(whole.members):  # one of them never was
             if by is None:
@@ -102,16 +111,16 @@ def join_maps(
     return result, len(maps) - len(result)
 
 
-def refit_maps(maps: list[LocalMap], read: ReadFrame, progress: Progress) -> list[float | None]:
+def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
     """Every map moved to where its own features have it. Those that they do not hold (None) stay, and a sentence says
     so; of the others, how wide the features were at most."""
     if not maps:
         return []
     done = count(1)  # safe from several threads
 
-    def counted(frame: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def counted(frame: int) -> Features:
         advance(next(done))
-        return read(frame)
+        return find(frame)
 
     with progress.bar("features of keyframes", sum(len(m.keyframes) for m in maps)) as advance:
         held = [refit(local_map, counted) for local_map in maps]
@@ -135,7 +144,7 @@ def _better_lens(
     held: list[float | None],
     guess: Camera,
     seed: int,
-    read: ReadFrame,
+    find: FindFeatures,
     workspace: Workspace,
     progress: Progress,
 ) -> tuple[Camera, tuple[float, ...], list[float | None]]:
@@ -163,7 +172,7 @@ def _better_lens(
         if shift < SETTLED:
             break
         camera = lens.camera
-        held = _with_lens(maps, camera, shift > FAR, read, progress)
+        held = _with_lens(maps, camera, shift > FAR, find, progress)
     return camera, sigma, held
 
 
@@ -181,7 +190,7 @@ def lens_shift(old: Camera, new: Camera) -> float:
 
 
 def _with_lens(
-    maps: list[LocalMap], camera: Camera, far: bool, read: ReadFrame, progress: Progress
+    maps: list[LocalMap], camera: Camera, far: bool, find: FindFeatures, progress: Progress
 ) -> list[float | None]:
     """Adjust all maps with another lens; with one that is far from the last, first to the followed corners alone."""
     rays = RayTable(camera)
@@ -190,7 +199,7 @@ def _with_lens(
         if far:
             local_map.forget_features()
             polish(local_map, changed=True)
-    held = refit_maps(maps, read, progress)
+    held = refit_maps(maps, find, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         polish(local_map, changed=True)
     return held

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.odometry.bundle import TOLERANCE, Bundle, adjust
-from pipeline.odometry.poses import Array, compose, in_camera, inverse
+from pipeline.odometry.poses import Array, compose, in_camera, inverse, scaled
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.triangulation import triangulate
 
@@ -54,9 +54,7 @@ class PosedFrame:
 
     def scaled(self, factor: float) -> "PosedFrame":
         """The same in a map whose unit is smaller by `factor`."""
-        relative = self.from_keyframe.copy()
-        relative[:3, 3] *= factor
-        return replace(self, from_keyframe=relative)
+        return replace(self, from_keyframe=scaled(self.from_keyframe, factor))
 
 
 class LocalMap:
@@ -178,13 +176,13 @@ class LocalMap:
     ) -> None:
         """Bundle adjustment of the `window` keyframes before number `end` (the latest ones) and of their points.
 
-        The `anchors` others that share most points with them hold the scene, older or younger; without any, the first
-        of the window does.
+        The `anchors` older ones that share most points with them hold the scene; without any, the first of the window
+        does.
         """
         end = len(self.keyframes) if end is None else end
         first = max(0, end - window)
         free = self.keyframes[first:end]
-        held = self._sharing(free, self.keyframes[:first] + self.keyframes[end:], anchors)
+        held = self._sharing(free, self.keyframes[:first], anchors)
         bundle, tracks = self._bundle(held, free)
         if len(tracks) == 0:
             return
@@ -193,6 +191,20 @@ class LocalMap:
             keyframe.pose = compose(result.rotation[number], result.translation[number])
         self.points[tracks] = result.points
         self._cull(result, tracks, held + free, max_error_px)
+
+    def carry(self, first: int, old: Array, scale: float) -> None:
+        """Move keyframes from number `first` on, and the points that they alone see, as the keyframe before was moved:
+        from pose `old`, its points `scale` times as far from it."""
+        now = self.keyframes[first - 1].pose
+        ahead = np.zeros(len(self.known), dtype=bool)
+        for keyframe in self.keyframes[first:]:
+            pose = scaled(keyframe.pose @ inverse(old), scale) @ now
+            # Brought back to a rotation: `old` is one of these poses the next time, and rounding would grow threefold.
+            keyframe.pose = compose(pose[:3, :3], pose[:3, 3])
+            ahead[keyframe.ids] = True
+        for keyframe in self.keyframes[:first]:
+            ahead[keyframe.ids] = False
+        self.points[ahead] = in_camera(inverse(now), scale * in_camera(old, self.points[ahead]))
 
     def fit_points(self, iterations: int = 10) -> None:
         """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.odometry.links import AROUND, Link, Shown, find_links, joint_similarity, strongest, sure_links
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.places import Place, ReadFrame, find_places, match
+from pipeline.odometry.places import FindFeatures, Place, find_places, match
 from pipeline.odometry.poses import Array, in_camera
 from pipeline.odometry.resection import reprojection_errors
 from pipeline.odometry.similarity import moved_points, scale_of
@@ -27,7 +27,7 @@ class Merged:
     members: tuple[int, ...]
 
 
-def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[Merged]:
+def merge_maps(maps: list[LocalMap], find: FindFeatures, seed: int) -> list[Merged]:
     """The maps with those joined that surely belong together; what is joined has forgotten its features.
 
     A grown map may touch one that it did not before; only the places that it gained are then compared.
@@ -35,7 +35,7 @@ def merge_maps(maps: list[LocalMap], read: ReadFrame, seed: int) -> list[Merged]
     if len(maps) < 2:
         return [Merged(local_map, (number,)) for number, local_map in enumerate(maps)]
     rng = np.random.default_rng(seed)
-    left = [(number, Shown(m, find_places(m, read))) for number, m in enumerate(maps)]
+    left = [(number, Shown(m, find_places(m, find))) for number, m in enumerate(maps)]
     merged = []
     while left:
         first, base = left.pop(0)

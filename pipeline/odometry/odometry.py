@@ -46,6 +46,11 @@ class Odometry:
         """Maps so far, with the current one."""
         return len(self.maps) + (self.tracker is not None)
 
+    @property
+    def keyframe(self) -> int | None:
+        """Number of the frame that became the latest keyframe of the current map."""
+        return self.tracker.map.keyframes[-1].frame if self.tracker is not None else None
+
     def feed(self, frame: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> State:
         """rgb (H,W,3) uint8; mask (H,W), nonzero where features may lie; `frame` numbers ascend."""
         view = make_view(rgb, self.rays.masked(mask))

@@ -5,10 +5,13 @@ from numpy.typing import NDArray
 
 from pipeline.odometry.bundle import reprojections
 from pipeline.odometry.local_map import LOSS_PX, MAX_ERROR_PX, LocalMap
-from pipeline.odometry.poses import Array, compose, inverse
+from pipeline.odometry.poses import Array, compose, in_camera, inverse
 from pipeline.odometry.resection import refine_poses
 from pipeline.submap import Submap
 
+LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
+PIECE = 60  # keyframes that are adjusted at once while a long map is straightened
+HELD = 30  # older ones that hold them
 FINAL_ITERATIONS = 25
 FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
 SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
@@ -23,8 +26,33 @@ def polish(local_map: LocalMap, changed: bool = False) -> None:
     off, and must not be culled for that.
     """
     count = len(local_map.keyframes)
+    if changed and count > LONG:
+        _straighten(local_map)
     for loss_px, max_error_px in SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),):
         local_map.adjust(count, FINAL_ITERATIONS, count, loss_px, max_error_px, tolerance=FINAL_TOLERANCE)
+
+
+def _straighten(local_map: LocalMap) -> None:
+    """Adjust a long map from its beginning on, half a piece at a time; what lies ahead is carried along.
+
+    Where the scale drifts by half over a long film, the far end must come back by a factor and a turn. To an adjustment
+    of all at once, which goes in straight lines, that is too far: it ends in wrinkles, and culling then breaks the map.
+    """
+    for end in range(PIECE, len(local_map.keyframes), PIECE // 2):
+        last = local_map.keyframes[end - 1]
+        mine = last.ids[local_map.known[last.ids]]
+        old, before = last.pose, local_map.points[mine]
+        for loss_px, max_error_px in SETTLING:
+            local_map.adjust(PIECE, FINAL_ITERATIONS, end, loss_px, max_error_px, HELD, FINAL_TOLERANCE)
+        kept = local_map.known[mine]
+        after = local_map.points[mine[kept]]
+        local_map.carry(end, old, growth(in_camera(old, before[kept]), in_camera(last.pose, after)))
+
+
+def growth(before: Array, after: Array) -> float:
+    """By how much points in a camera's axes (N,3) moved away from it, in the median; NaN if there are none."""
+    depths = [np.maximum(local[:, 2], 1e-9) for local in (before, after)]
+    return float(np.exp(np.median(np.log(depths[1] / depths[0])))) if len(before) else float("nan")
 
 
 def to_submap(

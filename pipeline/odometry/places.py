@@ -18,8 +18,6 @@ from pipeline.loop_pairs import vlad
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.poses import Array, in_camera, inverse
 
-ReadFrame = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # frame -> rgb (H,W,3), mask (H,W)
-
 FEATURES = 1000
 CONTRAST = 0.002  # a twentieth of OpenCV's: pale mucosa has little more
 RATIO = 0.85  # best over second-best distance
@@ -37,6 +35,12 @@ class Features:
     pixels: Array
     descriptors: NDArray[np.uint8]
     sizes: Array
+
+    def at(self, chosen: NDArray[np.bool_]) -> "Features":
+        return Features(self.pixels[chosen], self.descriptors[chosen], self.sizes[chosen])
+
+
+FindFeatures = Callable[[int], Features]  # of a frame, by its number
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,12 @@ class Place:
         return rooted(self.descriptors)
 
 
-def find_places(local_map: LocalMap, read: ReadFrame) -> list[Place]:
-    """Evenly spaced places of a map; images are read again from where they are stored."""
+def find_places(local_map: LocalMap, find: FindFeatures) -> list[Place]:
+    """Evenly spaced places of a map."""
     step = -(-len(local_map.keyframes) // MAX_PLACES)
     places = []
     for number in range(0, len(local_map.keyframes), max(1, step)):
-        rgb, mask = read(local_map.keyframes[number].frame)
-        places.append(place_of(local_map, number, rgb, local_map.rays.masked(mask)))
+        places.append(place_of(local_map, number, find))
     return [place for place in places if len(place.points) >= MIN_POINTS]
 
 
@@ -110,10 +113,12 @@ def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float) -> Fe
     return Features(pixels, descriptors.astype(np.uint8), np.array([k.size for k in keypoints]))
 
 
-def place_of(local_map: LocalMap, number: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Place:
-    """SIFT features within the hull of the keyframe's map points; inverse depth is linear across a plane's image."""
+def place_of(local_map: LocalMap, number: int, find: FindFeatures) -> Place:
+    """SIFT features within the hull of the keyframe's map points, where the lens has rays."""
     keyframe = local_map.keyframes[number]
-    found = sift(rgb, mask, CONTRAST)
+    found = find(keyframe.frame)
+    x, y = np.floor(found.pixels).astype(int).T
+    found = found.at(local_map.rays.usable[y, x] > 0)
     known = local_map.known[keyframe.ids]
     nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0))
     if known.sum() < MIN_POINTS or len(found.pixels) == 0:

@@ -28,6 +28,13 @@ def inverse(pose: Array) -> Array:
     return result
 
 
+def scaled(pose: Array, factor: float) -> Array:
+    """The pose (4,4) in a world whose unit is smaller by `factor`."""
+    result = pose.copy()
+    result[:3, 3] *= factor
+    return result
+
+
 def compose(rotation: Array, translation: Array) -> Array:
     """(3,3) and (3,) -> 4x4, with the rotation brought back to the nearest true one."""
     u, _, vt = np.linalg.svd(rotation)

@@ -19,9 +19,9 @@ from scipy.sparse.csgraph import connected_components
 from pipeline.odometry.bundle import reprojections
 from pipeline.odometry.feature_tracks import Tracks, join_features
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.outcome import polish
-from pipeline.odometry.places import STILL_PX, Place, ReadFrame, match, place_of
-from pipeline.odometry.poses import Array, in_camera, inverse
+from pipeline.odometry.outcome import growth, polish
+from pipeline.odometry.places import STILL_PX, FindFeatures, Place, match, place_of
+from pipeline.odometry.poses import Array, in_camera, inverse, scaled
 
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
 # more on compressed ones, where fine texture moves with its blocks (docs/front_end.md).
@@ -40,7 +40,7 @@ THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they
 Rooted = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its features' descriptors, (N,128)
 
 
-def refit(local_map: LocalMap, read: ReadFrame) -> float | None:
+def refit(local_map: LocalMap, find: FindFeatures) -> float | None:
     """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
     None if they do not hold it.
 
@@ -48,7 +48,7 @@ def refit(local_map: LocalMap, read: ReadFrame) -> float | None:
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
-    matched = _matched(local_map, read)
+    matched = _matched(local_map, find)
     limit = max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width)
     for widest in (limit, np.inf):
         moving = _map_of(local_map, matched, False, widest)
@@ -67,11 +67,6 @@ def _adjusted(fitted: LocalMap) -> Array | None:
     before = fitted.points.copy()
     polish(fitted, changed=True)
     return before if _is_held(fitted, TYPICAL / 2) else None
-
-
-def _place(local_map: LocalMap, read: ReadFrame, number: int) -> Place:
-    rgb, mask = read(local_map.keyframes[number].frame)
-    return place_of(local_map, number, rgb, local_map.rays.masked(mask))
 
 
 def _near(local_map: LocalMap) -> list[tuple[int, int]]:
@@ -124,9 +119,9 @@ class Matched:
         return join_features([place.points for place in self.places], self.pairs, chosen)
 
 
-def _matched(local_map: LocalMap, read: ReadFrame) -> Matched:
+def _matched(local_map: LocalMap, find: FindFeatures) -> Matched:
     with ThreadPoolExecutor(THREADS) as threads:
-        places = list(threads.map(partial(_place, local_map, read), range(len(local_map.keyframes))))
+        places = list(threads.map(lambda number: place_of(local_map, number, find), range(len(local_map.keyframes))))
         pairs = _near(local_map)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
         rooted = lru_cache(ROOTED)(lambda number: places[number].rooted)
@@ -181,9 +176,7 @@ def _follow(local_map: LocalMap, fitted: LocalMap, before: Array) -> None:
     for number in range(len(old) - 1, -1, -1):  # a point follows the first keyframe that saw it
         keyframe, guide = local_map.keyframes[number], int(fixed[np.abs(fixed - number).argmin()])
         scale[number] = scale[guide]
-        relative = old[number] @ inverse(old[guide])
-        relative[:3, 3] *= scale[guide]
-        keyframe.pose = relative @ fitted.keyframes[guide].pose
+        keyframe.pose = scaled(old[number] @ inverse(old[guide]), scale[guide]) @ fitted.keyframes[guide].pose
         seen = keyframe.ids[local_map.known[keyframe.ids]]
         points[seen] = in_camera(inverse(keyframe.pose), scale[number] * in_camera(old[number], local_map.points[seen]))
     local_map.points = points
@@ -198,8 +191,7 @@ def _scales(local_map: LocalMap, fitted: LocalMap, before: Array) -> Array:
     for number, (keyframe, old) in enumerate(zip(fitted.keyframes, local_map.keyframes, strict=True)):
         ids = keyframe.ids[fitted.known[keyframe.ids]]
         if len(ids) >= MIN_SEEN:
-            depth = [in_camera(p.pose, x[ids])[:, 2] for p, x in ((keyframe, fitted.points), (old, before))]
-            scale[number] = np.exp(np.median(np.log(np.maximum(depth[0], 1e-9) / np.maximum(depth[1], 1e-9))))
+            scale[number] = growth(in_camera(old.pose, before[ids]), in_camera(keyframe.pose, fitted.points[ids]))
     return scale
 
 
