@@ -88,7 +88,9 @@ class PoseGraphSettings(Settings):
 
     enabled: bool = Field(True, description="close loops inside a submap, then adjust it to its images")
     join: bool = Field(True, description="make one of submaps that show the same places")
-    max_places: int = Field(60, ge=2, description="keyframes of a submap, evenly spaced, that are compared")
+    max_places: int = Field(
+        60, ge=2, description="keyframes of a submap, evenly spaced, that are compared; more in a long one"
+    )
     per_place: int = Field(3, ge=1, description="look-alikes tried for each")
 
 

@@ -6,6 +6,7 @@ from itertools import compress, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
 
 from pipeline.dense import DenseSubmap
 from pipeline.loops import Link, Place
@@ -121,20 +122,28 @@ def point_ties(part: DenseSubmap) -> list[Edge]:
     seen = [np.unique(maker.seen_by(int(row))) for row in part.rows]
     times = np.bincount(np.concatenate(seen), minlength=len(submap.points))
     ties = []
-    for one in range(len(seen)):
-        for other in range(one + 1, len(seen)):
-            shared = np.intersect1d(seen[one], seen[other], assume_unique=True)
-            if len(shared) < MIN_TIE and other > one + 1:
-                continue
-            rows = int(part.rows[one]), int(part.rows[other])
-            points = submap.points_in_camera(rows[1], submap.points[shared])
-            distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
-            less = SLACK * np.sqrt(times[shared] / 2) * distance
-            across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
-            information = tie_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
-            relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
-            ties.append(Edge(one, other, relation, information))
+    for one, other in _tied(seen, len(submap.points)):
+        shared = np.intersect1d(seen[one], seen[other], assume_unique=True)
+        rows = int(part.rows[one]), int(part.rows[other])
+        points = submap.points_in_camera(rows[1], submap.points[shared])
+        distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+        less = SLACK * np.sqrt(times[shared] / 2) * distance
+        across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
+        information = tie_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
+        relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
+        ties.append(Edge(one, other, relation, information))
     return ties
+
+
+def _tied(seen: list[NDArray[np.int64]], points: int) -> list[tuple[int, int]]:
+    """Pairs of keyframes that share `MIN_TIE` points, and all that follow each other; `seen`: the points of each."""
+    starts = np.concatenate([[0], np.cumsum([len(s) for s in seen])])
+    table = csr_array((np.ones(starts[-1], np.int64), np.concatenate(seen), starts), shape=(len(seen), points))
+    shared = coo_array(table @ table.T)
+    one, other = shared.coords
+    enough = (shared.data >= MIN_TIE) & (one < other)
+    pairs = set(zip(one[enough].tolist(), other[enough].tolist(), strict=True))
+    return sorted(pairs | set(pairwise(range(len(seen)))))
 
 
 def moved(part: DenseSubmap, rows: NDArray[np.int64], world_from_node: Array) -> DenseSubmap:

@@ -30,7 +30,6 @@ MIN_SEEN = 20  # features of a keyframe in the bundle; another keyframe follows 
 TYPICAL = 150  # features of the median keyframe; pale films have about 100 and gain nothing, others over 300
 MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle together
 MAX_GAP = 5  # keyframes in a row that may follow
-MAX_KEYFRAMES = 600  # the normal equations are one full matrix
 
 Array = NDArray[np.float64]
 
@@ -38,8 +37,6 @@ Array = NDArray[np.float64]
 def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
     """The submap `part`, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or
     if the adjusted map fulfils its loops no better than before."""
-    if len(part) > MAX_KEYFRAMES:
-        return None
     every = every_place(part, places, frames)
     number = np.searchsorted(part.rows, [place.row for place in places])
     links = [replace(k, first=int(number[k.first]), second=int(number[k.second])) for k in closed.links]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from pipeline.config import PoseGraphSettings
 from pipeline.dense import DenseSubmap
@@ -21,6 +22,7 @@ from reconstruction.consistency import DepthView, agreement
 from reconstruction.pose_graph import scale_of, tie_information, with_common_error
 
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
+MAX_STEP = 8  # keyframes between places; farther apart, two loops do not support each other (keyframe_graph.REACH)
 MIN_GAP = 5  # keyframes between two that may be a loop
 CONTRAST = 0.008  # of a feature; a fifth of OpenCV's
 MIN_INLIER_SHARE = 0.4  # of the matches
@@ -57,7 +59,7 @@ class Link:
 def find_places(part: DenseSubmap, frames: Frames, settings: PoseGraphSettings) -> list[Place]:
     """Evenly spaced keyframes of a submap, with their features."""
     maker = SparseDepthMaker(part.submap, part.camera, part.workspace.config.sparse)
-    step = max(1, -(-len(part) // settings.max_places))
+    step = max(1, min(-(-len(part) // settings.max_places), MAX_STEP))
     return [_place(part, maker, int(row), frames) for row in part.rows[::step]]
 
 
@@ -172,13 +174,14 @@ def _on_plane(part: DenseSubmap, pixels: NDArray[np.float64]) -> NDArray[np.floa
 
 def _shared(part: DenseSubmap, places: list[Place]) -> NDArray[np.int64]:
     """(P,P) number of sparse points that two places both observed."""
-    seen = np.zeros((len(places), len(part.submap.points)), np.float32)
     number = np.full(len(part.submap.frames), -1)
     number[[place.row for place in places]] = np.arange(len(places))
     frame, point = part.submap.observations.T
     mine = number[frame] >= 0
-    seen[number[frame[mine]], point[mine]] = 1
-    return np.rint(seen @ seen.T).astype(np.int64)
+    pairs = np.unique(np.column_stack([number[frame[mine]], point[mine]]), axis=0)
+    shape = (len(places), len(part.submap.points))
+    seen = csr_array((np.ones(len(pairs), np.int64), tuple(pairs.T)), shape=shape)
+    return (seen @ seen.T).toarray()
 
 
 def _likeness(first: list[Place], second: list[Place], seed: int) -> NDArray[np.float32]:

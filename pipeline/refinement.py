@@ -25,7 +25,7 @@ from pipeline.workspace import Workspace, damage_named
 from reconstruction.errors import ReconstructionError
 
 FAILURES = (ReconstructionError, np.linalg.LinAlgError, QhullError, ValueError)
-UNHELD = "too few features hold its keyframes together, or there are too many keyframes to adjust at once"
+UNHELD = "too few features hold its keyframes together"
 
 
 @dataclass
