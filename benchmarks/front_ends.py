@@ -10,7 +10,7 @@ submap for itself: ATE RMSE over all posed frames, the largest submap's ATE, and
 as wrong where a submap's median rotation error exceeds 5 degrees. Speed is the structure stage alone (images read from
 disk, tracking, adjustment, joining, evidence): frames per second of wall time and processor milliseconds per frame; the
 latter is the fairer one on a machine that does other work. `--guess 100` hides the camera: a guess of so many degrees
-across the image takes its place, and the error of the focal length found is printed.
+across the image takes its place, and the error of the focal length found is printed. `--chunks 4` cuts each film.
 """
 
 import argparse
@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 
 from pipeline.camera import guess_camera
-from pipeline.config import Config, FrameSettings
+from pipeline.config import Config, FrameSettings, OdometrySettings
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_frames
 from pipeline.progress import SilentProgress
@@ -133,6 +133,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", type=int, help="the first so many frames only")
     parser.add_argument("--guess", type=float, metavar="DEG", help="hide the camera behind a guessed field of view")
+    parser.add_argument("--chunks", type=int, default=1, help="that odometry tracks at once")
     parser.add_argument("--threads", type=int, default=1, help="of OpenCV")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -145,13 +146,15 @@ def main() -> None:
         for front_end in arguments.front_ends:
             runs = []
             for seed in range(arguments.seeds):
-                config = Config(front_end=front_end, seed=seed, frames=FrameSettings(end_s=end))
+                frames, odometry = FrameSettings(end_s=end), OdometrySettings(chunks=arguments.chunks)
+                config = Config(front_end=front_end, seed=seed, frames=frames, odometry=odometry)
                 runs.append({"seed": seed} | run(folder, config, truth, arguments.guess))
             figures.setdefault(folder.name, {})[front_end] = summary(runs)
             print_row(folder.name, front_end, figures[folder.name][front_end])
     write(
         arguments.json,
-        {"seeds": arguments.seeds, "frames": arguments.frames, "guess_deg": arguments.guess, "figures": figures},
+        {"seeds": arguments.seeds, "frames": arguments.frames, "guess_deg": arguments.guess}
+        | {"chunks": arguments.chunks, "figures": figures},
     )
 
 

@@ -7,12 +7,11 @@ video's reconstruction and is one row of the table.
 import hashlib
 import os
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -23,11 +22,10 @@ import yaml
 from pipeline.batch_table import KEPT, Outcome, finished_outcome, write_table
 from pipeline.config import Config
 from pipeline.errors import HaustraError
-from pipeline.isolation import tied_command, tied_environment
+from pipeline.isolation import Children, tied_command
 from pipeline.progress import Progress
 from pipeline.workspace import Workspace, is_same_run, open_workspace
 
-PATIENCE_S = 20.0  # for a stopped reconstruction to end by itself
 MODULE = "pipeline"  # that reconstructs one video
 DIGITS = 6  # of a path's digest in the name of a folder
 LONGEST = 200  # bytes of a folder's name; file systems take 255, and its log and digest need some
@@ -173,7 +171,7 @@ def kept_outcome(job: Job, config: Config) -> Outcome | None:
     return outcome if outcome.status == KEPT else None
 
 
-def run_job(job: Job, words: list[str], children: "Children | None" = None) -> Outcome:
+def run_job(job: Job, words: list[str], children: Children | None = None) -> Outcome:
     """Reconstruct one video in a process of its own; goes on where an earlier one stopped. Whatever fails is a row."""
     begin = time.monotonic()
     try:
@@ -183,7 +181,7 @@ def run_job(job: Job, words: list[str], children: "Children | None" = None) -> O
         return Outcome(str(job.video), str(job.folder), "failed", (time.monotonic() - begin) / 60, message=reason)
 
 
-def _run_job(job: Job, words: list[str], children: "Children", begin: float) -> Outcome:
+def _run_job(job: Job, words: list[str], children: Children, begin: float) -> Outcome:
     how = ["--overwrite"] if job.overwrite else ["--resume"] if has_run(job) else []
     with job.log.open("w") as log:
         code = children.run(
@@ -206,53 +204,6 @@ def _last_words(code: int, log: Path) -> str:
         hint = "; out of memory?" if -code == signal.SIGKILL else ""
         return f"its process was ended by {signal.Signals(-code).name}{hint}"
     return lines[-1] if lines else f"exit code {code}, and not a word in {log.name}"
-
-
-class Children:
-    """The processes that run now, so that all of them can be stopped."""
-
-    def __init__(self) -> None:
-        self.stopping = False
-        self._lock, self._alive = threading.Lock(), set[subprocess.Popen[bytes]]()
-
-    def run(self, command: list[str], log: int) -> int:
-        """Start, wait, exit code. In a session of its own, so that Ctrl-C reaches it through `stop` alone; a
-        `tied_command` also dies with this process."""
-        with self._lock:
-            if self.stopping:
-                return -signal.SIGINT
-            child = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env=tied_environment(),
-                start_new_session=True,
-            )
-            self._alive.add(child)
-        try:
-            return child.wait()
-        except BaseException:  # Ctrl-C where the wait is in the main thread
-            self.stop()
-            raise
-        finally:
-            with self._lock:
-                self._alive.discard(child)
-
-    def stop(self) -> None:
-        """As Ctrl-C would: a reconstruction then ends its own workers and keeps what is done."""
-        with self._lock:
-            self.stopping, alive = True, list(self._alive)
-        for child in alive:
-            child.send_signal(signal.SIGINT)
-        end = time.monotonic() + PATIENCE_S
-        try:
-            for child in alive:
-                with suppress(subprocess.TimeoutExpired):
-                    child.wait(max(0.1, end - time.monotonic()))
-        finally:  # at once if the user loses patience
-            for child in alive:
-                child.kill()
 
 
 def process_pool(workers: int) -> Pool:

@@ -1,45 +1,31 @@
-"""The same batch on a Ray cluster: needs the extra `[cluster]`, haustra on every node, and a shared file system."""
+"""The same batch on a Ray cluster."""
 
 from collections.abc import Iterator
 
 from pipeline.batch import Job, Pool, run_job
 from pipeline.batch_table import Outcome
-from pipeline.errors import HaustraError
+from pipeline.ray_cluster import connected, import_ray, stop
 
-LOCAL = "local"  # a cluster of this machine alone, started for this call
 CPUS = 2  # that a reconstruction is counted as
 
 
 def ray_pool(address: str, workers: int) -> Pool:
     """One task a video on the cluster at `address`; `workers` is the number of CPUs that a local one may count on."""
-    try:
-        import ray
-    except ImportError as error:
-        raise HaustraError("--ray needs Ray: pip install 'haustra[cluster]'") from error
+    import_ray()  # says at once if it is missing
 
     def pool(jobs: list[Job], words: list[str]) -> Iterator[Outcome]:
-        if address == LOCAL:
-            ray.init(num_cpus=CPUS * workers, include_dashboard=False, log_to_driver=False, configure_logging=False)
-        else:
+        with connected(address, CPUS * workers) as ray:
+            # max_retries: a reconstruction that took its node down would do so again.
+            task = ray.remote(num_cpus=CPUS, max_retries=0)(run_job)
+            job_of = {task.remote(job, words): job for job in jobs}
+            waiting = list(job_of)
             try:
-                ray.init(address=address, log_to_driver=False)
-            except (ConnectionError, ValueError, RuntimeError) as error:
-                raise HaustraError(f"there is no Ray cluster at {address}: {error}") from error
-        # max_retries: a reconstruction that took its node down would do so again.
-        task = ray.remote(num_cpus=CPUS, max_retries=0)(run_job)
-        job_of = {task.remote(job, words): job for job in jobs}
-        waiting = list(job_of)
-        try:
-            while waiting:
-                ready, waiting = ray.wait(waiting)
-                for reference in ready:
-                    yield _outcome(ray, reference, job_of[reference])
-        finally:
-            for reference in waiting:
-                ray.cancel(reference)  # an interrupt there: the reconstruction stops and keeps what is done
-            if waiting:
-                ray.wait(waiting, num_returns=len(waiting), timeout=30)
-            ray.shutdown()
+                while waiting:
+                    ready, waiting = ray.wait(waiting)
+                    for reference in ready:
+                        yield _outcome(ray, reference, job_of[reference])
+            finally:
+                stop(ray, waiting)  # the reconstructions under way keep what is done
 
     return pool
 

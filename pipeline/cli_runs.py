@@ -39,6 +39,10 @@ def reconstruct(
     end: End = None,
     stride: Stride = None,
     config: ConfigFile = None,
+    chunks: Annotated[int | None, typer.Option(min=1, help="track the video in so many parts at once")] = None,
+    ray: Annotated[
+        str | None, typer.Option(help="Ray cluster that tracks the chunks, or local; needs [cluster]")
+    ] = None,
     seed: Seed = None,
     device: Device = None,
     rerun: Annotated[bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs [rerun]")] = False,
@@ -65,6 +69,7 @@ def reconstruct(
         lumen_mm=lumen_mm,
         scale_file=scale,
         frames={"start_s": start, "end_s": end, "stride": stride},
+        odometry={"chunks": chunks, "ray": ray},
         seed=seed,
         device=device,
     )

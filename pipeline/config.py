@@ -52,6 +52,13 @@ class StructureSettings(Settings):
     )
 
 
+class OdometrySettings(Settings):
+    """How the video is tracked."""
+
+    chunks: int = Field(1, ge=1, description="overlapping parts that are tracked at once, each in its own process")
+    ray: str | None = Field(None, description="address of a Ray cluster that tracks the chunks, or local")
+
+
 class SparseSettings(Settings):
     """From COLMAP's points to each frame's sparse depth."""
 
@@ -117,6 +124,7 @@ class Config(Settings):
     scale_file: str | None = None
     frames: FrameSettings = FrameSettings()
     structure: StructureSettings = StructureSettings()
+    odometry: OdometrySettings = OdometrySettings()
     sparse: SparseSettings = SparseSettings()
     depth: DepthSettings = DepthSettings()
     pose_graph: PoseGraphSettings = PoseGraphSettings()

@@ -7,12 +7,16 @@ import runpy
 import signal
 import subprocess
 import sys
+import threading
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import HaustraError
 from pipeline.progress import Progress
 
+PATIENCE_S = 20.0  # for a stopped process to end by itself
 SIGNAL_AT_PARENTS_DEATH = 1  # Linux, prctl(2): PR_SET_PDEATHSIG
 
 
@@ -57,6 +61,53 @@ def tied_command(module: str, *words: str) -> list[str]:
 def tied_environment() -> dict[str, str]:
     """Of a child of this process."""
     return os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
+
+
+class Children:
+    """The processes that run now, so that all of them can be stopped."""
+
+    def __init__(self) -> None:
+        self.stopping = False
+        self._lock, self._alive = threading.Lock(), set[subprocess.Popen[bytes]]()
+
+    def run(self, command: list[str], log: int) -> int:
+        """Start, wait, exit code. In a session of its own, so that Ctrl-C reaches it through `stop` alone; a
+        `tied_command` also dies with this process."""
+        with self._lock:
+            if self.stopping:
+                return -signal.SIGINT
+            child = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=tied_environment(),
+                start_new_session=True,
+            )
+            self._alive.add(child)
+        try:
+            return child.wait()
+        except BaseException:  # Ctrl-C where the wait is in the main thread
+            self.stop()
+            raise
+        finally:
+            with self._lock:
+                self._alive.discard(child)
+
+    def stop(self) -> None:
+        """As Ctrl-C would: they then end their own workers and keep what is done."""
+        with self._lock:
+            self.stopping, alive = True, list(self._alive)
+        for child in alive:
+            child.send_signal(signal.SIGINT)
+        end = time.monotonic() + PATIENCE_S
+        try:
+            for child in alive:
+                with suppress(subprocess.TimeoutExpired):
+                    child.wait(max(0.1, end - time.monotonic()))
+        finally:  # at once if the user loses patience
+            for child in alive:
+                child.kill()
 
 
 def _main() -> None:

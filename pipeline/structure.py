@@ -18,6 +18,7 @@ from pipeline.errors import HaustraError
 from pipeline.evidence import Evidence, judge_submap
 from pipeline.frames import Frames, read_image
 from pipeline.isolation import run_isolated
+from pipeline.odometry.chunks import scratch
 from pipeline.odometry.colmap_text import write_model
 from pipeline.odometry.front_end import track_frames
 from pipeline.odometry.self_calibration import MAX_FOCAL_SIGMA
@@ -44,6 +45,7 @@ def solve_structure(frames: Frames, config: Config, workspace: Workspace, progre
     _keep(models, workspace)
     evidence = {method: [e.to_dict() for _, e, _ in found] for method, found in mapped.items()}
     _record(models, chosen, evidence, frames, config, workspace, progress)
+    shutil.rmtree(scratch(workspace), ignore_errors=True)
     return load_structure(workspace)
 
 
@@ -87,9 +89,12 @@ def _why_no_model(mapped: dict[str, list[Judged]], count: int, workspace: Worksp
 
 def _map_by_odometry(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Judged]:
     """Submaps by streaming odometry, judged and written as COLMAP's are."""
-    tracked = track_frames(frames, config.frames.stride, config.seed, workspace, progress)
+    tracked = track_frames(frames, config, workspace, progress)
     joined = f"; {tracked.joins} of {tracked.maps} submaps joined to another" if tracked.maps > 1 else ""
     progress.say(f"odometry at {tracked.frames_per_second:.1f} frames a second{joined}")
+    if tracked.seams is not None:
+        chunks, closed = tracked.seams.chunks, tracked.seams.closed
+        progress.say(f"tracked in {chunks} chunks; {closed} of {chunks - 1} seams closed by the frames in common")
     output = workspace.log / "odometry"
     shutil.rmtree(output, ignore_errors=True)
     images, judged = _image_reader(workspace), []

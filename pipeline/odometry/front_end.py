@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from pipeline.camera import Camera
+from pipeline.config import Config
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
+from pipeline.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, track_chunks
 from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.merging import merge_maps
@@ -34,31 +36,45 @@ FAR, SETTLED = 0.01, 0.001  # of the width, by which a better lens shifts pixels
 @dataclass(frozen=True)
 class Tracked:
     """submaps: most frames first. frames_per_second: wall time of tracking and local mapping, images read from disk.
-    maps: how many were begun and kept; joins: how many of them were merged into another."""
+    maps: how many were begun and kept; joins: how many of them were merged into another. seams: of a film that was
+    tracked in chunks."""
 
     submaps: list[Submap]
     frames_per_second: float
     maps: int
     joins: int
+    seams: Seams | None = None
 
 
-def track_frames(frames: Frames, stride: int, seed: int, workspace: Workspace, progress: Progress) -> Tracked:
-    """Pose the stored working frames one after the other, then polish each map; a guessed lens is refined with them."""
+def track_frames(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> Tracked:
+    """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
     # Most matrices are small: with a second thread of BLAS a film took twice the processor time, and longer.
     with threadpool_limits(1, "blas"), KeyframeFeatures(frame_reader(workspace)) as features:
-        return _track(frames, stride, seed, frame_reader(workspace), features, workspace, progress)
+        started = time.perf_counter()
+        maps, seams = _tracked(frames, config, features, workspace, progress)
+        rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
+        held = refit_maps(maps, features, progress)
+        for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+            polish(local_map)
+        camera = frames.camera
+        sigma: tuple[float, ...] = ()
+        if maps and not camera.trusted:
+            camera, sigma, held = _better_lens(maps, held, camera, config.seed, features, workspace, progress)
+        merged, joins = join_maps(maps, held, features, config.seed, progress)
+        return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins, seams)
 
 
-def _track(
-    frames: Frames,
-    stride: int,
-    seed: int,
-    read: ReadFrame,
-    features: KeyframeFeatures,
-    workspace: Workspace,
-    progress: Progress,
-) -> Tracked:
-    odometry = Odometry(RayTable(frames.camera), seed, stride)
+def _tracked(
+    frames: Frames, config: Config, features: KeyframeFeatures, workspace: Workspace, progress: Progress
+) -> tuple[list[LocalMap], Seams | None]:
+    """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
+    rays, stride = RayTable(frames.camera), config.frames.stride
+    pieces = cut(len(frames.index), config.odometry.chunks)
+    if len(pieces) > 1:
+        run = local_run(processors()) if config.odometry.ray is None else ray_run(config.odometry.ray)
+        jobs = jobs_of(frames.index, frames.camera, pieces, stride, config.seed, workspace)
+        return track_chunks(jobs, rays, run, progress)
+    odometry, read = Odometry(rays, config.seed, stride), frame_reader(workspace)
     started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:
         for done, index in enumerate(frames.index.tolist(), start=1):
@@ -67,17 +83,7 @@ def _track(
                 features.begin(index)
             pace = done / max(time.perf_counter() - started, 1e-9)
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
-    rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
-    maps = odometry.finish()
-    held = refit_maps(maps, features, progress)
-    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-        polish(local_map)
-    camera = frames.camera
-    sigma: tuple[float, ...] = ()
-    if maps and not camera.trusted:
-        camera, sigma, held = _better_lens(maps, held, camera, seed, features, workspace, progress)
-    merged, joins = join_maps(maps, held, features, seed, progress)
-    return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins)
+    return odometry.finish(), None
 
 
 def join_maps(

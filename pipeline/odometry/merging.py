@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from pipeline.odometry.links import AROUND, Link, Shown, find_links, joint_similarity, strongest, sure_links
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.places import FindFeatures, Place, find_places, match
-from pipeline.odometry.poses import Array, in_camera
+from pipeline.odometry.poses import in_camera
 from pipeline.odometry.resection import reprojection_errors
+from pipeline.odometry.seam import in_frame
 from pipeline.odometry.similarity import moved_points, scale_of
 
 MAX_TIE_PX = 12.0  # of a matched point from where it should be in a neighbouring place
@@ -72,7 +73,7 @@ def absorb(shown: Shown, others: Shown, links: list[Link]) -> list[Place]:
     base.points[fresh] = moved_points(base_from_other, other.points)
     base.known[fresh], base.barred[fresh], base.followed[fresh] = other.known, other.barred, other.followed
     for keyframe in other.keyframes:
-        keyframe.pose, keyframe.ids = _in_frame(keyframe.pose, base_from_other, scale), keyframe.ids + first_track
+        keyframe.pose, keyframe.ids = in_frame(keyframe.pose, base_from_other, scale), keyframe.ids + first_track
         base.keyframes.append(keyframe)
     for posed in other.posed:
         ids = (posed.ids + first_track).astype(np.int32)
@@ -83,14 +84,6 @@ def absorb(shown: Shown, others: Shown, links: list[Link]) -> list[Place]:
         replace(p, keyframe=p.keyframe + first_keyframe, points=moved_points(base_from_other, p.points))
         for p in others.places
     ]
-
-
-def _in_frame(pose: Array, base_from_other: Array, scale: float) -> Array:
-    """A camera_from_world of the other map as one of the base's world and scale."""
-    moved = np.eye(4)
-    moved[:3, :3] = pose[:3, :3] @ (base_from_other[:3, :3] / scale).T
-    moved[:3, 3] = scale * pose[:3, 3] - moved[:3, :3] @ base_from_other[:3, 3]
-    return moved
 
 
 def _tie(base: LocalMap, link: Link, places: tuple[list[Place], list[Place]], offsets: tuple[int, int]) -> None:

@@ -1,0 +1,45 @@
+"""One chunk of a film, tracked in a process of its own: `python -m pipeline.odometry.chunk_worker track job.json`."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+from pipeline.camera import Camera
+from pipeline.odometry.front_end import frame_reader
+from pipeline.odometry.map_file import save_maps
+from pipeline.odometry.odometry import Odometry
+from pipeline.odometry.rays import RayTable
+from pipeline.workspace import Workspace, write_json
+
+STEP = 10  # frames between two words on how far it is
+
+
+def track(job: dict[str, Any]) -> int:
+    """Track the frames of `job` (see `chunks.jobs_of`), leave the maps at its output; how many frames it had."""
+    cv2.setNumThreads(1)
+    camera = Camera(**(job["camera"] | {"params": tuple(job["camera"]["params"])}))
+    read = frame_reader(Workspace(Path(job["run"])))
+    odometry = Odometry(RayTable(camera), job["seed"], job["stride"])
+    with threadpool_limits(1, "blas"):
+        for done, frame in enumerate(job["frames"], start=1):
+            odometry.feed(frame, *read(frame))
+            if done % STEP == 0 or done == len(job["frames"]):
+                print(done, len(job["frames"]), flush=True)
+        output = Path(job["output"])
+        save_maps(odometry.finish(), output)
+    write_json(output.with_suffix(".json"), job)  # last: it says that the maps are whole
+    return len(job["frames"])
+
+
+def main() -> None:
+    action, job_file = sys.argv[1:]
+    job = json.loads(Path(job_file).read_text())
+    {"track": track}[action](job)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Two maps of one film that posed the same frames become one: what a chunk and the next have in common.
+
+No likeness is involved: a frame that both posed is the same picture. Each such frame says where one world lies in the
+other, its scale by the depths of both maps along the same rays, so that a camera at rest does as well as a moving one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.places import MIN_POINTS, inverse_depth_at
+from pipeline.odometry.poses import Array, in_camera, inverse
+from pipeline.odometry.similarity import moved_points
+
+MIN_SHARED = 10  # frames
+MAX_SPREAD = 0.05  # of the scale from frame to frame
+MAX_TURN = np.radians(2.0)  # of a shared frame between the two maps, in the median;
+MAX_SHIFT = 0.05  # and its distance, median depths
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A frame in a map: camera_from_world (4,4), tracks (N,), pixels (N,2), and whether it is a keyframe there."""
+
+    pose: Array
+    ids: NDArray[np.int64]
+    pixels: Array
+    key: bool
+
+
+def sightings(local_map: LocalMap) -> dict[int, Sighting]:
+    """All frames of a map by their number."""
+    found = {
+        p.frame: Sighting(local_map.pose_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False)
+        for p in local_map.posed
+    }
+    return found | {k.frame: Sighting(k.pose, k.ids, k.pixels, True) for k in local_map.keyframes}
+
+
+def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
+    """Similarity (4,4) of the two worlds by the frames that both posed; None if these are few or do not agree."""
+    here, there = sightings(first), sightings(second)
+    shared = sorted(here.keys() & there.keys())
+    measured = [_scale(first, here[f], second, there[f]) for f in shared]
+    pairs = [(here[f].pose, there[f].pose) for f, s in zip(shared, measured, strict=True) if s is not None]
+    logs = np.log([s for s in measured if s is not None])
+    if len(pairs) < MIN_SHARED:
+        return None
+    scale = float(np.exp(np.median(logs)))
+    turns = Rotation.from_matrix([one[:3, :3].T @ other[:3, :3] for one, other in pairs])
+    turn = turns.mean()
+    centres = [np.stack([inverse(pose)[:3, 3] for pose in poses]) for poses in zip(*pairs, strict=True)]
+    shifts = centres[0] - scale * turn.apply(centres[1])
+    shift = np.median(shifts, axis=0)
+    off = np.median(np.linalg.norm(shifts - shift, axis=1)) / first.median_depth(first.keyframes[-1])
+    spread = 1.4826 * np.median(np.abs(logs - np.median(logs)))
+    if spread > MAX_SPREAD or off > MAX_SHIFT or np.median((turn.inv() * turns).magnitude()) > MAX_TURN:
+        return None
+    similarity = np.eye(4)
+    similarity[:3, :3], similarity[:3, 3] = scale * turn.as_matrix(), shift
+    return similarity
+
+
+def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -> float | None:
+    """Depth in the first map over depth in the second, along the rays of the second's points in a shared frame."""
+    seen = []
+    for local_map, sighting in ((first, here), (second, there)):
+        known = local_map.known[sighting.ids]
+        depth = in_camera(sighting.pose, local_map.points[sighting.ids[known]])[:, 2]
+        seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
+    if min(len(depth) for _, depth in seen) < MIN_POINTS:
+        return None
+    ratio = 1 / (inverse_depth_at(seen[1][0], *seen[0]) * seen[1][1])
+    good = np.isfinite(ratio) & (ratio > 0)
+    return float(np.median(ratio[good])) if good.sum() >= MIN_POINTS else None
+
+
+def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
+    """One map in the first one's world, frames in order. What either saw in a frame is seen in it; up to the middle of
+    the shared frames poses are the first one's, from there on the second's. Neither map may have features."""
+    here, there = sightings(first), sightings(second)
+    middle = np.median(sorted(here.keys() & there.keys()))
+    scale = float(np.cbrt(np.linalg.det(first_from_second[:3, :3])))
+    offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
+    result = LocalMap(first.rays)
+    result.reserve(offset + len(second.known))
+    for name in ("points", "known", "barred", "followed"):
+        getattr(result, name)[:offset] = getattr(first, name)[:offset]
+        getattr(result, name)[offset : offset + len(second.known)] = getattr(second, name)
+    after = slice(offset, offset + len(second.known))
+    result.points[after] = moved_points(first_from_second, second.points)
+    for frame in sorted(here.keys() | there.keys()):
+        mine, theirs = here.get(frame), there.get(frame)
+        parts = [(s.ids + o, s.pixels) for s, o in ((mine, 0), (theirs, offset)) if s is not None]
+        ids, pixels = (np.concatenate(of) for of in zip(*parts, strict=True))
+        if mine is not None and (theirs is None or frame < middle):
+            pose = mine.pose
+        else:
+            assert theirs is not None
+            pose = in_frame(theirs.pose, first_from_second, scale)
+        if not result.keyframes or any(s is not None and s.key for s in (mine, theirs)):
+            result.add_keyframe(frame, pose, ids, pixels)
+        else:
+            result.add_posed(frame, pose, ids, pixels)
+    return result
+
+
+def in_frame(pose: Array, first_from_second: Array, scale: float) -> Array:
+    """A camera_from_world of the second map as one of the first's world and scale."""
+    moved = np.eye(4)
+    moved[:3, :3] = pose[:3, :3] @ (first_from_second[:3, :3] / scale).T
+    moved[:3, 3] = scale * pose[:3, 3] - moved[:3, :3] @ first_from_second[:3, 3]
+    return moved

@@ -1,0 +1,154 @@
+"""A film tracked in overlapping chunks: cut, kept on disk, sewn where both sides posed the same frames."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import test_odometry
+from hypothesis import given
+from hypothesis import strategies as st
+from test_odometry import CAMERA, camera_at, polished, render, run, stored, wall_texture
+
+from pipeline.config import Config, OdometrySettings
+from pipeline.errors import HaustraError
+from pipeline.odometry import chunks
+from pipeline.odometry.chunks import cut, jobs_of, local_run, scratch, sew, track_chunks
+from pipeline.odometry.front_end import track_frames
+from pipeline.odometry.map_file import load_maps, save_maps
+from pipeline.odometry.outcome import to_submap
+from pipeline.odometry.rays import RayTable
+from pipeline.odometry.seam import first_from_second
+from pipeline.odometry.similarity import moved_points
+from pipeline.progress import SilentProgress
+from reconstruction.trajectory import trajectory_errors
+
+COUNT = 44
+TRUE = np.stack([camera_at(k) for k in range(COUNT)])
+IMAGES = [render(pose) for pose in TRUE]
+RAYS = RayTable(CAMERA)
+
+
+def tracked(first, last, images=IMAGES):
+    """The map of a stretch, with the film's frame numbers."""
+    (local_map,), _ = run(images[first:last])
+    for keyframe in local_map.keyframes:
+        keyframe.frame += first
+    local_map.posed = [type(p)(p.frame + first, p.keyframe, p.from_keyframe, p.ids, p.pixels) for p in local_map.posed]
+    return local_map
+
+
+def elsewhere(local_map, scale):
+    """The same map in another world: turned, shifted, in another unit."""
+    world_from_old = np.eye(4)
+    world_from_old[:3, :3] = scale * test_odometry.camera_at(7)[:3, :3]
+    world_from_old[:3, 3] = [5, -3, 40]
+    rotation = world_from_old[:3, :3] / scale
+    for keyframe in local_map.keyframes:
+        pose = keyframe.pose.copy()
+        pose[:3, :3] = pose[:3, :3] @ rotation.T
+        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ world_from_old[:3, 3]
+        keyframe.pose = pose
+    local_map.points = moved_points(world_from_old, local_map.points)
+    local_map.posed = [posed.scaled(scale) for posed in local_map.posed]
+    return local_map
+
+
+@given(st.integers(3, 20_000), st.integers(1, 40))
+def test_chunks_cover_the_film_and_overlap(count, wanted):
+    pieces = cut(count, wanted)
+    assert 1 <= len(pieces) <= wanted
+    assert sorted(set().union(*pieces)) == list(range(count))
+    for one, other in pairwise(pieces):
+        assert one.stop - other.start == chunks.OVERLAP
+    if len(pieces) > 1:
+        assert min(map(len, pieces)) >= 3 * chunks.OVERLAP - 1
+        assert max(map(len, pieces)) - min(map(len, pieces)) <= 1
+
+
+def test_what_is_kept_is_what_comes_back(tmp_path):
+    local_map = tracked(0, 26)
+    save_maps([local_map, elsewhere(tracked(10, 30), 2.0)], tmp_path / "maps.npz")
+    back, _ = load_maps(tmp_path / "maps.npz", RAYS)
+    expected, found = (to_submap(m, CAMERA.params) for m in (local_map, back))
+    for name in ("frames", "world_from_camera", "points", "observations", "pixels", "error_px"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert not list(tmp_path.glob("*.part*"))
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 3.0])
+def test_maps_of_overlapping_stretches_become_one(scale):
+    first, second = tracked(0, 28), elsewhere(tracked(14, COUNT), scale)
+    (whole,), seams = sew([[first], [second]])
+    assert (seams.chunks, seams.closed) == (2, 1)
+    submap = to_submap(polished([whole])[0], CAMERA.params)
+    assert submap.frames.tolist() == list(range(COUNT))
+    assert trajectory_errors(submap.world_from_camera, TRUE).ate_rmse < 0.15
+    across = submap.observations[submap.observations[:, 0] >= 28, 1]
+    assert np.isin(across, submap.observations[submap.observations[:, 0] < 14, 1]).sum() == 0
+    middle = [k for k in whole.keyframes if 14 <= k.frame < 28]
+    assert middle
+    for keyframe in middle:  # what either chunk saw, so that the seam is held by both
+        own = keyframe.ids < first.tracks_in_use()
+        assert min(own.sum(), (~own).sum()) > 20
+
+
+def test_stretches_that_share_too_little_stay_apart():
+    first, second = tracked(0, 24), tracked(19, COUNT)
+    assert first_from_second(first, second) is None
+    kept, seams = sew([[first], [second]])
+    assert kept == [first, second]
+    assert seams.closed == 0
+    assert sew([[], [first], []]) == ([first], chunks.Seams(3, 0))
+
+
+def test_maps_that_do_not_agree_stay_apart(monkeypatch):
+    """The same frame numbers, but another wall and another way through it; then a scale that changes on the way."""
+    first = tracked(0, 28)
+    monkeypatch.setattr(test_odometry, "TEXTURE", wall_texture(seed=9))
+    others = [render(camera_at(1.7 * k + 30)) for k in range(COUNT)]
+    assert first_from_second(first, tracked(14, COUNT, others)) is None
+    monkeypatch.undo()
+    bent = tracked(14, COUNT)
+    for posed in bent.keyframes:
+        posed.pose[:3, 3] *= 1 + 0.05 * (posed.frame - 14)
+    assert first_from_second(first, bent) is None
+
+
+def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "OVERLAP", 12)
+    true = np.stack([camera_at(k) for k in range(72)])
+    images = IMAGES + [render(pose) for pose in true[COUNT:]]
+    workspace, frames = stored(tmp_path, images)
+    result = track_frames(frames, Config(odometry=OdometrySettings(chunks=3)), workspace, SilentProgress())
+    assert result.seams == chunks.Seams(2, 1), "three would be too short"
+    (submap,) = result.submaps
+    assert submap.frames.tolist() == list(range(72))
+    assert trajectory_errors(submap.world_from_camera, true).ate_rmse < 0.1
+    jobs = jobs_of(frames.index, CAMERA, cut(72, 3), 1, 0, workspace)
+
+    def refuse(waiting):
+        assert not waiting, "all chunks are there"
+        yield from ()
+
+    again, _ = track_chunks(jobs, RAYS, refuse, SilentProgress())
+    assert [m.keyframes[0].frame for m in again] == [0]
+    (scratch(workspace) / "0.npz").write_bytes(b"PK\3\4 damaged")
+    asked = []
+
+    def remember(waiting):
+        asked.extend(job["number"] for job in waiting)
+        yield 0
+
+    with pytest.raises(HaustraError, match="chunks 0 left no maps"):
+        track_chunks(jobs, RAYS, remember, SilentProgress())
+    assert asked == [0]
+    assert json.loads((scratch(workspace) / "1.json").read_text())["number"] == 1
+
+
+def test_a_chunk_that_fails_names_its_log(tmp_path):
+    workspace, frames = stored(tmp_path, IMAGES[:5])
+    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], 1, 0, workspace)  # frames that are not there
+    with pytest.raises(HaustraError, match=r"chunk 0 failed .*0\.log"):
+        track_chunks([job], RAYS, local_run(1), SilentProgress())
+    assert "missing" in (scratch(workspace) / "0.log").read_text()
