@@ -58,6 +58,12 @@ class OdometrySettings(Settings):
     chunks: int = Field(1, ge=1, description="overlapping parts that are tracked at once, each in its own process")
     ray: str | None = Field(None, description="address of a Ray cluster that tracks the chunks, or local")
 
+    @model_validator(mode="after")
+    def _has_chunks_for_ray(self) -> "OdometrySettings":
+        if self.ray is not None and self.chunks == 1:
+            raise ValueError("ray tracks chunks; say how many")
+        return self
+
 
 class SparseSettings(Settings):
     """From COLMAP's points to each frame's sparse depth."""
@@ -130,6 +136,20 @@ class Config(Settings):
     pose_graph: PoseGraphSettings = PoseGraphSettings()
     consistency: ConsistencySettings = ConsistencySettings()
     fusion: FusionSettings = FusionSettings()
+
+    @model_validator(mode="after")
+    def _tracks_in_chunks(self) -> "Config":
+        if self.front_end == "sfm" and self.odometry.chunks > 1:
+            raise ValueError("chunks are tracked by odometry, not by sfm")
+        return self
+
+    def is_same_work(self, other: "Config") -> bool:
+        """Whether a run with these settings gives what one with the others does, wherever it is computed."""
+        return _without_place(self) == _without_place(other)
+
+
+def _without_place(config: Config) -> Config:
+    return config.model_copy(update={"odometry": config.odometry.model_copy(update={"ray": None})})
 
 
 def load_config(path: Path | None, **overrides: object) -> Config:

@@ -91,14 +91,17 @@ def _map_by_odometry(frames: Frames, config: Config, workspace: Workspace, progr
     """Submaps by streaming odometry, judged and written as COLMAP's are."""
     tracked = track_frames(frames, config, workspace, progress)
     joined = f"; {tracked.joins} of {tracked.maps} submaps joined to another" if tracked.maps > 1 else ""
-    progress.say(f"odometry at {tracked.frames_per_second:.1f} frames a second{joined}")
-    if tracked.seams is not None:
+    if tracked.seams is None:
+        progress.say(f"odometry at {tracked.frames_per_second:.1f} frames a second{joined}")
+    else:
         chunks, closed = tracked.seams.chunks, tracked.seams.closed
-        progress.say(f"tracked in {chunks} chunks; {closed} of {chunks - 1} seams closed by the frames in common")
+        progress.say(f"odometry in {chunks} chunks, {closed} of {chunks - 1} seams closed by common frames{joined}")
     output = workspace.log / "odometry"
     shutil.rmtree(output, ignore_errors=True)
     images, judged = _image_reader(workspace), []
-    for number, submap in enumerate(tracked.submaps):
+    # Chunks pose their common frames twice; where a seam stays open, the larger submap has them.
+    submaps = [submap for submap in disjoint(tracked.submaps) if len(submap.frames) >= MIN_SUBMAP]
+    for number, submap in enumerate(submaps):
         write_model(submap, frames.camera, output / str(number))
         judged.append((submap, judge_submap(submap, images), output / str(number)))
     return judged

@@ -173,7 +173,7 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
     if "source" in changed:
         raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
-    if workspace.config != config:
+    if not workspace.config.is_same_work(config):
         raise HaustraError(f"{root} was run with other settings; repeat them, or use --overwrite")
     if changed:
         raise HaustraError(f"{root} was run with another {changed[0]}; its contents have changed since")
@@ -181,7 +181,9 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
 
 def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
     """Whether a run is of this source, these settings and these files; those that look untouched are not read."""
-    return workspace.config == config and not changed_inputs(source, config, workspace.record["source"], True)
+    return workspace.config.is_same_work(config) and not changed_inputs(
+        source, config, workspace.record["source"], True
+    )
 
 
 def _clear_if_begun(workspace: Workspace) -> None:

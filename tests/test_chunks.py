@@ -1,5 +1,6 @@
 """A film tracked in overlapping chunks: cut, kept on disk, sewn where both sides posed the same frames."""
 
+import copy
 import json
 from itertools import pairwise
 
@@ -10,17 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_odometry import CAMERA, camera_at, polished, render, run, stored, wall_texture
 
-from pipeline.config import Config, OdometrySettings
+from conftest import alive
+from pipeline.config import Config, OdometrySettings, load_config
 from pipeline.errors import HaustraError
-from pipeline.odometry import chunks
+from pipeline.odometry import chunks, front_end
 from pipeline.odometry.chunks import cut, jobs_of, local_run, scratch, sew, track_chunks
 from pipeline.odometry.front_end import track_frames
 from pipeline.odometry.map_file import load_maps, save_maps
+from pipeline.odometry.merging import Merged
 from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.rays import RayTable
-from pipeline.odometry.seam import first_from_second
+from pipeline.odometry.seam import first_from_second, frames_of
 from pipeline.odometry.similarity import moved_points
 from pipeline.progress import SilentProgress
+from pipeline.structure import solve_structure
 from reconstruction.trajectory import trajectory_errors
 
 COUNT = 44
@@ -128,8 +132,7 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     jobs = jobs_of(frames.index, CAMERA, cut(72, 3), 1, 0, workspace)
 
     def refuse(waiting):
-        assert not waiting, "all chunks are there"
-        yield from ()
+        raise AssertionError("all chunks are there")
 
     again, _ = track_chunks(jobs, RAYS, refuse, SilentProgress())
     assert [m.keyframes[0].frame for m in again] == [0]
@@ -144,6 +147,66 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
         track_chunks(jobs, RAYS, remember, SilentProgress())
     assert asked == [0]
     assert json.loads((scratch(workspace) / "1.json").read_text())["number"] == 1
+
+
+def test_a_stub_in_the_overlap_hides_no_seam(monkeypatch):
+    """The chunk lost track near its end and began again: its last map has a few frames, the one before the rest."""
+    first, second = tracked(0, 28), tracked(14, COUNT)
+    stub = copy.deepcopy(first)
+    stub.keyframes = [k for k in stub.keyframes if 20 <= k.frame < 26]
+    stub.posed = []
+    assert len(stub.keyframes) >= 2
+    for here in ([first, stub], [stub, first]):
+        (whole,), seams = sew([here, [second]])
+        assert seams.closed == 1
+        assert frames_of(whole) == set(range(COUNT))
+    (whole,), _ = sew([[first], [stub, second]])
+    assert frames_of(whole) == set(range(COUNT))
+
+
+def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
+    """Each frame has one depth map, and no submap is left without frames."""
+    monkeypatch.setattr(chunks, "OVERLAP", 12)
+    monkeypatch.setattr(chunks, "first_from_second", lambda *_: None)
+    monkeypatch.setattr(front_end, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
+    workspace, frames = stored(tmp_path, IMAGES + [render(camera_at(k)) for k in range(COUNT, 72)])
+    config = Config(front_end="odometry", odometry=OdometrySettings(chunks=2))
+    submaps = solve_structure(frames, config, workspace, SilentProgress())
+    assert len(submaps) == 2
+    assert min(len(submap.frames) for submap in submaps) >= 3
+    assert sorted(np.concatenate([submap.frames for submap in submaps])) == list(range(72))
+    assert not scratch(workspace).exists()
+
+
+def test_settings_that_contradict_one_another_are_refused():
+    with pytest.raises(HaustraError, match="ray tracks chunks"):
+        load_config(None, odometry={"ray": "local"})
+    with pytest.raises(HaustraError, match="chunks are tracked by odometry"):
+        load_config(None, front_end="sfm", odometry={"chunks": 2})
+    asked = [load_config(None, odometry={"chunks": 2, "ray": ray}) for ray in (None, "local")]
+    assert asked[0].is_same_work(asked[1]), "a run may go on elsewhere"
+    assert not asked[0].is_same_work(load_config(None, odometry={"chunks": 3}))
+
+
+def test_the_others_end_where_one_chunk_fails(tmp_path):
+    workspace, frames = stored(tmp_path, IMAGES[:20])
+    jobs = jobs_of(np.append(frames.index, 100), CAMERA, [range(20, 21), range(20)], 1, 0, workspace)
+    with pytest.raises(HaustraError, match="chunk 0 failed"):
+        track_chunks(jobs, RAYS, local_run(2), SilentProgress())
+    assert (scratch(workspace) / "1.json").exists()
+
+
+def test_an_interrupt_ends_every_process_and_what_is_done_stays(tmp_path):
+    workspace, frames = stored(tmp_path, IMAGES[:20])
+    jobs = jobs_of(frames.index, CAMERA, [range(20), range(20)], 1, 0, workspace)
+    running = local_run(1)(jobs)
+    while not (scratch(workspace) / "0.json").exists():
+        scratch(workspace).mkdir(exist_ok=True)
+        next(running)
+    with pytest.raises(KeyboardInterrupt):
+        running.throw(KeyboardInterrupt)
+    assert alive(tmp_path) == []
+    assert not (scratch(workspace) / "1.json").exists()
 
 
 def test_a_chunk_that_fails_names_its_log(tmp_path):

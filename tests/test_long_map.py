@@ -8,7 +8,7 @@ from test_odometry_geometry import PINHOLE, on_plane, pose
 
 from pipeline.odometry import outcome
 from pipeline.odometry.bundle import reprojections
-from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.local_map import LocalMap, PosedFrame
 from pipeline.odometry.outcome import polish
 from pipeline.odometry.poses import in_camera, inverse
 from pipeline.odometry.rays import RayTable
@@ -72,6 +72,22 @@ def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
     assert crooked.known.sum() > 0.95 * true.known.sum(), "hardly a point is lost on the way"
 
 
+@pytest.mark.parametrize("seen", [0, 3])
+def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen):
+    """It says nothing of how the piece moved, or nonsense: the one before does."""
+    true = film(np.random.default_rng(3), 0.3)
+    for name, value in {"LONG": 60, "PIECE": 30, "HELD": 15}.items():
+        monkeypatch.setattr(outcome, name, value)
+    for number in (29, 44, 59):
+        keyframe = true.keyframes[number]
+        keyframe.keep(np.arange(len(keyframe.ids)) < seen)
+    crooked = drifted(true, 3.0)
+    polish(crooked, changed=True)
+    blind = np.isin(np.arange(COUNT), (29, 44, 59))
+    found, right = (np.stack([inverse(k.pose) for k in m.keyframes])[~blind] for m in (crooked, true))
+    assert trajectory_errors(found, right).ate_rmse < 0.002 * STEP * COUNT
+
+
 def missed(local_map):
     """(M,2) pixels by which all points miss their observations."""
     off = [reprojections(in_camera(k.pose, local_map.points[k.ids]), k.seen, k.gain) for k in local_map.keyframes]
@@ -87,7 +103,7 @@ def test_what_is_carried_along_sees_the_same(scale):
     for _ in range(TIMES):
         last = local_map.keyframes[1]
         old, last.pose = last.pose, turn @ last.pose
-        local_map.carry(2, old, scale)
+        local_map.carry(2, 1, old, scale)
     far = local_map.keyframes[120]
     np.testing.assert_allclose(far.pose[:3, :3] @ far.pose[:3, :3].T, np.eye(3), atol=1e-12)
     before, after = (in_camera(m.keyframes[120].pose, m.points[far.ids]) for m in (true, local_map))
@@ -95,12 +111,29 @@ def test_what_is_carried_along_sees_the_same(scale):
     np.testing.assert_allclose(after, scale**TIMES * before, rtol=1e-7, atol=1e-7 * scale**TIMES)
 
 
+def test_frames_between_keyframes_are_carried_too():
+    true = film(np.random.default_rng(1), 0.0)
+    local_map = copy.deepcopy(true)
+    for number in (40, 90):  # as if seen half a step after these keyframes
+        keyframe = true.keyframes[number]
+        relative = pose([0, 0, 0], [0, 0, STEP / 2])
+        local_map.posed.append(PosedFrame(1000 + number, number, relative, keyframe.ids, keyframe.pixels))
+    before = [local_map.pose_of(posed) for posed in local_map.posed]
+    old = local_map.keyframes[79].pose
+    local_map.keyframes[79].pose = pose([1, 2, 3], [1, 0, 0]) @ old
+    local_map.carry(80, 79, old, 1.2)
+    np.testing.assert_array_equal(local_map.pose_of(local_map.posed[0]), before[0])
+    ids = np.setdiff1d(true.keyframes[110].ids, np.concatenate([k.ids for k in true.keyframes[:80]]))
+    seen = in_camera(local_map.pose_of(local_map.posed[1]), local_map.points[ids])
+    np.testing.assert_allclose(seen, 1.2 * in_camera(before[1], true.points[ids]), atol=1e-9)
+
+
 def test_carrying_moves_nothing_that_earlier_keyframes_see():
     true = film(np.random.default_rng(2), 0.0)
     local_map = copy.deepcopy(true)
     old = local_map.keyframes[79].pose
     local_map.keyframes[79].pose = pose([0, 0, 3], [1, 0, 0]) @ old
-    local_map.carry(80, old, 1.2)
+    local_map.carry(80, 79, old, 1.2)
     earlier = np.unique(np.concatenate([k.ids for k in true.keyframes[:80]]))
     np.testing.assert_array_equal(local_map.points[earlier], true.points[earlier])
     np.testing.assert_array_equal([k.pose for k in local_map.keyframes[:79]], [k.pose for k in true.keyframes[:79]])

@@ -4,20 +4,18 @@ import numpy as np
 import pytest
 
 from pipeline.odometry import schur
-from pipeline.odometry.schur import Blocks, Symmetric, product, solve
+from pipeline.odometry.bundle import _inverse_root
+from pipeline.odometry.schur import Blocks, Symmetric, gram, solve
 
 
-def cross_matrix(rng, cameras: int, reach: int, points_each: int = 12) -> tuple[Blocks, Blocks]:
-    """W V and W of points that are seen by cameras at most `reach` numbers apart, some seen by one alone."""
+def half_matrix(rng, cameras: int, reach: int, points_each: int = 12) -> Blocks:
+    """Of points that are seen by cameras at most `reach` numbers apart, some by one alone."""
     points = cameras * points_each
     home = np.arange(points) // points_each
     sees = (np.abs(np.arange(cameras)[:, None] - home) <= reach / 2) & (rng.random((cameras, points)) < 0.7)
     camera, point = np.nonzero(sees)
     starts = np.searchsorted(camera, np.arange(cameras + 1))
-    weight = rng.normal(size=(points, 3, 3))
-    blocks = rng.normal(size=(len(camera), 6, 3))
-    ahead = blocks @ (weight @ weight.transpose(0, 2, 1))[point]
-    return Blocks(ahead, point, starts, points), Blocks(blocks, point, starts, points)
+    return Blocks(rng.normal(size=(len(camera), 6, 3)), point, starts, points)
 
 
 def full(of: Blocks) -> np.ndarray:
@@ -40,20 +38,30 @@ def positive_definite(rng, row: np.ndarray, column: np.ndarray, cameras: int) ->
 
 @pytest.mark.parametrize("limit", [schur.FULL, 0], ids=["full", "sparse"])
 @pytest.mark.parametrize("cameras", [1, 9, 75])
-def test_the_product_is_that_of_the_full_matrices(monkeypatch, limit, cameras):
-    ahead, cross = cross_matrix(np.random.default_rng(0), cameras, 20)
+def test_the_product_is_that_of_the_full_matrix(monkeypatch, limit, cameras):
+    half = half_matrix(np.random.default_rng(0), cameras, 20)
     monkeypatch.setattr(schur, "FULL", limit)
-    np.testing.assert_allclose(product(ahead, cross).full(), full(ahead) @ full(cross).T, atol=1e-10)
+    np.testing.assert_allclose(gram(half).full(), full(half) @ full(half).T, atol=1e-10)
 
 
 def test_a_camera_that_sees_nothing_leaves_zeros(monkeypatch):
-    ahead, cross = cross_matrix(np.random.default_rng(1), 40, 6)
-    blind = np.insert(cross.starts, 35, cross.starts[35])  # one more, between the others, in the last lot
-    ahead, cross = (Blocks(of.data, of.point, blind, of.points) for of in (ahead, cross))
-    monkeypatch.setattr(schur, "FULL", 0)
-    found = product(ahead, cross).full()
-    np.testing.assert_allclose(found, full(ahead) @ full(cross).T, atol=1e-10)
-    assert not found[6 * 35 : 6 * 36].any()
+    half = half_matrix(np.random.default_rng(1), 40, 6)
+    blind = np.insert(half.starts, 35, half.starts[35])  # one more, between the others, in the last lot
+    half = Blocks(half.data, half.point, blind, half.points)
+    for limit in (0, schur.FULL):
+        monkeypatch.setattr(schur, "FULL", limit)
+        found = gram(half).full()
+        np.testing.assert_allclose(found, full(half) @ full(half).T, atol=1e-10)
+        assert not found[6 * 35 : 6 * 36].any()
+
+
+def test_the_inverse_of_a_block_is_its_root_times_the_roots_transpose():
+    rng = np.random.default_rng(4)
+    blocks = rng.normal(size=(200, 3, 5)) * np.exp(rng.uniform(-8, 8, (200, 1, 1)))
+    blocks = blocks @ blocks.transpose(0, 2, 1)
+    root = _inverse_root(blocks)
+    np.testing.assert_allclose(root @ root.transpose(0, 2, 1) @ blocks, np.tile(np.eye(3), (200, 1, 1)), atol=1e-6)
+    assert np.isnan(_inverse_root(-np.eye(3)[None])).any()
 
 
 @pytest.mark.parametrize("ties", ["chain", "circle", "everything", "apart"])

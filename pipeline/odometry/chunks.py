@@ -25,7 +25,7 @@ from pipeline.isolation import Children, tied_command
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.map_file import load_maps
 from pipeline.odometry.rays import RayTable
-from pipeline.odometry.seam import first_from_second, sewn
+from pipeline.odometry.seam import first_from_second, frames_of, sewn
 from pipeline.progress import Progress
 from pipeline.workspace import Workspace, write_json
 
@@ -78,12 +78,13 @@ def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) 
     done = frames - sum(len(job["frames"]) for job in waiting)
     with progress.bar(f"odometry, {len(jobs)} chunks", frames) as advance:
         advance(done)
-        running = run(waiting)
-        try:
-            for count in running:
-                advance(done + count)
-        finally:
-            running.close()  # type: ignore[attr-defined] # they are generators
+        if waiting:
+            running = run(waiting)
+            try:
+                for count in running:
+                    advance(done + count)
+            finally:
+                running.close()  # type: ignore[attr-defined] # they are generators
     found = [_done(job, rays) for job in jobs]
     lost = [str(job["number"]) for job, maps in zip(jobs, found, strict=True) if maps is None]
     if lost:
@@ -92,17 +93,45 @@ def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) 
 
 
 def sew(chunks: list[list[LocalMap]]) -> tuple[list[LocalMap], Seams]:
-    """The last map of each chunk and the first of the next become one where they agree."""
+    """At each seam the two maps that share most frames become one, if they agree. Maps that pose nothing that others do
+    not are left out."""
     result: list[LocalMap] = []
+    before: list[LocalMap] = []  # maps of the last chunk, as they are by now
     closed = 0
     for maps in chunks:
-        ahead = list(maps)
-        similarity = first_from_second(result[-1], ahead[0]) if result and ahead else None
-        if similarity is not None:
-            result[-1] = sewn(result[-1], ahead.pop(0), similarity)
-            closed += 1
-        result += ahead
-    return result, Seams(len(chunks), closed)
+        here = list(maps)
+        for one, other in _sharing(before, here):
+            similarity = first_from_second(one, other)
+            if similarity is not None:
+                whole = sewn(one, other, similarity)
+                result[_place(result, one)] = here[_place(here, other)] = whole
+                closed += 1
+                break
+        result += [local_map for local_map in here if not any(local_map is kept for kept in result)]
+        before = here
+    return _without_stubs(result), Seams(len(chunks), closed)
+
+
+def _sharing(first: list[LocalMap], second: list[LocalMap]) -> list[tuple[LocalMap, LocalMap]]:
+    """Pairs of maps that posed the same frames, most of them first."""
+    posed = [[frames_of(local_map) for local_map in maps] for maps in (first, second)]
+    common = [(-len(a & b), i, j) for i, a in enumerate(posed[0]) for j, b in enumerate(posed[1]) if a & b]
+    return [(first[i], second[j]) for _, i, j in sorted(common)]
+
+
+def _place(maps: list[LocalMap], wanted: LocalMap) -> int:
+    return next(number for number, local_map in enumerate(maps) if local_map is wanted)
+
+
+def _without_stubs(maps: list[LocalMap]) -> list[LocalMap]:
+    """Those that pose a frame which no larger one does."""
+    kept: list[LocalMap] = []
+    claimed: set[int] = set()
+    for local_map in sorted(maps, key=lambda m: -len(frames_of(m))):
+        if not frames_of(local_map) <= claimed:
+            kept.append(local_map)
+            claimed |= frames_of(local_map)
+    return [local_map for local_map in maps if any(local_map is k for k in kept)]
 
 
 def _done(job: Job, rays: RayTable) -> list[LocalMap] | None:
@@ -120,36 +149,46 @@ def local_run(workers: int) -> Run:
     """So many chunks at a time on this machine."""
 
     def run(jobs: list[Job]) -> Iterator[int]:
-        children = Children()
+        children, failures = Children(), list[str]()
         threads = ThreadPoolExecutor(max(1, workers))
+        for job in jobs:
+            _log_of(job).unlink(missing_ok=True)
         waiting = {threads.submit(_track_apart, job, children) for job in jobs}
         try:
             while waiting:
                 done, waiting = wait(waiting, POLL_S)
-                for future in done:
-                    future.result()
+                failures += [failure for future in done if (failure := future.result()) is not None]
                 yield sum(_reached(job) for job in jobs)
-        finally:
+        finally:  # nothing runs any more, but after an interrupt
             children.stop()
             threads.shutdown(cancel_futures=True)
+        _raise(failures)
 
     return run
 
 
-def _track_apart(job: Job, children: Children) -> None:
-    """In a process of its own; raises `HaustraError` naming the log if it fails."""
-    output = Path(job["output"])
-    task, log = output.with_suffix(".job.json"), output.with_suffix(".log")
+def _raise(failures: list[str]) -> None:
+    """After all chunks have ended: what the others did is kept."""
+    if failures:
+        raise HaustraError("; ".join(sorted(failures)))
+
+
+def _track_apart(job: Job, children: Children) -> str | None:
+    """In a process of its own; what went wrong, if anything did."""
+    task, log = Path(job["output"]).with_suffix(".job.json"), _log_of(job)
     write_json(task, job)
     with log.open("w") as file:
         code = children.run(tied_command(WORKER, "track", str(task)), file.fileno())
-    if code != 0 and not children.stopping:
-        raise HaustraError(f"chunk {job['number']} failed (exit code {code}); its log is {log}")
+    return f"chunk {job['number']} failed (exit code {code}); its log is {log}" if code != 0 else None
+
+
+def _log_of(job: Job) -> Path:
+    return Path(job["output"]).with_suffix(".log")
 
 
 def _reached(job: Job) -> int:
     """How many frames its process said were done."""
-    log = Path(job["output"]).with_suffix(".log")
+    log = _log_of(job)
     words = log.read_text(errors="replace").split() if log.exists() else []
     return int(words[-2]) if len(words) > 1 and words[-2].isdigit() else 0
 
@@ -163,17 +202,21 @@ def ray_run(address: str) -> Run:
 
         with ray_cluster.connected(address, processors()) as ray:
             task = ray.remote(num_cpus=1, max_retries=0)(track)
-            waiting, done = [task.remote(job) for job in jobs], 0
+            job_of = {task.remote(job): job for job in jobs}
+            waiting, done, failures = list(job_of), 0, list[str]()
             try:
                 while waiting:
                     ready, waiting = ray.wait(waiting)
-                    try:
-                        done += sum(ray.get(ready))
-                    except ray.exceptions.RayError as error:
-                        raise HaustraError(f"a chunk's Ray task failed: {str(error).splitlines()[0]}") from error
+                    for reference in ready:
+                        try:
+                            done += ray.get(reference)
+                        except ray.exceptions.RayError as error:
+                            reason = str(error).strip().splitlines()[-1]  # before it stands where in the cluster
+                            failures.append(f"chunk {job_of[reference]['number']} failed: {reason}")
                     yield done
             finally:
                 ray_cluster.stop(ray, waiting)
+        _raise(failures)
 
     return run
 

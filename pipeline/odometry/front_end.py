@@ -55,7 +55,7 @@ def track_frames(frames: Frames, config: Config, workspace: Workspace, progress:
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         held = refit_maps(maps, features, progress)
         for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-            polish(local_map)
+            polish(local_map, changed=seams is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
@@ -70,6 +70,8 @@ def _tracked(
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
     rays, stride = RayTable(frames.camera), config.frames.stride
     pieces = cut(len(frames.index), config.odometry.chunks)
+    if config.odometry.chunks > 1 and len(pieces) == 1:
+        progress.say(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")
     if len(pieces) > 1:
         run = local_run(processors()) if config.odometry.ray is None else ray_run(config.odometry.ray)
         jobs = jobs_of(frames.index, frames.camera, pieces, stride, config.seed, workspace)

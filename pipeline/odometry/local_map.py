@@ -192,10 +192,10 @@ class LocalMap:
         self.points[tracks] = result.points
         self._cull(result, tracks, held + free, max_error_px)
 
-    def carry(self, first: int, old: Array, scale: float) -> None:
-        """Move keyframes from number `first` on, and the points that they alone see, as the keyframe before was moved:
-        from pose `old`, its points `scale` times as far from it."""
-        now = self.keyframes[first - 1].pose
+    def carry(self, first: int, guide: int, old: Array, scale: float) -> None:
+        """Move keyframes from number `first` on, the points that they alone see, and the frames between them, as
+        keyframe `guide` before them was moved: from pose `old`, with its points `scale` times as far from it."""
+        now = self.keyframes[guide].pose
         ahead = np.zeros(len(self.known), dtype=bool)
         for keyframe in self.keyframes[first:]:
             pose = scaled(keyframe.pose @ inverse(old), scale) @ now
@@ -205,6 +205,7 @@ class LocalMap:
         for keyframe in self.keyframes[:first]:
             ahead[keyframe.ids] = False
         self.points[ahead] = in_camera(inverse(now), scale * in_camera(old, self.points[ahead]))
+        self.posed = [posed.scaled(scale) if posed.keyframe >= first else posed for posed in self.posed]
 
     def fit_points(self, iterations: int = 10) -> None:
         """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""

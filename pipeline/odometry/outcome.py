@@ -12,6 +12,9 @@ from pipeline.submap import Submap
 LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
 PIECE = 60  # keyframes that are adjusted at once while a long map is straightened
 HELD = 30  # older ones that hold them
+GUIDES = 5  # keyframes at a piece's end that say by how much it grew; the last one, how it moved
+MIN_HELD = 20  # points of such a keyframe
+MOST_GROWTH = 3.0  # of a piece; the tracker's unit has drifted by half over two hundred keyframes
 FINAL_ITERATIONS = 25
 FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
 SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
@@ -37,16 +40,31 @@ def _straighten(local_map: LocalMap) -> None:
 
     Where the scale drifts by half over a long film, the far end must come back by a factor and a turn. To an adjustment
     of all at once, which goes in straight lines, that is too far: it ends in wrinkles, and culling then breaks the map.
+    Nothing is culled here: what does not fit a bent piece speaks against the bend.
     """
     for end in range(PIECE, len(local_map.keyframes), PIECE // 2):
-        last = local_map.keyframes[end - 1]
-        mine = last.ids[local_map.known[last.ids]]
-        old, before = last.pose, local_map.points[mine]
-        for loss_px, max_error_px in SETTLING:
-            local_map.adjust(PIECE, FINAL_ITERATIONS, end, loss_px, max_error_px, HELD, FINAL_TOLERANCE)
-        kept = local_map.known[mine]
-        after = local_map.points[mine[kept]]
-        local_map.carry(end, old, growth(in_camera(old, before[kept]), in_camera(last.pose, after)))
+        piece = range(end - PIECE // 2, end)
+        poses = [local_map.keyframes[number].pose for number in piece]
+        before = local_map.points.copy()
+        for loss_px, _ in SETTLING:
+            local_map.adjust(PIECE, FINAL_ITERATIONS, end, loss_px, np.inf, HELD, FINAL_TOLERANCE)
+        grown = [_growth_of(local_map, number, pose, before) for number, pose in zip(piece, poses, strict=True)]
+        held = np.flatnonzero(np.isfinite(grown))[-GUIDES:]
+        if len(held) == 0:  # nothing says how it moved: what lies ahead stays
+            continue
+        scale = float(np.median([grown[k] for k in held]))
+        local_map.carry(end, piece[held[-1]], poses[held[-1]], scale)
+
+
+def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array) -> float:
+    """Of a keyframe that was at pose `old` with the points at `before`; NaN where too few points hold it, or say what
+    no piece can have done."""
+    keyframe = local_map.keyframes[number]
+    mine = keyframe.ids[local_map.known[keyframe.ids]]
+    if len(mine) < MIN_HELD:
+        return float("nan")
+    found = growth(in_camera(old, before[mine]), in_camera(keyframe.pose, local_map.points[mine]))
+    return found if 1 / MOST_GROWTH < found < MOST_GROWTH else float("nan")
 
 
 def growth(before: Array, after: Array) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg.blas import dsyrk
 from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -102,21 +103,24 @@ class Symmetric:
         return flat.reshape(-1, height).T
 
 
-def product(first: Blocks, second: Blocks) -> Symmetric:
-    """first @ second', which is known to be symmetric."""
-    count = first.cameras
-    if 18 * count * first.points <= FULL:  # a window's matrices are so full that BLAS beats the sparse product
-        matrix = first.rows(0, count).toarray() @ second.rows(0, count).toarray().T
+def gram(half: Blocks) -> Symmetric:
+    """half @ half', which couples the cameras."""
+    count = half.cameras
+    if 18 * count * half.points <= FULL:  # a window's matrix is so full that BLAS beats the sparse product
+        upper = dsyrk(1.0, half.rows(0, count).toarray().T, trans=1)
         row, column = np.triu_indices(count)
-        return Symmetric.of(matrix.reshape(count, 6, count, 6)[row, :, column], row, column, count)
-    last = np.zeros(first.points, np.int64)  # camera that sees each point
-    np.maximum.at(last, first.point, np.repeat(np.arange(count), np.diff(first.starts)))
+        blocks = upper.reshape(count, 6, count, 6)[row, :, column]
+        on = row == column
+        blocks[on] = np.triu(blocks[on]) + np.triu(blocks[on], 1).transpose(0, 2, 1)
+        return Symmetric.of(blocks, row, column, count)
+    last = np.zeros(half.points, np.int64)  # camera that sees each point
+    np.maximum.at(last, half.point, np.repeat(np.arange(count), np.diff(half.starts)))
 
     def part(begin: int) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         end = min(begin + ROWS, count)
-        seen = first.point[first.starts[begin] : first.starts[end]]
+        seen = half.point[half.starts[begin] : half.starts[end]]
         until = int(last[seen].max()) + 1 if len(seen) else end
-        result = (first.rows(begin, end) @ second.rows(begin, max(until, end)).T).tobsr((6, 6))
+        result = (half.rows(begin, end) @ half.rows(begin, max(until, end)).T).tobsr((6, 6))
         row = np.repeat(np.arange(end - begin), np.diff(result.indptr))
         return result.data, begin + row, begin + result.indices.astype(np.int64)
 

@@ -16,9 +16,10 @@ from pipeline.odometry.poses import Array, in_camera, inverse
 from pipeline.odometry.similarity import moved_points
 
 MIN_SHARED = 10  # frames
-MAX_SPREAD = 0.05  # of the scale from frame to frame
-MAX_TURN = np.radians(2.0)  # of a shared frame between the two maps, in the median;
-MAX_SHIFT = 0.05  # and its distance, median depths
+MIN_AGREEING = 0.8  # of them
+MAX_SPREAD = 0.1  # of a frame's scale, in log, from what is typical of them;
+MAX_TURN = np.radians(1.5)  # of its rotation;
+MAX_SHIFT = 0.05  # and of its place, in its own median depths
 
 
 @dataclass(frozen=True)
@@ -40,32 +41,40 @@ def sightings(local_map: LocalMap) -> dict[int, Sighting]:
     return found | {k.frame: Sighting(k.pose, k.ids, k.pixels, True) for k in local_map.keyframes}
 
 
+def frames_of(local_map: LocalMap) -> set[int]:
+    """Numbers of all frames that the map poses."""
+    return {k.frame for k in local_map.keyframes} | {p.frame for p in local_map.posed}
+
+
 def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
     """Similarity (4,4) of the two worlds by the frames that both posed; None if these are few or do not agree."""
     here, there = sightings(first), sightings(second)
-    shared = sorted(here.keys() & there.keys())
-    measured = [_scale(first, here[f], second, there[f]) for f in shared]
-    pairs = [(here[f].pose, there[f].pose) for f, s in zip(shared, measured, strict=True) if s is not None]
-    logs = np.log([s for s in measured if s is not None])
-    if len(pairs) < MIN_SHARED:
+    measured = [_scale(first, here[f], second, there[f]) for f in sorted(here.keys() & there.keys())]
+    shared = [f for f, found in zip(sorted(here.keys() & there.keys()), measured, strict=True) if found is not None]
+    if len(shared) < MIN_SHARED:
         return None
+    logs, depth = np.log(np.array([found for found in measured if found is not None])).T
+    poses = [np.stack([of[f].pose for f in shared]) for of in (here, there)]
+    turns = Rotation.from_matrix(np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[1][:, :3, :3])
+    centres = [np.stack([inverse(pose)[:3, 3] for pose in of]) for of in poses]
+    typical = turns[int(np.median([(turn.inv() * turns).magnitude() for turn in turns], axis=1).argmin())]
     scale = float(np.exp(np.median(logs)))
-    turns = Rotation.from_matrix([one[:3, :3].T @ other[:3, :3] for one, other in pairs])
-    turn = turns.mean()
-    centres = [np.stack([inverse(pose)[:3, 3] for pose in poses]) for poses in zip(*pairs, strict=True)]
-    shifts = centres[0] - scale * turn.apply(centres[1])
-    shift = np.median(shifts, axis=0)
-    off = np.median(np.linalg.norm(shifts - shift, axis=1)) / first.median_depth(first.keyframes[-1])
-    spread = 1.4826 * np.median(np.abs(logs - np.median(logs)))
-    if spread > MAX_SPREAD or off > MAX_SHIFT or np.median((turn.inv() * turns).magnitude()) > MAX_TURN:
+    shifts = centres[0] - scale * typical.apply(centres[1])
+    off = np.linalg.norm(shifts - np.median(shifts, axis=0), axis=1) / np.exp(depth)
+    turned = (typical.inv() * turns).magnitude()
+    agree = (np.abs(logs - np.median(logs)) < MAX_SPREAD) & (turned < MAX_TURN) & (off < MAX_SHIFT)
+    if agree.sum() < max(MIN_SHARED, MIN_AGREEING * len(shared)):
         return None
+    scale, turn = float(np.exp(logs[agree].mean())), turns[agree].mean()
     similarity = np.eye(4)
-    similarity[:3, :3], similarity[:3, 3] = scale * turn.as_matrix(), shift
+    similarity[:3, :3] = scale * turn.as_matrix()
+    similarity[:3, 3] = (centres[0] - scale * turn.apply(centres[1]))[agree].mean(axis=0)
     return similarity
 
 
-def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -> float | None:
-    """Depth in the first map over depth in the second, along the rays of the second's points in a shared frame."""
+def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -> tuple[float, float] | None:
+    """Depth in the first map over depth in the second, along the rays of the second's points in a shared frame; and the
+    frame's median depth in the first."""
     seen = []
     for local_map, sighting in ((first, here), (second, there)):
         known = local_map.known[sighting.ids]
@@ -75,7 +84,7 @@ def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -
         return None
     ratio = 1 / (inverse_depth_at(seen[1][0], *seen[0]) * seen[1][1])
     good = np.isfinite(ratio) & (ratio > 0)
-    return float(np.median(ratio[good])) if good.sum() >= MIN_POINTS else None
+    return (float(np.median(ratio[good])), float(np.median(seen[0][1]))) if good.sum() >= MIN_POINTS else None
 
 
 def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
