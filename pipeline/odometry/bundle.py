@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from pipeline.odometry.poses import Array, moved
 from pipeline.odometry.schur import Blocks, gram, solve
 
+DAMPING, LEAST_DAMPING = 1e-4, 1e-9
 TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustment
 MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
 
@@ -46,13 +47,17 @@ class Bundle:
         return np.linalg.norm(self.residuals(), axis=1)
 
 
-def adjust(bundle: Bundle, iterations: int, loss_px: float, tolerance: float = TOLERANCE) -> Bundle:
+def adjust(
+    bundle: Bundle, iterations: int, loss_px: float, tolerance: float = TOLERANCE, damping: float = DAMPING
+) -> Bundle:
     """Lower the robust cost of `bundle`: cameras that are not fixed, and all points. Never raises it.
 
+    It ends where a step lowers the cost by less than `tolerance` of itself. `damping`: of the first step, as a share of
+    the diagonal; what costs little to bend, as the scale along a path, it holds back most.
     Without two fixed cameras the scale is free; the damping then keeps it where it was.
     """
     sums = _Sums(bundle)
-    damping, cost = 1e-4, _cost(bundle, loss_px)
+    cost = _cost(bundle, loss_px)
     system = None
     for _ in range(iterations):
         if system is None:
@@ -66,7 +71,7 @@ def adjust(bundle: Bundle, iterations: int, loss_px: float, tolerance: float = T
         lowered = _cost(candidate, loss_px)
         if lowered < cost:
             gain, bundle, cost = (cost - lowered) / cost, candidate, lowered
-            damping, system = max(damping / 10, 1e-9), None
+            damping, system = max(damping / 10, LEAST_DAMPING), None
             if gain < tolerance:
                 break
         else:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.bundle import TOLERANCE, Bundle, adjust
+from pipeline.odometry.bundle import DAMPING, TOLERANCE, Bundle, adjust
 from pipeline.odometry.poses import Array, compose, in_camera, inverse, scaled
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.triangulation import triangulate
@@ -173,6 +173,7 @@ class LocalMap:
         max_error_px: float = MAX_ERROR_PX,
         anchors: int = ANCHORS,
         tolerance: float = TOLERANCE,
+        damping: float = DAMPING,
     ) -> None:
         """Bundle adjustment of the `window` keyframes before number `end` (the latest ones) and of their points.
 
@@ -186,7 +187,7 @@ class LocalMap:
         bundle, tracks = self._bundle(held, free)
         if len(tracks) == 0:
             return
-        result = adjust(bundle, iterations, loss_px, tolerance)
+        result = adjust(bundle, iterations, loss_px, tolerance, damping)
         for number, keyframe in enumerate(free, start=len(held)):
             keyframe.pose = compose(result.rotation[number], result.translation[number])
         self.points[tracks] = result.points

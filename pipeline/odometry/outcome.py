@@ -16,6 +16,8 @@ GUIDES = 5  # keyframes at a piece's end that say by how much it grew; the last 
 MIN_HELD = 20  # points of such a keyframe
 MOST_GROWTH = 3.0  # of a piece; the tracker's unit has drifted by half over two hundred keyframes
 FINAL_ITERATIONS = 25
+# With the usual 1e-4 the first steps leave a bend where it is, gain nothing, and are taken for the last ones.
+FINAL_DAMPING = 1e-8
 FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
 SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
 MIN_SEEN = 8  # points that a frame must see to be called posed
@@ -32,7 +34,7 @@ def polish(local_map: LocalMap, changed: bool = False) -> None:
     if changed and count > LONG:
         _straighten(local_map)
     for loss_px, max_error_px in SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),):
-        local_map.adjust(count, FINAL_ITERATIONS, count, loss_px, max_error_px, tolerance=FINAL_TOLERANCE)
+        local_map.adjust(count, FINAL_ITERATIONS, count, loss_px, max_error_px, 0, FINAL_TOLERANCE, FINAL_DAMPING)
 
 
 def _straighten(local_map: LocalMap) -> None:
@@ -47,7 +49,7 @@ def _straighten(local_map: LocalMap) -> None:
         poses = [local_map.keyframes[number].pose for number in piece]
         before = local_map.points.copy()
         for loss_px, _ in SETTLING:
-            local_map.adjust(PIECE, FINAL_ITERATIONS, end, loss_px, np.inf, HELD, FINAL_TOLERANCE)
+            local_map.adjust(PIECE, FINAL_ITERATIONS, end, loss_px, np.inf, HELD, FINAL_TOLERANCE, FINAL_DAMPING)
         grown = [_growth_of(local_map, number, pose, before) for number, pose in zip(piece, poses, strict=True)]
         held = np.flatnonzero(np.isfinite(grown))[-GUIDES:]
         if len(held) == 0:  # nothing says how it moved: what lies ahead stays
