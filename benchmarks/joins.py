@@ -23,12 +23,12 @@ import numpy as np
 from front_ends import store
 from pipeline.config import Config
 from pipeline.frames import Frames
-from pipeline.odometry.front_end import frame_reader, join_maps, refit_maps
+from pipeline.odometry.front_end import adjust_maps, frame_reader, join_maps
 from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
 from pipeline.odometry.links import Shown, find_links, joint_similarity, sure_links
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.odometry import Odometry
-from pipeline.odometry.outcome import polish, to_submap
+from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.places import FindFeatures, find_places
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.similarity import scale_of
@@ -61,9 +61,7 @@ def tracked(film: Film, part: np.ndarray) -> list[Held]:
     for index in part.tolist():
         odometry.feed(index, *film.read(index))
     maps = odometry.finish()
-    for local_map in maps:
-        polish(local_map)
-    held = zip(maps, refit_maps(maps, film.features, SilentProgress()), strict=True)
+    held = zip(maps, adjust_maps(maps, film.features, SilentProgress()), strict=True)
     return sorted((h for h in held if to_submap(h[0], h[0].rays.camera.params)), key=lambda h: -len(h[0].keyframes))
 
 

@@ -8,6 +8,7 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,11 @@ class Camera:
         distort = distort_fisheye if self.model == "OPENCV_FISHEYE" else distort_polynomial
         growing = np.maximum.accumulate(distort(rays, self.distortion)[:, 0])
         return float(np.interp(radius, growing, theta))
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> "Camera":
+        """What `to_dict` gave, by way of JSON."""
+        return Camera(**(values | {"params": tuple(values["params"])}))
 
     def to_dict(self) -> dict[str, object]:
         return {

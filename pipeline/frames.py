@@ -168,7 +168,7 @@ def load_frames(workspace: Workspace) -> Frames:
     with damage_named(workspace.frames):
         state = json.loads(workspace.frames.read_text())
         used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
-        camera = Camera(**(state["camera"] | {"params": tuple(state["camera"]["params"])}))
+        camera = Camera.from_dict(state["camera"])
     content = cv2.imread(str(workspace.masks / "content.png"), cv2.IMREAD_GRAYSCALE)
     if content is None:
         raise HaustraError(f"{workspace.masks} has lost its content mask; start the run anew with --overwrite")

@@ -21,9 +21,8 @@ STEP = 10  # frames between two words on how far it is
 def track(job: dict[str, Any]) -> int:
     """Track the frames of `job` (see `chunks.jobs_of`), leave the maps at its output; how many frames it had."""
     cv2.setNumThreads(1)
-    camera = Camera(**(job["camera"] | {"params": tuple(job["camera"]["params"])}))
     read = frame_reader(Workspace(Path(job["run"])))
-    odometry = Odometry(RayTable(camera), job["seed"], job["stride"])
+    odometry = Odometry(RayTable(Camera.from_dict(job["camera"])), job["seed"], job["stride"])
     with threadpool_limits(1, "blas"):
         for done, frame in enumerate(job["frames"], start=1):
             odometry.feed(frame, *read(frame))

@@ -73,7 +73,8 @@ def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) 
     """Maps of all chunks in the order of their beginning, sewn where the frames that two have in common agree."""
     for job in jobs:
         Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
-    waiting = [job for job in jobs if _done(job, rays) is None]
+    found = [_done(job, rays) for job in jobs]
+    waiting = [job for job, maps in zip(jobs, found, strict=True) if maps is None]
     frames = sum(len(job["frames"]) for job in jobs)
     done = frames - sum(len(job["frames"]) for job in waiting)
     with progress.bar(f"odometry, {len(jobs)} chunks", frames) as advance:
@@ -85,7 +86,7 @@ def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) 
                     advance(done + count)
             finally:
                 running.close()  # type: ignore[attr-defined] # they are generators
-    found = [_done(job, rays) for job in jobs]
+    found = [_done(job, rays) if maps is None else maps for job, maps in zip(jobs, found, strict=True)]
     lost = [str(job["number"]) for job, maps in zip(jobs, found, strict=True) if maps is None]
     if lost:
         raise HaustraError(f"chunks {', '.join(lost)} left no maps; --resume goes on with them")

@@ -53,9 +53,7 @@ def track_frames(frames: Frames, config: Config, workspace: Workspace, progress:
         started = time.perf_counter()
         maps, seams = _tracked(frames, config, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
-        held = refit_maps(maps, features, progress)
-        for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-            polish(local_map, changed=seams is not None)
+        held = adjust_maps(maps, features, progress, changed=seams is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
@@ -117,6 +115,16 @@ def join_maps(
             continue
         result.append(whole.map)
     return result, len(maps) - len(result)
+
+
+def adjust_maps(
+    maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
+) -> list[float | None]:
+    """As `refit_maps`; and those that features do not hold to their corners, `changed` or not (see `polish`)."""
+    held = refit_maps(maps, find, progress)
+    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+        polish(local_map, changed)
+    return held
 
 
 def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
@@ -207,10 +215,7 @@ def _with_lens(
         if far:
             local_map.forget_features()
             polish(local_map, changed=True)
-    held = refit_maps(maps, find, progress)
-    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-        polish(local_map, changed=True)
-    return held
+    return adjust_maps(maps, find, progress, changed=True)
 
 
 def frame_reader(workspace: Workspace) -> ReadFrame:

@@ -14,8 +14,7 @@ from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.places import FindFeatures, Place, find_places, match
 from pipeline.odometry.poses import in_camera
 from pipeline.odometry.resection import reprojection_errors
-from pipeline.odometry.seam import in_frame
-from pipeline.odometry.similarity import moved_points, scale_of
+from pipeline.odometry.similarity import moved_points, moved_pose, scale_of
 
 MAX_TIE_PX = 12.0  # of a matched point from where it should be in a neighbouring place
 
@@ -73,7 +72,7 @@ def absorb(shown: Shown, others: Shown, links: list[Link]) -> list[Place]:
     base.points[fresh] = moved_points(base_from_other, other.points)
     base.known[fresh], base.barred[fresh], base.followed[fresh] = other.known, other.barred, other.followed
     for keyframe in other.keyframes:
-        keyframe.pose, keyframe.ids = in_frame(keyframe.pose, base_from_other, scale), keyframe.ids + first_track
+        keyframe.pose, keyframe.ids = moved_pose(base_from_other, keyframe.pose), keyframe.ids + first_track
         base.keyframes.append(keyframe)
     for posed in other.posed:
         ids = (posed.ids + first_track).astype(np.int32)

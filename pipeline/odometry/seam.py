@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.places import MIN_POINTS, inverse_depth_at
 from pipeline.odometry.poses import Array, in_camera, inverse
-from pipeline.odometry.similarity import moved_points
+from pipeline.odometry.similarity import moved_points, moved_pose
 
 MIN_SHARED = 10  # frames
 MIN_AGREEING = 0.8  # of them
@@ -49,11 +49,11 @@ def frames_of(local_map: LocalMap) -> set[int]:
 def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
     """Similarity (4,4) of the two worlds by the frames that both posed; None if these are few or do not agree."""
     here, there = sightings(first), sightings(second)
-    measured = [_scale(first, here[f], second, there[f]) for f in sorted(here.keys() & there.keys())]
-    shared = [f for f, found in zip(sorted(here.keys() & there.keys()), measured, strict=True) if found is not None]
-    if len(shared) < MIN_SHARED:
+    measured = {f: _scale(first, here[f], second, there[f]) for f in sorted(here.keys() & there.keys())}
+    found = {f: scale_and_depth for f, scale_and_depth in measured.items() if scale_and_depth is not None}
+    if len(found) < MIN_SHARED:
         return None
-    logs, depth = np.log(np.array([found for found in measured if found is not None])).T
+    shared, (logs, depth) = list(found), np.log(np.array(list(found.values()))).T
     poses = [np.stack([of[f].pose for f in shared]) for of in (here, there)]
     turns = Rotation.from_matrix(np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[1][:, :3, :3])
     centres = [np.stack([inverse(pose)[:3, 3] for pose in of]) for of in poses]
@@ -92,7 +92,6 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
     the shared frames poses are the first one's, from there on the second's. Neither map may have features."""
     here, there = sightings(first), sightings(second)
     middle = np.median(sorted(here.keys() & there.keys()))
-    scale = float(np.cbrt(np.linalg.det(first_from_second[:3, :3])))
     offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
     result = LocalMap(first.rays)
     result.reserve(offset + len(second.known))
@@ -109,17 +108,9 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
             pose = mine.pose
         else:
             assert theirs is not None
-            pose = in_frame(theirs.pose, first_from_second, scale)
+            pose = moved_pose(first_from_second, theirs.pose)
         if not result.keyframes or any(s is not None and s.key for s in (mine, theirs)):
             result.add_keyframe(frame, pose, ids, pixels)
         else:
             result.add_posed(frame, pose, ids, pixels)
     return result
-
-
-def in_frame(pose: Array, first_from_second: Array, scale: float) -> Array:
-    """A camera_from_world of the second map as one of the first's world and scale."""
-    moved = np.eye(4)
-    moved[:3, :3] = pose[:3, :3] @ (first_from_second[:3, :3] / scale).T
-    moved[:3, 3] = scale * pose[:3, 3] - moved[:3, :3] @ first_from_second[:3, 3]
-    return moved

@@ -150,5 +150,13 @@ def _is_alike(source: Array, target: Array) -> bool:
     return bool(ratio.min() > 0 and ratio.max() < 1.5 * ratio.min())
 
 
+def moved_pose(transform: Array, camera_from_world: Array) -> Array:
+    """A pose of the world that `transform`, a similarity, moves elsewhere, in that world and its unit."""
+    scale, result = scale_of(transform), np.eye(4)
+    result[:3, :3] = camera_from_world[:3, :3] @ (transform[:3, :3] / scale).T
+    result[:3, 3] = scale * camera_from_world[:3, 3] - result[:3, :3] @ transform[:3, 3]
+    return result
+
+
 def moved_points(transform: Array, points: Array) -> Array:
     return points @ transform[:3, :3].T + transform[:3, 3]
