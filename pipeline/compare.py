@@ -114,7 +114,7 @@ def _coverage(workspace: Workspace, truth_from_run: NDArray[np.float64], truth: 
     frames = load_frames(workspace)
     part = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)[0]
     try:
-        coverage = measure_submap(part, load_surfaces(workspace)[0])
+        coverage = measure_submap(frames, part, load_surfaces(workspace)[0])
     except NotATube as reason:
         return f"not judged: {reason}"
     return coverage_errors(coverage.transformed(truth_from_run), wall)

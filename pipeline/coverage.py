@@ -9,18 +9,17 @@ import numpy as np
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
 from pipeline.scale import in_words
-from pipeline.surface import Surface
+from pipeline.surface import Surface, fusion_settings
 from pipeline.workspace import Workspace
 from reconstruction.centreline import NotATube
 from reconstruction.coverage import Coverage, MissedRegion, measure_coverage
 from reconstruction.coverage_picture import draw_coverage
 from reconstruction.mesh import SurfaceMesh
+from reconstruction.plain_view import Picture
 from reconstruction.unrolled import unroll
 from reconstruction.witness import SurfaceWitness
 
-# Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
-# depth is unsure, and not fused, within some pixels of every rim. Chosen on two phantoms (docs/coverage.md).
-FRINGE = 3.0
+FRINGE = 1.0  # voxels past the mesh's edge that count as seen, because all corners of a cell must be known
 SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
@@ -45,9 +44,15 @@ class Judgement:
         regions, unit = record["missed_regions"], in_words(record["unit"])
         return (
             f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
-            f"lumen; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and more, and "
-            f"{record['smaller_regions']} smaller"
+            f"lumen{_unmeasured(record)}; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and "
+            f"more, and {record['smaller_regions']} smaller"
         )
+
+
+def _unmeasured(record: dict[str, Any]) -> str:
+    """Of a run that was made before wall in plain view was told apart, nothing."""
+    share = record.get("unmeasured_percent")
+    return "" if share is None else f" ({share:.1f} % in plain view only, without a surface)"
 
 
 def judge_coverage(
@@ -65,12 +70,12 @@ def picture_path(workspace: Workspace, number: int) -> Path:
     return workspace.coverage if number == 0 else workspace.coverage.with_name(f"coverage_{number}.png")
 
 
-def measure_submap(part: DenseSubmap, surface: Surface) -> Coverage:
+def measure_submap(frames: Frames, part: DenseSubmap, surface: Surface) -> Coverage:
     """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
-    return measure_believed(part, surface)[0]
+    return measure_believed(frames, part, surface)[0]
 
 
-def measure_believed(part: DenseSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
+def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
     """The same, and that wall: what is drawn must be what was measured."""
     factor = surface.scale.factor
     submap = part.submap.scaled(factor)
@@ -81,12 +86,15 @@ def measure_believed(part: DenseSubmap, surface: Surface) -> tuple[Coverage, Sur
     half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()
-    return measure_coverage(believed, submap.world_from_camera, half_view, unit, fringe=FRINGE * voxel), believed
+    settings = fusion_settings(part, part.workspace.config)
+    farthest = np.inf if settings is None else settings.max_depth * factor
+    picture = Picture(part.camera.matrix, part.rectifier.mask(frames.content) > 0, farthest)
+    return measure_coverage(believed, submap.world_from_camera, half_view, unit, FRINGE * voxel, picture), believed
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:
     try:
-        coverage, believed = measure_believed(part, surface)
+        coverage, believed = measure_believed(frames, part, surface)
     except NotATube as reason:
         picture.unlink(missing_ok=True)  # of a report that was made before
         return Judgement({"judged": False, "reason": str(reason)}, None)
@@ -100,6 +108,7 @@ def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -
         "judged": True,
         "unit": unit,
         "covered_percent": 100 * coverage.share,
+        "unmeasured_percent": 100 * coverage.unmeasured_share,
         "seen_area": coverage.whole.seen_area,
         "missed_area": coverage.whole.missed_area,
         "stretch": coverage.length,

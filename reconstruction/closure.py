@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from reconstruction.centreline import Centreline, NotATube
 from reconstruction.mesh import SurfaceMesh
 from reconstruction.open3d_import import import_open3d
+from reconstruction.plain_view import Picture, in_plain_view
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ STRAY = 0.15  # a closing farther from the mesh than this follows none of it
 POISSON_SCALE = 1.1  # cube of the octree over the samples' bounding cube
 DEEPEST = 11  # levels of the octree
 FEWEST_FACES = 100  # of a mesh that can be judged
+SQUARE_DEG = 70.0  # between ray and normal: wall that no camera sees squarer is not in plain view
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,10 @@ class Closure:
 
     vertices: Array  # (V,3)
     faces: NDArray[np.int64]  # (F,3), normals towards the lumen
-    unseen: NDArray[np.bool_]  # (F,)
+    unseen: NDArray[np.bool_]  # (F,) neither in the mesh nor in plain view
     arc: Array  # (F,) of the faces' centroids
     angle: Array  # (F,)
+    unmeasured: NDArray[np.bool_]  # (F,) in plain view, so seen, but not in the mesh
 
     def transformed(self, target_from_mesh: Array) -> Closure:
         """The same closing moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
@@ -51,9 +54,21 @@ class Closure:
 
     def part(self, kept: NDArray[np.bool_]) -> Closure:
         """Only the triangles of the mask (F,)."""
-        return replace(
-            self, faces=self.faces[kept], unseen=self.unseen[kept], arc=self.arc[kept], angle=self.angle[kept]
-        )
+        rows = {name: getattr(self, name)[kept] for name in ("faces", "unseen", "arc", "angle", "unmeasured")}
+        return replace(self, **rows)
+
+    def seen_by(self, mesh: SurfaceMesh, poses: Array, picture: Picture, slack: float) -> Closure:
+        """The same closing where what is in plain view of a camera (N,4,4) counts as seen, though it is not in the
+        mesh, which alone stands in the way."""
+        rows = np.flatnonzero(self.unseen)
+        first, second, third = (self.vertices[self.faces[rows, corner]] for corner in range(3))
+        normals = np.cross(second - first, third - first)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        centroids = (first + second + third) / 3
+        visible = rows[in_plain_view(centroids, normals, mesh, poses, picture, np.cos(np.radians(SQUARE_DEG)), slack)]
+        unseen, unmeasured = self.unseen.copy(), self.unmeasured.copy()
+        unseen[visible], unmeasured[visible] = False, True
+        return replace(self, unseen=unseen, unmeasured=unmeasured)
 
     @property
     def centroids(self) -> Array:
@@ -90,7 +105,9 @@ def close_wall(
     unseen = _beyond_the_frontier(part, centroid[inside], fringe, STRAY * radius)
     kept = _pieces_with_wall(faces, unseen)
     surface = SurfaceMesh.from_triangles(vertices, faces).with_faces(kept)
-    return Closure(surface.vertices, surface.faces, unseen[kept], arc[kept], angle[kept])
+    return Closure(
+        surface.vertices, surface.faces, unseen[kept], arc[kept], angle[kept], np.zeros(len(surface.faces), bool)
+    )
 
 
 def _poisson(mesh: SurfaceMesh, cell: float) -> tuple[Array, NDArray[np.int64]]:

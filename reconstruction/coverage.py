@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reconstruction.centreline import STANDSTILL, Centreline, NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.closure import Closure, close_wall, connected_faces
 from reconstruction.mesh import SurfaceMesh
+from reconstruction.plain_view import Picture
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,7 @@ LEAST_WALL = 0.5  # mean share of a cross-section's rays that must meet wall
 # Radii from one posed frame to the next up to which the lumen between them counts as passed. No tracker follows a
 # camera farther than about half of that between two frames, so what is longer is a gap in the poses.
 GAP = 1.0
+SLACK = 0.03  # radii: the closing runs so far off the mesh that it continues, which must not stand in its own way
 ONE_SIDED = 0.3  # length of the mean direction below which a region goes all round
 Intervals = tuple[tuple[float, float], ...]
 
@@ -98,6 +100,12 @@ class Coverage:
     def share(self) -> float:
         return self.whole.share
 
+    @property
+    def unmeasured_share(self) -> float:
+        """Of all wall, what is seen by plain view alone: no surface was fused there."""
+        areas = self.closure.areas
+        return float(areas[self.closure.unmeasured].sum() / max(areas.sum(), 1e-300))
+
     def segment(self, start: float, end: float) -> Segment:
         inside = (self.closure.arc >= start) & (self.closure.arc <= end)
         area, unseen = self.closure.areas[inside], self.closure.unseen[inside]
@@ -133,13 +141,15 @@ def measure_coverage(
     half_fov_deg: float = 45.0,
     unit: str = "mm",
     fringe: float = 0.0,
+    picture: Picture | None = None,
 ) -> Coverage:
     """Coverage of the stretch that the cameras (N,4,4, in the order of the video) visited; `unit` is the mesh's.
 
     A cross-section counts as visited if it crossed the edge of the picture: `half_fov_deg` off axis is where the wall
     around the lumen leaves the view of a camera that passes. What lies farther was seen only from afar and is not
     judged. A surface cut from voxels ends up to a voxel short of what was seen, because all eight corners of a cell
-    must be known: give that as `fringe` (mesh unit), and wall so near to the mesh's edge counts as seen. Raises
+    must be known: give that as `fringe` (mesh unit), and wall so near to the mesh's edge counts as seen. With the
+    `picture` that all cameras take, wall of the closing in plain view of one of them counts as seen, too. Raises
     `NotATube`, whose text is one sentence, where mesh or path do not suffice.
 
     Everything is measured in the first camera's axes and in radii of the lumen, so that the answer moves, turns and
@@ -169,6 +179,8 @@ def measure_coverage(
     visited = tuple((start - begin, end - begin) for start, end in visited)
     closure = close_wall(own, line, (0.0, visited[-1][1]), radius, fringe / scale)
     closure = closure.part(within(closure.arc, visited))
+    if picture is not None:
+        closure = closure.seen_by(own, poses, picture.scaled(1 / scale), SLACK * radius)
     region, regions = _find_regions(closure, line, poses, half_fov_deg)
     return Coverage(line, closure, region, regions, visited, radius, unit).transformed(mesh_from_canonical)
 

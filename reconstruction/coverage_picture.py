@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reconstruction.coverage import Coverage, Segment
-from reconstruction.unrolled import MISSED, NOT_JUDGED, UnrolledMap
+from reconstruction.unrolled import MISSED, NOT_JUDGED, UNMEASURED, UnrolledMap
 
 MISSED_COLOUR = (0.10, 0.35, 0.95)  # no tissue is blue
+UNMEASURED_COLOUR = (0.72, 0.80, 0.95)
 NOT_JUDGED_COLOUR = (0.88, 0.88, 0.88)
 SEEN_BRIGHT = 235  # grey level that all but the brightest twentieth of the seen wall keep below
 INCHES = 13.0
@@ -31,8 +32,8 @@ def draw_coverage(
     _show(wall, unrolled, _wall_colours(unrolled))
     _mark_regions(wall, coverage, unrolled, listed)
     wall.set_title(
-        f"{100 * coverage.share:.1f} % of the wall seen over {coverage.length:.3g} {unit}; blue: missed; "
-        "grey: not visited, not judged",
+        f"{100 * coverage.share:.1f} % of the wall seen over {coverage.length:.3g} {unit}; blue: missed; pale blue: "
+        f"in view, not measured ({100 * coverage.unmeasured_share:.1f} %); grey: not visited, not judged",
         loc="left",
     )
     shown = _show(trust, unrolled, np.where(unrolled.state == NOT_JUDGED, np.nan, unrolled.confidence))
@@ -59,12 +60,13 @@ def _show(panel: Any, unrolled: UnrolledMap, values: NDArray[Any]) -> Any:
 
 
 def _wall_colours(unrolled: UnrolledMap) -> NDArray[np.float64]:
-    """(A,B,3) in [0,1]: seen wall brightened as a whole, missed and unjudged cells in their own colours."""
+    """(A,B,3) in [0,1]: seen wall brightened as a whole, all other cells in the colours of their states."""
     seen = unrolled.colour.max(axis=2)[unrolled.state != NOT_JUDGED]
     lit = seen[seen > 0]
     gain = max(1.0, SEEN_BRIGHT / max(1.0, float(np.percentile(lit, 95)))) if len(lit) else 1.0
     picture = np.minimum(unrolled.colour * gain / 255, 1)
     picture[unrolled.state == MISSED] = MISSED_COLOUR
+    picture[unrolled.state == UNMEASURED] = UNMEASURED_COLOUR
     picture[unrolled.state == NOT_JUDGED] = NOT_JUDGED_COLOUR
     return picture
 

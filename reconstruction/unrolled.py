@@ -12,7 +12,7 @@ from reconstruction.mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-NOT_JUDGED, SEEN, MISSED = 0, 1, 2
+NOT_JUDGED, SEEN, MISSED, UNMEASURED = 0, 1, 2, 3  # the last was in plain view, but is in no mesh
 COLUMNS = 120  # cells around; a cell is as long as it is wide at the lumen's median radius
 BEYOND = 0.4  # radii shown on either side of the visited stretch
 # Six points of a triangle, one for each third of an edge: closer together than the cells are wide.
@@ -25,10 +25,10 @@ class UnrolledMap:
 
     arc_edges: Array  # (A+1,) unit of the coverage
     angle_edges: Array  # (B+1,) radians
-    state: NDArray[np.uint8]  # (A,B) NOT_JUDGED, SEEN or MISSED
+    state: NDArray[np.uint8]  # (A,B) NOT_JUDGED, SEEN, MISSED or UNMEASURED
     region: NDArray[np.int64]  # (A,B) row of `Coverage.regions`, -1 elsewhere
-    colour: NDArray[np.uint8]  # (A,B,3) sRGB; 0 in missed cells
-    confidence: NDArray[np.float32]  # (A,B) NaN in missed cells and where nothing was recorded
+    colour: NDArray[np.uint8]  # (A,B,3) sRGB; 0 in missed and unmeasured cells
+    confidence: NDArray[np.float32]  # (A,B) NaN in those cells and where nothing was recorded
 
 
 def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMap:
@@ -49,10 +49,14 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMa
     judged = coverage.is_visited(middle)[:, None] & np.ones(COLUMNS, bool)
     cells, face = _cells_of_faces(coverage, arc_edges)
     size, weight = rows * COLUMNS, coverage.closure.areas[face]
-    unseen = coverage.closure.unseen[face]
-    total, dark = (np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unseen))
+    unseen, unmeasured = coverage.closure.unseen[face], coverage.closure.unmeasured[face]
+    total, dark, bare = (
+        np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unseen, weight * unmeasured)
+    )
     filled = _nearest_known((total > 0).reshape(rows, COLUMNS))
     missed = (2 * dark >= np.maximum(total, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
+    # Of what is seen in a cell, half or more without a surface.
+    in_view = (2 * bare >= np.maximum(total - dark, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
     owner = np.full(size, -1)
     order = np.argsort(-coverage.region[face[unseen]], kind="stable")  # the largest region last, so that it stays
     owner[cells[unseen][order]] = coverage.region[face[unseen]][order]
@@ -62,8 +66,8 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMa
         touched[cells[coverage.region[face] == number]] = True
         region[touched.reshape(rows, COLUMNS) & judged] = number
     missed |= region >= 0
-    colour, confidence = _paint(mesh, coverage, arc_edges, missed)
-    state = np.where(judged, np.where(missed, MISSED, SEEN), NOT_JUDGED).astype(np.uint8)
+    colour, confidence = _paint(mesh, coverage, arc_edges, missed | in_view)
+    state = np.where(judged, np.where(missed, MISSED, np.where(in_view, UNMEASURED, SEEN)), NOT_JUDGED).astype(np.uint8)
     return UnrolledMap(
         arc_edges,
         angle_edges,
@@ -93,9 +97,9 @@ def _cells_of(coverage: Coverage, points: Array, arc_edges: Array) -> tuple[NDAr
 
 
 def _paint(
-    mesh: SurfaceMesh, coverage: Coverage, arc_edges: Array, missed: NDArray[np.bool_]
+    mesh: SurfaceMesh, coverage: Coverage, arc_edges: Array, bare: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Mean colour (A,B,3) and confidence (A,B) of the mesh's faces in each cell that is not missed; a cell between
+    """Mean colour (A,B,3) and confidence (A,B) of the mesh's faces in each cell that is not bare; a cell between
     faces takes its nearest neighbour's."""
     rows = len(arc_edges) - 1
     points = np.einsum("sc,fci->fsi", SAMPLES, mesh.vertices[mesh.faces]).reshape(-1, 3)
@@ -106,8 +110,8 @@ def _paint(
     sums = np.stack([np.bincount(cells, weights=v, minlength=rows * COLUMNS) for v in values.T], axis=1)
     mean = (sums / np.maximum(count, 1)[:, None]).reshape(rows, COLUMNS, 4)
     mean = mean[_nearest_known((count > 0).reshape(rows, COLUMNS))]
-    colour = np.where(missed[..., None], 0, np.rint(mean[..., :3])).astype(np.uint8)
-    return colour, np.where(missed, np.nan, mean[..., 3]).astype(np.float32)
+    colour = np.where(bare[..., None], 0, np.rint(mean[..., :3])).astype(np.uint8)
+    return colour, np.where(bare, np.nan, mean[..., 3]).astype(np.float32)
 
 
 def _nearest_known(known: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

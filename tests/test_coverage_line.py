@@ -109,6 +109,7 @@ def test_a_listed_region_shows_on_the_map_even_beneath_a_fold():
         np.append(seen.unseen, np.ones(count, bool)),
         np.append(seen.arc, arc),
         np.append(seen.angle, angle),
+        np.zeros(len(seen.faces) + count, bool),
     )
     hidden = replace(coverage, closure=closure, region=np.append(coverage.region, np.zeros(count, int)))
     assert (unroll(hidden, mesh).state != MISSED).all()

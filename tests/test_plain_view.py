@@ -1,0 +1,135 @@
+"""Wall in plain view but in no mesh: against rays and triangles worked out one by one, and in tubes of known shape."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_coverage import HOLE, RADIUS, cameras, straight, tube
+
+from reconstruction.coverage import measure_coverage
+from reconstruction.coverage_picture import draw_coverage
+from reconstruction.mesh import SurfaceMesh
+from reconstruction.plain_view import Picture, in_plain_view
+from reconstruction.unrolled import MISSED, SEEN, UNMEASURED, unroll
+
+SIZE = 100
+WIDE = np.array([[50.0, 0, 50], [0, 50.0, 50], [0, 0, 1]])  # 90 degrees from side to side
+PICTURE = Picture(WIDE, np.ones((SIZE, SIZE), bool), np.inf)
+
+
+def meets(origin, target, triangle, slack):
+    """Whether a segment ends more than `slack` behind a triangle (Moeller and Trumbore, JGT 1997)."""
+    ray = target - origin
+    length = np.linalg.norm(ray)
+    first, second = triangle[1] - triangle[0], triangle[2] - triangle[0]
+    normal = np.cross(ray / length, second)
+    det = first @ normal
+    if abs(det) < 1e-12:
+        return False
+    offset = origin - triangle[0]
+    u = offset @ normal / det
+    across = np.cross(offset, first)
+    v = ray @ across / length / det
+    distance = second @ across / det
+    return u >= 0 and v >= 0 and u + v <= 1 and 0 < distance <= length - slack
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform((-4, -4, 2), (4, 4, 10), (12, 3, 3))
+    blocking = SurfaceMesh.from_triangles(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    points = rng.uniform((-8, -8, 0), (8, 8, 16), (40, 3))
+    normals = rng.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = rng.normal(0, 1, (3, 3))
+    content = rng.random((SIZE, SIZE)) > 0.2
+    picture, cosine, slack = Picture(WIDE, content, 12.0), 0.3, 0.05
+    seen = in_plain_view(points, normals, blocking, poses, picture, cosine, slack)
+    for row, (point, normal) in enumerate(zip(points, normals, strict=True)):
+        expected = False
+        for pose in poses:
+            ray = point - pose[:3, 3]
+            if not 0 < ray[2] <= 12:
+                continue
+            column, line = np.floor((WIDE @ ray)[:2] / ray[2]).astype(int)
+            if not (0 <= column < SIZE and 0 <= line < SIZE) or not content[line, column]:
+                continue
+            if -normal @ ray < cosine * np.linalg.norm(ray):
+                continue
+            expected |= not any(meets(pose[:3, 3], point, triangle, slack) for triangle in corners)
+        assert seen[row] == expected
+
+
+def test_no_points_and_no_surface_are_answers_too():
+    none = SurfaceMesh.from_triangles([], [])
+    far = SurfaceMesh.from_triangles([[90.0, 0, 0], [91, 0, 0], [90, 1, 0]], [[0, 1, 2]])
+    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), none, np.eye(4)[None], PICTURE, 0.3, 0.1).shape == (0,)
+    point, towards = np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -1]])
+    for mesh in (none, far):
+        assert in_plain_view(point, towards, mesh, np.eye(4)[None], PICTURE, 0.3, 0.1).tolist() == [True]
+    assert in_plain_view(point, -towards, far, np.eye(4)[None], PICTURE, 0.3, 0.1).tolist() == [False]
+
+
+def test_a_hole_that_cameras_look_at_is_seen_but_not_measured(tmp_path):
+    mesh, poses = tube(straight, HOLE), cameras(straight)
+    bare, viewed = measure_coverage(mesh, poses), measure_coverage(mesh, poses, picture=PICTURE)
+    assert bare.unmeasured_share == 0
+    assert (viewed.share, viewed.regions) == (1.0, [])
+    assert viewed.unmeasured_share == pytest.approx(1 - bare.share, rel=1e-9)
+    unrolled = unroll(viewed, mesh)
+    missed, open_ = unroll(bare, mesh).state == MISSED, unrolled.state == UNMEASURED
+    assert (missed == open_).all()
+    assert open_.sum() > 50
+    assert (unrolled.colour[open_] == 0).all()
+    assert (unrolled.colour[unrolled.state == SEEN] > 0).all()
+    draw_coverage(viewed, unrolled, viewed.segments(50), 0, tmp_path / "coverage.png")
+    assert (tmp_path / "coverage.png").stat().st_size > 10_000
+
+
+def test_a_hole_outside_the_picture_is_still_missed():
+    """It lies at 3 o'clock, and the right half of the picture shows nothing."""
+    mesh, poses = tube(straight, HOLE), cameras(straight)
+    content = np.ones((SIZE, SIZE), bool)
+    content[:, SIZE // 2 :] = False
+    half = measure_coverage(mesh, poses, picture=Picture(WIDE, content, np.inf))
+    assert half.share == measure_coverage(mesh, poses).share
+    near = measure_coverage(mesh, poses, picture=Picture(WIDE, ~content | content, 0.5 * RADIUS))
+    assert near.share == half.share  # in a picture of 90 degrees wall is a radius ahead at least
+
+
+def test_the_pocket_behind_a_fold_stays_missed():
+    """As in tests/test_coverage.py, by cameras that only go in: the fold stands between."""
+
+    def fold(s, angle):
+        crescent = np.clip(np.cos(angle - np.pi), 0, 1) ** 0.5
+        return RADIUS - 8 * crescent * np.exp(-(((s - 60) / 3) ** 2))
+
+    def hidden(s, angle):
+        return (s > 60) & (s < 66) & (np.abs(angle - np.pi) < 1.0)
+
+    mesh, poses = tube(straight, hidden, radius=fold), cameras(straight)
+    (bare,) = [r for r in measure_coverage(mesh, poses).regions if r.diameter > 2]
+    (viewed,) = [r for r in measure_coverage(mesh, poses, picture=PICTURE).regions if r.diameter > 2]
+    assert viewed.area > 0.85 * bare.area
+    assert viewed.clock == pytest.approx(6, abs=0.2)
+
+
+def test_the_answer_moves_and_scales_with_the_mesh():
+    mesh, poses = tube(straight, HOLE), cameras(straight)
+    content = np.ones((SIZE, SIZE), bool)
+    content[40:60] = False
+    here = measure_coverage(mesh, poses, picture=Picture(WIDE, content, 60.0))
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    similarity = np.eye(4)
+    similarity[:3, :3], similarity[:3, 3] = 0.02 * turn, (3, -1, 2)
+    moved = np.tile(np.eye(4), (len(poses), 1, 1))
+    moved[:, :3, :3] = turn @ poses[:, :3, :3]
+    moved[:, :3, 3] = poses[:, :3, 3] @ similarity[:3, :3].T + similarity[:3, 3]
+    there = measure_coverage(mesh.transformed(similarity), moved, picture=Picture(WIDE, content, 60 * 0.02))
+    assert there.share == pytest.approx(here.share, abs=0.002)
+    assert there.unmeasured_share == pytest.approx(here.unmeasured_share, abs=0.002)
+    assert 0 < here.unmeasured_share < 1 - measure_coverage(mesh, poses).share
