@@ -5,11 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pipeline.camera import Camera
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames
+from pipeline.odometry.rays import RayTable
 from pipeline.scale import in_words
-from pipeline.surface import Surface, fusion_settings
+from pipeline.structure import structure_camera
+from pipeline.surface import Surface
 from pipeline.workspace import Workspace
 from reconstruction.centreline import NotATube
 from reconstruction.coverage import Coverage, MissedRegion, measure_coverage
@@ -20,6 +24,7 @@ from reconstruction.unrolled import unroll
 from reconstruction.witness import SurfaceWitness
 
 FRINGE = 1.0  # voxels past the mesh's edge that count as seen, because all corners of a cell must be known
+ROUND_TRIP = 0.05  # of the distance from the axis and one: where a ray may come out that went through the lens and back
 SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
@@ -86,10 +91,25 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
     half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()
-    settings = fusion_settings(part, part.workspace.config)
-    farthest = np.inf if settings is None else settings.max_depth * factor
-    picture = Picture(part.camera.matrix, part.rectifier.mask(frames.content) > 0, farthest)
+    picture = seen_picture(structure_camera(frames.camera, part.submap), frames.content)
     return measure_coverage(believed, submap.world_from_camera, half_view, unit, FRINGE * voxel, picture), believed
+
+
+def seen_picture(camera: Camera, content: NDArray[np.uint8]) -> Picture:
+    """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
+    rays = RayTable(camera)
+
+    def project(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        pixels = rays.project(points)
+        known = np.isfinite(pixels).all(axis=1)
+        plane = points[known, :2] / points[known, 2:]
+        # A polynomial lens turns back on itself far outside its picture: what comes back elsewhere was never on it.
+        there = np.linalg.norm(rays.look_up(pixels[known])[0] - plane, axis=1)
+        lost = there > ROUND_TRIP * (1 + np.linalg.norm(plane, axis=1))
+        pixels[np.flatnonzero(known)[lost]] = np.nan
+        return pixels
+
+    return Picture(project, rays.masked(content) > 0)
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:

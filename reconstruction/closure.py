@@ -33,6 +33,8 @@ POISSON_SCALE = 1.1  # cube of the octree over the samples' bounding cube
 DEEPEST = 11  # levels of the octree
 FEWEST_FACES = 100  # of a mesh that can be judged
 SQUARE_DEG = 70.0  # between ray and normal: wall that no camera sees squarer is not in plain view
+IN_SIGHT = 5.0  # nor is wall that is farther: down the lumen, too much that stands between may be missing in the mesh
+SLACK = 0.03  # the closing runs so far off the mesh that it continues, which must not stand in its way
 
 
 @dataclass(frozen=True)
@@ -57,15 +59,17 @@ class Closure:
         rows = {name: getattr(self, name)[kept] for name in ("faces", "unseen", "arc", "angle", "unmeasured")}
         return replace(self, **rows)
 
-    def seen_by(self, mesh: SurfaceMesh, poses: Array, picture: Picture, slack: float) -> Closure:
+    def seen_by(self, mesh: SurfaceMesh, poses: Array, picture: Picture, radius: float) -> Closure:
         """The same closing where what is in plain view of a camera (N,4,4) counts as seen, though it is not in the
-        mesh, which alone stands in the way."""
+        mesh, which alone stands in the way. `radius` is the lumen's."""
         rows = np.flatnonzero(self.unseen)
         first, second, third = (self.vertices[self.faces[rows, corner]] for corner in range(3))
         normals = np.cross(second - first, third - first)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         centroids = (first + second + third) / 3
-        visible = rows[in_plain_view(centroids, normals, mesh, poses, picture, np.cos(np.radians(SQUARE_DEG)), slack)]
+        square = np.cos(np.radians(SQUARE_DEG))
+        seen = in_plain_view(centroids, normals, mesh, poses, picture, square, IN_SIGHT * radius, SLACK * radius)
+        visible = rows[seen]
         unseen, unmeasured = self.unseen.copy(), self.unmeasured.copy()
         unseen[visible], unmeasured[visible] = False, True
         return replace(self, unseen=unseen, unmeasured=unmeasured)

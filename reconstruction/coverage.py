@@ -21,7 +21,6 @@ LEAST_WALL = 0.5  # mean share of a cross-section's rays that must meet wall
 # Radii from one posed frame to the next up to which the lumen between them counts as passed. No tracker follows a
 # camera farther than about half of that between two frames, so what is longer is a gap in the poses.
 GAP = 1.0
-SLACK = 0.03  # radii: the closing runs so far off the mesh that it continues, which must not stand in its own way
 ONE_SIDED = 0.3  # length of the mean direction below which a region goes all round
 Intervals = tuple[tuple[float, float], ...]
 
@@ -180,7 +179,7 @@ def measure_coverage(
     closure = close_wall(own, line, (0.0, visited[-1][1]), radius, fringe / scale)
     closure = closure.part(within(closure.arc, visited))
     if picture is not None:
-        closure = closure.seen_by(own, poses, picture.scaled(1 / scale), SLACK * radius)
+        closure = closure.seen_by(own, poses, picture, radius)
     region, regions = _find_regions(closure, line, poses, half_fov_deg)
     return Coverage(line, closure, region, regions, visited, radius, unit).transformed(mesh_from_canonical)
 

@@ -7,7 +7,8 @@ in the way tell the two apart without asking the depth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +21,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Picture:
-    """What every frame of a pinhole camera shows."""
+    """What every frame of a camera shows, through its own lens: a rectified picture may have lost its corners."""
 
-    intrinsics: Array  # (3,3), pixel centres at half integers
+    project: Callable[[Array], Array]  # points in camera axes (N,3) -> pixels (N,2), NaN where the lens has none
     content: NDArray[np.bool_]  # (H,W): pixels that show the scene, not the border of the picture
-    farthest: float  # z-depth beyond which nothing is believed to be seen, in the mesh's unit
 
-    def scaled(self, factor: float) -> Picture:
-        """The same camera in a unit that is `1 / factor` of this one."""
-        return replace(self, farthest=factor * self.farthest)
+    def shows(self, points: Array) -> NDArray[np.bool_]:
+        """(N,): whether each point, in camera axes (N,3), lies on a pixel that shows the scene."""
+        place = np.floor(self.project(points))
+        height, width = self.content.shape
+        on: NDArray[np.bool_] = np.asarray(((place >= 0) & (place < (width, height))).all(axis=1))
+        column, row = np.where(on[:, None], place, 0).astype(np.int64).T
+        return on & self.content[row, column]
 
 
 def in_plain_view(
@@ -38,10 +42,12 @@ def in_plain_view(
     world_from_camera: Array,
     picture: Picture,
     least_cosine: float,
+    farthest: float,
     slack: float,
 ) -> NDArray[np.bool_]:
-    """(N,): whether any camera (M,4,4) has the point (N,3) in its picture, with at least `least_cosine` between the
-    unit normal (N,3) and the ray back, and no surface on the ray that is farther than `slack` before the point."""
+    """(N,): whether any camera (M,4,4) has the point (N,3) in its picture and at most `farthest` away, with at least
+    `least_cosine` between the unit normal (N,3) and the ray back, and no surface on the ray that is farther than
+    `slack` before the point."""
     from scipy.spatial import cKDTree
 
     o3d = import_open3d()
@@ -53,39 +59,16 @@ def in_plain_view(
     if not len(points):
         return visible
     tree = cKDTree(points)
-    corner = np.linalg.norm(_corner_ray(picture))  # how far a point of the greatest z-depth can be
     for pose in world_from_camera:
-        near = np.array(tree.query_ball_point(pose[:3, 3], corner * picture.farthest), np.int64)
+        near = np.array(tree.query_ball_point(pose[:3, 3], farthest, return_sorted=True), np.int64)
         near = near[~visible[near]]
-        near = near[_in_picture(points[near], pose, picture)]
         ray = points[near] - pose[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
-        facing = -np.einsum("ni,ni->n", normals[near], ray) >= least_cosine * distance
-        near, ray, distance = near[facing], ray[facing], distance[facing]
+        good = -np.einsum("ni,ni->n", normals[near], ray) >= least_cosine * distance
+        good[good] = picture.shows(ray[good] @ pose[:3, :3])
+        near, ray, distance = near[good], ray[good], distance[good]
         if len(near):
-            origin = np.broadcast_to(pose[:3, 3], ray.shape)
-            rays = np.hstack([origin, ray / distance[:, None]]).astype(np.float32)
+            rays = np.hstack([np.broadcast_to(pose[:3, 3], ray.shape), ray / distance[:, None]]).astype(np.float32)
             met = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
             visible[near[met > distance - slack]] = True
     return visible
-
-
-def _corner_ray(picture: Picture) -> Array:
-    """The longest ray of unit z-depth that the picture holds."""
-    height, width = picture.content.shape
-    corners = np.array([(x, y, 1.0) for x in (0, width) for y in (0, height)])
-    rays = corners @ np.linalg.inv(picture.intrinsics).T
-    return rays[np.argmax(np.linalg.norm(rays, axis=1))]
-
-
-def _in_picture(points: Array, pose: Array, picture: Picture) -> NDArray[np.bool_]:
-    """(N,): whether each point lies before the camera, near enough, on a pixel that shows the scene."""
-    own = (points - pose[:3, 3]) @ pose[:3, :3]
-    inside = (own[:, 2] > 0) & (own[:, 2] <= picture.farthest)
-    pixel = own[inside] @ picture.intrinsics.T
-    height, width = picture.content.shape
-    place = np.floor(pixel[:, :2] / np.maximum(pixel[:, 2:], 1e-12))
-    on = np.flatnonzero(((place >= 0) & (place < (width, height))).all(axis=1))
-    column, row = place[on].astype(np.int64).T
-    shown = np.flatnonzero(inside)[on[picture.content[row, column]]]
-    return np.isin(np.arange(len(points)), shown)

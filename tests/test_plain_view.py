@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_coverage import HOLE, RADIUS, cameras, straight, tube
 
+from pipeline.camera import Camera
+from pipeline.coverage import seen_picture
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_picture import draw_coverage
 from reconstruction.mesh import SurfaceMesh
@@ -13,8 +15,16 @@ from reconstruction.plain_view import Picture, in_plain_view
 from reconstruction.unrolled import MISSED, SEEN, UNMEASURED, unroll
 
 SIZE = 100
-WIDE = np.array([[50.0, 0, 50], [0, 50.0, 50], [0, 0, 1]])  # 90 degrees from side to side
-PICTURE = Picture(WIDE, np.ones((SIZE, SIZE), bool), np.inf)
+WIDE = np.array([[50.0, 0, 50], [0, 50.0, 50], [0, 0, 1]])
+
+
+def through_a_pinhole(points):
+    """A picture of 100x100 pixels, 90 degrees from side to side."""
+    pixels = points @ WIDE.T
+    return np.where(points[:, 2:] > 0, pixels[:, :2] / np.maximum(pixels[:, 2:], 1e-9), np.nan)
+
+
+PICTURE = Picture(through_a_pinhole, np.ones((SIZE, SIZE), bool))
 
 
 def meets(origin, target, triangle, slack):
@@ -46,13 +56,13 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, :3, 3] = rng.normal(0, 1, (3, 3))
     content = rng.random((SIZE, SIZE)) > 0.2
-    picture, cosine, slack = Picture(WIDE, content, 12.0), 0.3, 0.05
-    seen = in_plain_view(points, normals, blocking, poses, picture, cosine, slack)
+    picture, cosine, farthest, slack = Picture(through_a_pinhole, content), 0.3, 12.0, 0.05
+    seen = in_plain_view(points, normals, blocking, poses, picture, cosine, farthest, slack)
     for row, (point, normal) in enumerate(zip(points, normals, strict=True)):
         expected = False
         for pose in poses:
             ray = point - pose[:3, 3]
-            if not 0 < ray[2] <= 12:
+            if ray[2] <= 0 or np.linalg.norm(ray) > farthest:
                 continue
             column, line = np.floor((WIDE @ ray)[:2] / ray[2]).astype(int)
             if not (0 <= column < SIZE and 0 <= line < SIZE) or not content[line, column]:
@@ -66,11 +76,14 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
 def test_no_points_and_no_surface_are_answers_too():
     none = SurfaceMesh.from_triangles([], [])
     far = SurfaceMesh.from_triangles([[90.0, 0, 0], [91, 0, 0], [90, 1, 0]], [[0, 1, 2]])
-    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), none, np.eye(4)[None], PICTURE, 0.3, 0.1).shape == (0,)
+    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), none, np.eye(4)[None], PICTURE, 0.3, 9.0, 0.1).shape == (
+        0,
+    )
     point, towards = np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -1]])
     for mesh in (none, far):
-        assert in_plain_view(point, towards, mesh, np.eye(4)[None], PICTURE, 0.3, 0.1).tolist() == [True]
-    assert in_plain_view(point, -towards, far, np.eye(4)[None], PICTURE, 0.3, 0.1).tolist() == [False]
+        assert in_plain_view(point, towards, mesh, np.eye(4)[None], PICTURE, 0.3, 9.0, 0.1).tolist() == [True]
+    assert in_plain_view(point, towards, far, np.eye(4)[None], PICTURE, 0.3, 4.9, 0.1).tolist() == [False]
+    assert in_plain_view(point, -towards, far, np.eye(4)[None], PICTURE, 0.3, 9.0, 0.1).tolist() == [False]
 
 
 def test_a_hole_that_cameras_look_at_is_seen_but_not_measured(tmp_path):
@@ -94,10 +107,8 @@ def test_a_hole_outside_the_picture_is_still_missed():
     mesh, poses = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)
     content[:, SIZE // 2 :] = False
-    half = measure_coverage(mesh, poses, picture=Picture(WIDE, content, np.inf))
+    half = measure_coverage(mesh, poses, picture=Picture(through_a_pinhole, content))
     assert half.share == measure_coverage(mesh, poses).share
-    near = measure_coverage(mesh, poses, picture=Picture(WIDE, ~content | content, 0.5 * RADIUS))
-    assert near.share == half.share  # in a picture of 90 degrees wall is a radius ahead at least
 
 
 def test_the_pocket_behind_a_fold_stays_missed():
@@ -121,7 +132,7 @@ def test_the_answer_moves_and_scales_with_the_mesh():
     mesh, poses = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)
     content[40:60] = False
-    here = measure_coverage(mesh, poses, picture=Picture(WIDE, content, 60.0))
+    here = measure_coverage(mesh, poses, picture=Picture(through_a_pinhole, content))
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     similarity = np.eye(4)
@@ -129,7 +140,41 @@ def test_the_answer_moves_and_scales_with_the_mesh():
     moved = np.tile(np.eye(4), (len(poses), 1, 1))
     moved[:, :3, :3] = turn @ poses[:, :3, :3]
     moved[:, :3, 3] = poses[:, :3, 3] @ similarity[:3, :3].T + similarity[:3, 3]
-    there = measure_coverage(mesh.transformed(similarity), moved, picture=Picture(WIDE, content, 60 * 0.02))
+    there = measure_coverage(mesh.transformed(similarity), moved, picture=Picture(through_a_pinhole, content))
     assert there.share == pytest.approx(here.share, abs=0.002)
     assert there.unmeasured_share == pytest.approx(here.unmeasured_share, abs=0.002)
     assert 0 < here.unmeasured_share < 1 - measure_coverage(mesh, poses).share
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("PINHOLE", (60.0, 60.0, 50.0, 50.0)),
+        ("OPENCV", (60.0, 60.0, 50.0, 50.0, -0.3, 0.05, 0.0, 0.0)),
+        ("OPENCV_FISHEYE", (45.0, 45.0, 50.0, 50.0, -0.02, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, params):
+    """Rays of known pixels are shown if those pixels are; rays far off the axis, which a polynomial would fold back
+    into the picture, are not."""
+    camera = Camera(model, SIZE, SIZE, params, True)
+    content = np.zeros((SIZE, SIZE), np.uint8)
+    content[20:80, 10:90] = 255
+    picture = seen_picture(camera, content)
+    rng = np.random.default_rng(0)
+    angle, turn = np.radians(rng.uniform(0, 70, 4000)), rng.uniform(0, 2 * np.pi, 4000)
+    rays = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
+    row, column = np.floor(camera.project(rays)[:, ::-1]).astype(int).T
+    on = (row >= 20) & (row < 80) & (column >= 10) & (column < 90)
+    if model == "OPENCV":  # past its greatest radius the polynomial falls
+        radius = np.linalg.norm(camera.project(rays) - 50, axis=1)
+        order = np.argsort(angle)
+        turning = angle[order][np.argmax(radius[order])]
+        assert 0.5 < turning < np.radians(70)
+        on &= angle < turning
+        clear = np.abs(angle - turning) > 0.1
+    else:
+        clear = np.ones(len(rays), bool)
+    shown = picture.shows(rays * rng.uniform(1, 9, (4000, 1)))
+    assert 300 < on[clear].sum() < 3500
+    np.testing.assert_array_equal(shown[clear], on[clear])
