@@ -14,6 +14,10 @@ class Advance(Protocol):
     def __call__(self, done: int, total: int | None = None, note: str = "") -> None: ...
 
 
+def unheard(done: int, total: int | None = None, note: str = "") -> None:
+    """Nobody is told."""
+
+
 class Progress(Protocol):
     """What a stage may say while it works."""
 
@@ -27,7 +31,7 @@ class SilentProgress:
 
     @contextmanager
     def bar(self, label: str, total: int | None) -> Iterator[Advance]:
-        yield lambda done, total=None, note="": None
+        yield unheard
 
     def say(self, sentence: str) -> None:
         logger.info(sentence)

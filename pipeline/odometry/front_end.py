@@ -3,7 +3,6 @@
 import copy
 import time
 from dataclasses import dataclass
-from itertools import count
 
 import cv2
 import numpy as np
@@ -20,7 +19,7 @@ from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
-from pipeline.odometry.places import Features, FindFeatures
+from pipeline.odometry.places import FindFeatures
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.refit import refit
 from pipeline.odometry.self_calibration import FRAME_STEP, KEYFRAME_STEP, refine_lens
@@ -132,14 +131,8 @@ def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> 
     so; of the others, how wide the features were at most."""
     if not maps:
         return []
-    done = count(1)  # safe from several threads
-
-    def counted(frame: int) -> Features:
-        advance(next(done))
-        return find(frame)
-
-    with progress.bar("features of keyframes", sum(len(m.keyframes) for m in maps)) as advance:
-        held = [refit(local_map, counted) for local_map in maps]
+    with progress.bar("adjusting to features", None) as advance:
+        held = [refit(local_map, find, advance) for local_map in maps]
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.say(

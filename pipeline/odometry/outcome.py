@@ -7,6 +7,7 @@ from pipeline.odometry.bundle import reprojections
 from pipeline.odometry.local_map import LOSS_PX, MAX_ERROR_PX, LocalMap
 from pipeline.odometry.poses import Array, compose, in_camera, inverse
 from pipeline.odometry.resection import refine_poses
+from pipeline.progress import Advance, unheard
 from pipeline.submap import Submap
 
 LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
@@ -24,7 +25,7 @@ MIN_SEEN = 8  # points that a frame must see to be called posed
 CHUNK = 500  # frames refined at once
 
 
-def polish(local_map: LocalMap, changed: bool = False) -> None:
+def polish(local_map: LocalMap, changed: bool = False, advance: Advance = unheard) -> None:
     """Adjust all keyframes and points together, cull, and adjust what is left.
 
     A map that was just `changed`, joined from two or given another lens, is first let settle: it starts some pixels
@@ -32,12 +33,14 @@ def polish(local_map: LocalMap, changed: bool = False) -> None:
     """
     count = len(local_map.keyframes)
     if changed and count > LONG:
-        _straighten(local_map)
-    for loss_px, max_error_px in SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),):
+        _straighten(local_map, advance)
+    passes = SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),)
+    for number, (loss_px, max_error_px) in enumerate(passes):
+        advance(number, len(passes), "adjusting all keyframes")
         local_map.adjust(count, FINAL_ITERATIONS, count, loss_px, max_error_px, 0, FINAL_TOLERANCE, FINAL_DAMPING)
 
 
-def _straighten(local_map: LocalMap) -> None:
+def _straighten(local_map: LocalMap, advance: Advance = unheard) -> None:
     """Adjust a long map from its beginning on, half a piece at a time; what lies ahead is carried along.
 
     Where the scale drifts by half over a long film, the far end must come back by a factor and a turn. To an adjustment
@@ -46,6 +49,7 @@ def _straighten(local_map: LocalMap) -> None:
     """
     for end in range(PIECE, len(local_map.keyframes), PIECE // 2):
         piece = range(end - PIECE // 2, end)
+        advance(end, len(local_map.keyframes), "straightening")
         poses = [local_map.keyframes[number].pose for number in piece]
         before = local_map.points.copy()
         for loss_px, _ in SETTLING:

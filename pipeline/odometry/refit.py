@@ -6,10 +6,11 @@ finds for itself, matched to where the map has them, slide far less, the narrow 
 these alone; wider ones and the corners' points follow, and all features become points of the map.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import growth, polish
 from pipeline.odometry.places import STILL_PX, FindFeatures, Place, match, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse, scaled
+from pipeline.progress import Advance, unheard
 
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
 # more on compressed ones, where fine texture moves with its blocks (docs/front_end.md).
@@ -37,10 +39,11 @@ MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 ROOTED = 64  # keyframes whose descriptors are kept as RootSIFT, half a megabyte each
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
+T = TypeVar("T")
 Rooted = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its features' descriptors, (N,128)
 
 
-def refit(local_map: LocalMap, find: FindFeatures) -> float | None:
+def refit(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -> float | None:
     """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
     None if they do not hold it.
 
@@ -48,11 +51,11 @@ def refit(local_map: LocalMap, find: FindFeatures) -> float | None:
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
-    matched = _matched(local_map, find)
+    matched = _matched(local_map, find, advance)
     limit = max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width)
     for widest in (limit, np.inf):
         moving = _map_of(local_map, matched, False, widest)
-        before = _adjusted(moving)
+        before = _adjusted(moving, advance)
         if before is not None:
             _take_over(local_map, _map_of(local_map, matched, True, widest))
             _follow(local_map, moving, before)
@@ -60,12 +63,12 @@ def refit(local_map: LocalMap, find: FindFeatures) -> float | None:
     return None
 
 
-def _adjusted(fitted: LocalMap) -> Array | None:
+def _adjusted(fitted: LocalMap, advance: Advance) -> Array | None:
     """Adjust a map of features: its points (T,3) from before, or None if the features do not hold it."""
     if not _is_held(fitted, TYPICAL):
         return None
     before = fitted.points.copy()
-    polish(fitted, changed=True)
+    polish(fitted, True, advance)
     return before if _is_held(fitted, TYPICAL / 2) else None
 
 
@@ -119,16 +122,26 @@ class Matched:
         return join_features([place.points for place in self.places], self.pairs, chosen)
 
 
-def _matched(local_map: LocalMap, find: FindFeatures) -> Matched:
+def _matched(local_map: LocalMap, find: FindFeatures, advance: Advance) -> Matched:
+    keyframes = range(len(local_map.keyframes))
     with ThreadPoolExecutor(THREADS) as threads:
-        places = list(threads.map(lambda number: place_of(local_map, number, find), range(len(local_map.keyframes))))
+        placed = threads.map(lambda number: place_of(local_map, number, find), keyframes)
+        places = list(_counted(placed, len(keyframes), "finding features", advance))
         pairs = _near(local_map)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
         rooted = lru_cache(ROOTED)(lambda number: places[number].rooted)
-        same = list(threads.map(partial(_same, local_map, places, rooted), pairs))
+        found = threads.map(partial(_same, local_map, places, rooted), pairs)
+        same = list(_counted(found, len(pairs), "matching pairs of keyframes", advance))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(place, descriptors=np.zeros((0, 128), np.uint8)) for place in places]
     return Matched(bare, pairs, same)
+
+
+def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> Iterator[T]:
+    """The same, and whoever waits is told how many there are already."""
+    for done, result in enumerate(results, start=1):
+        advance(done, total, note)
+        yield result
 
 
 def _map_of(local_map: LocalMap, matched: Matched, wide: bool, widest: float) -> LocalMap:
