@@ -5,8 +5,8 @@
 
 The first isolates the coverage code from the front end: every frame's true depth, made a pinhole's, is fused at the
 true pose, so what is left is how voxels end short of what was seen and how the closing stands for hidden wall. Its
-figures are given for several fringes, in voxels; `measure_coverage` is used with one. Definitions of found and false
-are in `reconstruction/coverage_truth.py`.
+figures are given for several fringes, in voxels; `measure_coverage` is used with one. "Frontier alone" leaves plain
+view out. Definitions of found and false are in `reconstruction/coverage_truth.py`.
 """
 
 import argparse
@@ -16,14 +16,17 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.camera import read_camera
 from pipeline.compare import compare_run
+from pipeline.coverage import seen_picture
 from pipeline.rectify import make_rectifier
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_truth import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.fusion import FusionSettings, SurfaceFusion
 from reconstruction.mesh import SurfaceMesh, drop_small_components
+from reconstruction.plain_view import Picture
 from reconstruction.trajectory import read_tum
 from record import write
 
@@ -35,31 +38,35 @@ FRINGES = (0.0, 0.5, 1.0, 1.5)  # voxels
 USED_FRINGE = 1.0
 
 
-def fuse_truth(folder: Path, every: int) -> SurfaceMesh:
-    """Mesh in mm of every `every`-th frame's true depth and colour at its true pose."""
+def fuse_truth(folder: Path, every: int) -> tuple[SurfaceMesh, NDArray[np.uint8]]:
+    """Mesh in mm of every `every`-th frame's true depth and colour at its true pose; and which pixels show wall."""
     rectifier = make_rectifier(read_camera(folder / "camera.json"), WIDEST_DEG)
     _, poses = read_tum(folder / "trajectory.txt")
     fusion = SurfaceFusion(FusionSettings(VOXEL_MM, truncation=TRUNCATION))
+    content = None
     for number in range(0, len(poses), every):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
         stored: Any = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED)
+        content = (stored > 0) if content is None else content | (stored > 0)
         depth = rectifier.mask(stored).astype(np.float32) * np.float32(0.01)
         fusion.integrate(rectifier.image(rgb), depth, None, rectifier.camera.matrix, poses[number])
-    return drop_small_components(fusion.extract(), SMALLEST_PIECE)[0]
+    return drop_small_components(fusion.extract(), SMALLEST_PIECE)[0], np.asarray(content, np.uint8)
 
 
-def errors_of_truth(folder: Path, every: int) -> dict[float, CoverageErrors]:
-    """Errors at each fringe."""
+def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageErrors], CoverageErrors]:
+    """Errors at each fringe, and those of the frontier alone at the fringe that is used."""
     wall = read_true_wall(folder / "mesh.ply")
     if wall is None:
         raise SystemExit(f"{folder}/mesh.ply does not know what was not seen")
-    camera = make_rectifier(read_camera(folder / "camera.json"), WIDEST_DEG).camera
-    mesh, (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
-    half_view = min(camera.field_of_view()) / 2
-    return {
-        fringe: coverage_errors(measure_coverage(mesh, poses, half_view, "mm", fringe * VOXEL_MM), wall)
-        for fringe in FRINGES
-    }
+    lens = read_camera(folder / "camera.json")
+    camera = make_rectifier(lens, WIDEST_DEG).camera
+    (mesh, content), (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
+    half_view, picture = min(camera.field_of_view()) / 2, seen_picture(lens, content)
+
+    def errors(fringe: float, picture: Picture | None) -> CoverageErrors:
+        return coverage_errors(measure_coverage(mesh, poses, half_view, "mm", fringe * VOXEL_MM, picture), wall)
+
+    return {fringe: errors(fringe, picture) for fringe in FRINGES}, errors(USED_FRINGE, None)
 
 
 def main() -> None:
@@ -77,15 +84,16 @@ def main() -> None:
         return
     results, totals = {}, np.zeros(4, int)
     for folder in arguments.folders:
-        by_fringe = errors_of_truth(folder, arguments.every)
+        by_fringe, frontier = errors_of_truth(folder, arguments.every)
         used = by_fringe[USED_FRINGE]
         totals += (used.true_regions, used.found, used.estimated_regions, used.false)
         results[folder.name] = {
             "errors": asdict(used),
+            "frontier_alone": asdict(frontier),
             "error_points_by_fringe": {str(fringe): e.error_points for fringe, e in by_fringe.items()},
         }
         spread = ", ".join(f"{e.error_points:+.1f} at {fringe:g}" for fringe, e in by_fringe.items())
-        print(f"{folder.name:16} {used}; by fringe: {spread}", flush=True)
+        print(f"{folder.name:16} {used}; by fringe: {spread}; frontier alone: {frontier}", flush=True)
     true, found, reported, false = totals.tolist()
     print(
         f"regions over 5 mm: {found} of {true} found ({100 * found / max(true, 1):.0f} %), {false} of {reported} false"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from reconstruction.centreline import Centreline, NotATube
 from reconstruction.mesh import SurfaceMesh
 from reconstruction.open3d_import import import_open3d
-from reconstruction.plain_view import Picture, in_plain_view
+from reconstruction.plain_view import Picture, Sight, in_plain_view
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,7 @@ DEEPEST = 11  # levels of the octree
 FEWEST_FACES = 100  # of a mesh that can be judged
 SQUARE_DEG = 70.0  # between ray and normal: wall that no camera sees squarer is not in plain view
 IN_SIGHT = 5.0  # nor is wall that is farther: down the lumen, too much that stands between may be missing in the mesh
+BEHIND = 1.0  # nor is what cameras look through, if they meet wall so far behind it
 SLACK = 0.03  # the closing runs so far off the mesh that it continues, which must not stand in its way
 
 
@@ -67,8 +68,8 @@ class Closure:
         normals = np.cross(second - first, third - first)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         centroids = (first + second + third) / 3
-        square = np.cos(np.radians(SQUARE_DEG))
-        seen = in_plain_view(centroids, normals, mesh, poses, picture, square, IN_SIGHT * radius, SLACK * radius)
+        sight = Sight(float(np.cos(np.radians(SQUARE_DEG))), IN_SIGHT * radius, SLACK * radius, BEHIND * radius)
+        seen = in_plain_view(centroids, normals, mesh, poses, picture, sight)
         visible = rows[seen]
         unseen, unmeasured = self.unseen.copy(), self.unmeasured.copy()
         unseen[visible], unmeasured[visible] = False, True

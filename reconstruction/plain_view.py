@@ -2,13 +2,14 @@
 
 A surface is fused only where depth is sure and several frames agree. Beside and behind the rims of folds neither is
 so, though the camera looks at the wall there: it was not missed, it was not measured. Poses and the surface that stands
-in the way tell the two apart without asking the depth.
+in the way, or behind, tell the two apart without asking the depth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,40 +36,58 @@ class Picture:
         return on & self.content[row, column]
 
 
+@dataclass(frozen=True)
+class Sight:
+    """When a place is in plain view; lengths in the mesh's unit."""
+
+    least_cosine: float  # between the wall's normal and the ray back to the camera
+    farthest: float  # from the camera
+    slack: float  # before the place, where a surface does not yet stand in the way
+    behind: float  # the place, where a surface that faces the camera says that it looks through
+
+
 def in_plain_view(
-    points: Array,
-    normals: Array,
-    blocking: SurfaceMesh,
-    world_from_camera: Array,
-    picture: Picture,
-    least_cosine: float,
-    farthest: float,
-    slack: float,
+    points: Array, normals: Array, wall: SurfaceMesh, world_from_camera: Array, picture: Picture, sight: Sight
 ) -> NDArray[np.bool_]:
-    """(N,): whether any camera (M,4,4) has the point (N,3) in its picture and at most `farthest` away, with at least
-    `least_cosine` between the unit normal (N,3) and the ray back, and no surface on the ray that is farther than
-    `slack` before the point."""
+    """(N,): whether places (N,3) of unit normals (N,3) are in the picture of a camera (M,4,4), with no `wall` between
+    them, and whether fewer than half of the cameras of which that is true meet `wall` behind the place instead: there
+    they look into the mouth of a pocket, not at wall."""
     from scipy.spatial import cKDTree
 
+    open_, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    if not len(points):
+        return open_ > 0
+    scene, tree = _scene(wall), cKDTree(points)
+    for pose in world_from_camera:
+        near = np.array(tree.query_ball_point(pose[:3, 3], sight.farthest, return_sorted=True), np.int64)
+        ray = points[near] - pose[:3, 3]
+        distance = np.linalg.norm(ray, axis=1)
+        good = -np.einsum("ni,ni->n", normals[near], ray) >= sight.least_cosine * distance
+        good[good] = picture.shows(ray[good] @ pose[:3, :3])
+        near, ray, distance = near[good], ray[good] / distance[good, None], distance[good]
+        met, _ = _cast(scene, np.broadcast_to(pose[:3, 3], ray.shape), ray)
+        free = met > distance - sight.slack
+        near, ray = near[free], ray[free]
+        open_[near] += 1
+        met, facing = _cast(scene, points[near] - sight.slack * ray, ray)
+        through[near] += (met < sight.slack + sight.behind) & facing
+    return 2 * through < open_
+
+
+def _scene(mesh: SurfaceMesh) -> Any:
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(blocking.vertices.astype(np.float32)), o3d.core.Tensor(blocking.faces.astype(np.uint32))
+        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.faces.astype(np.uint32))
     )
-    visible = np.zeros(len(points), bool)
-    if not len(points):
-        return visible
-    tree = cKDTree(points)
-    for pose in world_from_camera:
-        near = np.array(tree.query_ball_point(pose[:3, 3], farthest, return_sorted=True), np.int64)
-        near = near[~visible[near]]
-        ray = points[near] - pose[:3, 3]
-        distance = np.linalg.norm(ray, axis=1)
-        good = -np.einsum("ni,ni->n", normals[near], ray) >= least_cosine * distance
-        good[good] = picture.shows(ray[good] @ pose[:3, :3])
-        near, ray, distance = near[good], ray[good], distance[good]
-        if len(near):
-            rays = np.hstack([np.broadcast_to(pose[:3, 3], ray.shape), ray / distance[:, None]]).astype(np.float32)
-            met = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
-            visible[near[met > distance - slack]] = True
-    return visible
+    return scene
+
+
+def _cast(scene: Any, origin: Array, ray: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Distance (N,) along unit rays to the first surface, infinite where there is none, and whether it faces them."""
+    if not len(ray):
+        return np.zeros(0), np.zeros(0, bool)
+    o3d = import_open3d()
+    answer = scene.cast_rays(o3d.core.Tensor(np.hstack([origin, ray]).astype(np.float32)))
+    facing = np.einsum("ni,ni->n", answer["primitive_normals"].numpy(), ray) < 0
+    return answer["t_hit"].numpy().astype(np.float64), facing

@@ -1,5 +1,7 @@
 """Wall in plain view but in no mesh: against rays and triangles worked out one by one, and in tubes of known shape."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,7 @@ from pipeline.coverage import seen_picture
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_picture import draw_coverage
 from reconstruction.mesh import SurfaceMesh
-from reconstruction.plain_view import Picture, in_plain_view
+from reconstruction.plain_view import Picture, Sight, in_plain_view
 from reconstruction.unrolled import MISSED, SEEN, UNMEASURED, unroll
 
 SIZE = 100
@@ -27,21 +29,19 @@ def through_a_pinhole(points):
 PICTURE = Picture(through_a_pinhole, np.ones((SIZE, SIZE), bool))
 
 
-def meets(origin, target, triangle, slack):
-    """Whether a segment ends more than `slack` behind a triangle (Moeller and Trumbore, JGT 1997)."""
-    ray = target - origin
-    length = np.linalg.norm(ray)
-    first, second = triangle[1] - triangle[0], triangle[2] - triangle[0]
-    normal = np.cross(ray / length, second)
-    det = first @ normal
-    if abs(det) < 1e-12:
-        return False
-    offset = origin - triangle[0]
-    u = offset @ normal / det
-    across = np.cross(offset, first)
-    v = ray @ across / length / det
-    distance = second @ across / det
-    return u >= 0 and v >= 0 and u + v <= 1 and 0 < distance <= length - slack
+def distances(origin, ray, triangles):
+    """Where a unit ray meets each triangle, infinite where it does not, and whether that faces it (Moeller and
+    Trumbore, JGT 1997)."""
+    result = []
+    for a, b, c in triangles:
+        normal = np.cross(ray, c - a)
+        det = (b - a) @ normal
+        u = (origin - a) @ normal / det
+        across = np.cross(origin - a, b - a)
+        v, distance = ray @ across / det, (c - a) @ across / det
+        hit = u >= 0 and v >= 0 and u + v <= 1 and distance > 0
+        result.append((distance if hit else np.inf, ray @ np.cross(b - a, c - a) < 0))
+    return result
 
 
 @settings(max_examples=25, deadline=None)
@@ -49,41 +49,66 @@ def meets(origin, target, triangle, slack):
 def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
     rng = np.random.default_rng(seed)
     corners = rng.uniform((-4, -4, 2), (4, 4, 10), (12, 3, 3))
-    blocking = SurfaceMesh.from_triangles(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    wall = SurfaceMesh.from_triangles(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))
     points = rng.uniform((-8, -8, 0), (8, 8, 16), (40, 3))
     normals = rng.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, :3, 3] = rng.normal(0, 1, (3, 3))
     content = rng.random((SIZE, SIZE)) > 0.2
-    picture, cosine, farthest, slack = Picture(through_a_pinhole, content), 0.3, 12.0, 0.05
-    seen = in_plain_view(points, normals, blocking, poses, picture, cosine, farthest, slack)
+    picture, sight = Picture(through_a_pinhole, content), Sight(0.3, 12.0, 0.05, 3.0)
+    seen = in_plain_view(points, normals, wall, poses, picture, sight)
     for row, (point, normal) in enumerate(zip(points, normals, strict=True)):
-        expected = False
+        free, through = 0, 0
         for pose in poses:
-            ray = point - pose[:3, 3]
-            if ray[2] <= 0 or np.linalg.norm(ray) > farthest:
+            way = point - pose[:3, 3]
+            length = np.linalg.norm(way)
+            if way[2] <= 0 or length > 12:
                 continue
-            column, line = np.floor((WIDE @ ray)[:2] / ray[2]).astype(int)
+            column, line = np.floor((WIDE @ way)[:2] / way[2]).astype(int)
             if not (0 <= column < SIZE and 0 <= line < SIZE) or not content[line, column]:
                 continue
-            if -normal @ ray < cosine * np.linalg.norm(ray):
+            if -normal @ way < 0.3 * length:
                 continue
-            expected |= not any(meets(pose[:3, 3], point, triangle, slack) for triangle in corners)
-        assert seen[row] == expected
+            first = min(d for d, _ in distances(pose[:3, 3], way / length, corners))
+            if first > length - 0.05:
+                free += 1
+                start = point - 0.05 * way / length
+                nearest, facing = min(distances(start, way / length, corners))
+                through += nearest < 3.05 and facing
+        assert seen[row] == (free > 2 * through)
 
 
 def test_no_points_and_no_surface_are_answers_too():
     none = SurfaceMesh.from_triangles([], [])
     far = SurfaceMesh.from_triangles([[90.0, 0, 0], [91, 0, 0], [90, 1, 0]], [[0, 1, 2]])
-    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), none, np.eye(4)[None], PICTURE, 0.3, 9.0, 0.1).shape == (
-        0,
-    )
+    here, sight = np.eye(4)[None], Sight(0.3, 9.0, 0.1, 2.0)
+    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), none, here, PICTURE, sight).shape == (0,)
     point, towards = np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -1]])
     for mesh in (none, far):
-        assert in_plain_view(point, towards, mesh, np.eye(4)[None], PICTURE, 0.3, 9.0, 0.1).tolist() == [True]
-    assert in_plain_view(point, towards, far, np.eye(4)[None], PICTURE, 0.3, 4.9, 0.1).tolist() == [False]
-    assert in_plain_view(point, -towards, far, np.eye(4)[None], PICTURE, 0.3, 9.0, 0.1).tolist() == [False]
+        assert in_plain_view(point, towards, mesh, here, PICTURE, sight).tolist() == [True]
+    assert in_plain_view(point, towards, far, here, PICTURE, replace(sight, farthest=4.9)).tolist() == [False]
+    assert in_plain_view(point, -towards, far, here, PICTURE, sight).tolist() == [False]
+
+
+def test_what_cameras_look_through_is_no_wall():
+    """A place at 5 before a wall at 6 that faces the camera, or shows it its back, or is too far behind."""
+    corners = np.array([[-9.0, -9, 6], [0, 9, 6], [9, -9, 6]])
+    facing = SurfaceMesh.from_triangles(corners, [[0, 1, 2]])
+    point, towards, here = np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -1]]), np.eye(4)[None]
+    sight = Sight(0.3, 9.0, 0.1, 2.0)
+    assert facing.normals[0, 2] < 0
+    assert in_plain_view(point, towards, facing, here, PICTURE, sight).tolist() == [False]
+    assert in_plain_view(point, towards, facing, here, PICTURE, replace(sight, behind=0.9)).tolist() == [True]
+    away = SurfaceMesh.from_triangles(corners, [[0, 2, 1]])
+    assert in_plain_view(point, towards, away, here, PICTURE, sight).tolist() == [True]
+    aside = np.tile(np.eye(4), (3, 1, 1))
+    aside[1:, 0, 3] = 4.0  # two more, whose rays pass the wall's edge
+    aside[1:, 1, 3] = (4.0, 4.4)
+    assert in_plain_view(point, towards, facing, aside[:1], PICTURE, sight).tolist() == [False]
+    small = SurfaceMesh.from_triangles(0.02 * corners + [0, 0, 5.88], [[0, 1, 2]])
+    assert in_plain_view(point, towards, small, aside[:1], PICTURE, sight).tolist() == [False]
+    assert in_plain_view(point, towards, small, aside, PICTURE, sight).tolist() == [True]
 
 
 def test_a_hole_that_cameras_look_at_is_seen_but_not_measured(tmp_path):
