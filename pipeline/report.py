@@ -47,7 +47,11 @@ class RunResult:
             return "coverage not judged"
         count = len(self.metrics["submaps"])
         where = f" in the largest of {count} submaps" if count > 1 else ""
-        return f"{seen['covered_percent']:.0f} % of the wall seen over {seen['stretch']:.3g} {seen['unit']}{where}"
+        bare = seen.get("unmeasured_percent")  # absent in runs of earlier versions
+        part = "" if bare is None else f" ({bare:.0f} % not measured)"
+        return (
+            f"{seen['covered_percent']:.0f} % of the wall seen{part} over {seen['stretch']:.3g} {seen['unit']}{where}"
+        )
 
     def _caution(self) -> str:
         """Said with success, so that nobody overlooks it."""

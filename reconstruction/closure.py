@@ -35,6 +35,7 @@ FEWEST_FACES = 100  # of a mesh that can be judged
 SQUARE_DEG = 70.0  # between ray and normal: wall that no camera sees squarer is not in plain view
 IN_SIGHT = 5.0  # nor is wall that is farther: down the lumen, too much that stands between may be missing in the mesh
 BEHIND = 1.0  # nor is what cameras look through, if they meet wall so far behind it
+APART = 0.05  # of two cameras that count as two
 SLACK = 0.03  # the closing runs so far off the mesh that it continues, which must not stand in its way
 
 
@@ -68,7 +69,8 @@ class Closure:
         normals = np.cross(second - first, third - first)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         centroids = (first + second + third) / 3
-        sight = Sight(float(np.cos(np.radians(SQUARE_DEG))), IN_SIGHT * radius, SLACK * radius, BEHIND * radius)
+        lengths = (length * radius for length in (IN_SIGHT, SLACK, BEHIND, APART))
+        sight = Sight(float(np.cos(np.radians(SQUARE_DEG))), *lengths)
         seen = in_plain_view(centroids, normals, mesh, poses, picture, sight)
         visible = rows[seen]
         unseen, unmeasured = self.unseen.copy(), self.unmeasured.copy()

@@ -51,16 +51,23 @@ class MissedRegion:
 
 @dataclass(frozen=True)
 class Segment:
-    """Coverage between two arc lengths; `share` in [0,1], areas in squared unit."""
+    """Coverage between two arc lengths; `share` in [0,1], areas in squared unit. Of the seen area, `unmeasured_area`
+    was in plain view alone: no surface was fused there."""
 
     start: float
     end: float
     seen_area: float
     missed_area: float
+    unmeasured_area: float
 
     @property
     def share(self) -> float:
         return self.seen_area / max(self.seen_area + self.missed_area, 1e-300)
+
+    @property
+    def unmeasured_share(self) -> float:
+        """Of all wall, like `share`, of which it is a part."""
+        return self.unmeasured_area / max(self.seen_area + self.missed_area, 1e-300)
 
 
 @dataclass(frozen=True)
@@ -99,16 +106,11 @@ class Coverage:
     def share(self) -> float:
         return self.whole.share
 
-    @property
-    def unmeasured_share(self) -> float:
-        """Of all wall, what is seen by plain view alone: no surface was fused there."""
-        areas = self.closure.areas
-        return float(areas[self.closure.unmeasured].sum() / max(areas.sum(), 1e-300))
-
     def segment(self, start: float, end: float) -> Segment:
         inside = (self.closure.arc >= start) & (self.closure.arc <= end)
         area, unseen = self.closure.areas[inside], self.closure.unseen[inside]
-        return Segment(start, end, float(area[~unseen].sum()), float(area[unseen].sum()))
+        bare = area[self.closure.unmeasured[inside]]
+        return Segment(start, end, float(area[~unseen].sum()), float(area[unseen].sum()), float(bare.sum()))
 
     def segments(self, length: float) -> list[Segment]:
         """Equal pieces from the start of the stretch; the last is what is left, joined to its neighbour if short.

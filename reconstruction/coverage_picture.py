@@ -32,8 +32,8 @@ def draw_coverage(
     _show(wall, unrolled, _wall_colours(unrolled))
     _mark_regions(wall, coverage, unrolled, listed)
     wall.set_title(
-        f"{100 * coverage.share:.1f} % of the wall seen over {coverage.length:.3g} {unit}; blue: missed; pale blue: "
-        f"in view, not measured ({100 * coverage.unmeasured_share:.1f} %); grey: not visited, not judged",
+        f"{100 * coverage.share:.1f} % of the wall seen over {coverage.length:.3g} {unit}, "
+        f"{100 * coverage.whole.unmeasured_share:.1f} % without being measured (pale); blue: missed; grey: not judged",
         loc="left",
     )
     shown = _show(trust, unrolled, np.where(unrolled.state == NOT_JUDGED, np.nan, unrolled.confidence))
@@ -98,7 +98,9 @@ def _mark_regions(panel: Any, coverage: Coverage, unrolled: UnrolledMap, listed:
 def _draw_bars(panel: Any, segments: list[Segment]) -> None:
     for segment in segments:
         width = segment.end - segment.start
-        panel.bar(segment.start, 100 * segment.share, width, align="edge", color="0.55", edgecolor="white")
+        measured, bare = 100 * (segment.share - segment.unmeasured_share), 100 * segment.unmeasured_share
+        panel.bar(segment.start, measured, width, align="edge", color="0.55", edgecolor="white")
+        panel.bar(segment.start, bare, width, measured, align="edge", color=UNMEASURED_COLOUR)
         panel.bar(
             segment.start, 100 - 100 * segment.share, width, 100 * segment.share, align="edge", color=MISSED_COLOUR
         )

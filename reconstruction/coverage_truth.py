@@ -46,6 +46,8 @@ class CoverageErrors:
     true_area: float
     estimated_area: float
     missed_diameters: tuple[float, ...]  # of the true regions that were not found
+    hidden_called_seen: float  # share of the area that was truly not seen
+    seen_called_missed: float  # share of the area that was truly seen
 
     @property
     def error_points(self) -> float:
@@ -57,7 +59,8 @@ class CoverageErrors:
             f"{100 * self.estimated:.1f} % estimated, {100 * self.true:.1f} % true: error {self.error_points:+.1f} "
             f"points over {self.length:.0f} mm visited; missed regions over {self.threshold:g} mm: {self.found} of "
             f"{self.true_regions} found, {self.true_regions - self.found} not found; {self.false} false of "
-            f"{self.estimated_regions} reported"
+            f"{self.estimated_regions} reported; {100 * self.hidden_called_seen:.0f} % of the hidden wall is called "
+            f"seen, {100 * self.seen_called_missed:.0f} % of the seen wall missed"
         )
 
 
@@ -102,6 +105,8 @@ def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) 
         true_area=float(area.sum()),
         estimated_area=coverage.whole.seen_area + coverage.whole.missed_area,
         missed_diameters=tuple(np.round(_diameter(sizes[large & (overlap < OVERLAP)]), 1).tolist()),
+        hidden_called_seen=_share(area, label < 0, ~seen),
+        seen_called_missed=_share(area, label >= 0, seen),
     )
 
 
@@ -125,6 +130,11 @@ def _placed(mesh: SurfaceMesh, weight: float) -> Array:
 def _diameter(area: NDArray[Any]) -> Array:
     """Of circles of these areas."""
     return np.asarray(2 * np.sqrt(area / np.pi), np.float64)
+
+
+def _share(area: Array, part: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
+    """Of the area in `of`, how much is also in `part`; 0 where there is none."""
+    return float(area[part & of].sum() / max(area[of].sum(), 1e-300))
 
 
 def _is_true(part: NDArray[np.bool_], seen: NDArray[np.bool_], area: Array) -> bool:

@@ -19,6 +19,9 @@ from reconstruction.open3d_import import import_open3d
 
 Array = NDArray[np.float64]
 
+FEWEST_VIEWS = 2  # one wrong pose must not show hidden wall
+APART_DEG = 3.0
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -44,21 +47,22 @@ class Sight:
     farthest: float  # from the camera
     slack: float  # before the place, where a surface does not yet stand in the way
     behind: float  # the place, where a surface that faces the camera says that it looks through
+    apart: float  # of two cameras that count as two
 
 
 def in_plain_view(
     points: Array, normals: Array, wall: SurfaceMesh, world_from_camera: Array, picture: Picture, sight: Sight
 ) -> NDArray[np.bool_]:
-    """(N,): whether places (N,3) of unit normals (N,3) are in the picture of a camera (M,4,4), with no `wall` between
-    them, and whether fewer than half of the cameras of which that is true meet `wall` behind the place instead: there
-    they look into the mouth of a pocket, not at wall."""
+    """(N,): whether places (N,3) of unit normals (N,3) are in the picture of two cameras (M,4,4) or more, with no
+    `wall` between them, and whether fewer than half of those cameras meet `wall` behind the place instead: there they
+    look into the mouth of a pocket, not at wall. Of cameras that hardly moved, one counts."""
     from scipy.spatial import cKDTree
 
-    open_, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    views, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     if not len(points):
-        return open_ > 0
+        return views > 0
     scene, tree = _scene(wall), cKDTree(points)
-    for pose in world_from_camera:
+    for pose in distinct(world_from_camera, sight.apart, APART_DEG):
         near = np.array(tree.query_ball_point(pose[:3, 3], sight.farthest, return_sorted=True), np.int64)
         ray = points[near] - pose[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
@@ -68,10 +72,21 @@ def in_plain_view(
         met, _ = _cast(scene, np.broadcast_to(pose[:3, 3], ray.shape), ray)
         free = met > distance - sight.slack
         near, ray = near[free], ray[free]
-        open_[near] += 1
+        views[near] += 1
         met, facing = _cast(scene, points[near] - sight.slack * ray, ray)
         through[near] += (met < sight.slack + sight.behind) & facing
-    return 2 * through < open_
+    return (views >= FEWEST_VIEWS) & (2 * through < views)
+
+
+def distinct(world_from_camera: Array, apart: float, apart_deg: float) -> Array:
+    """Of cameras (M,4,4) in the order of the film, the first, and each that moved or turned on since the last."""
+    kept = [0]
+    for number in range(1, len(world_from_camera)):
+        here, last = world_from_camera[number], world_from_camera[kept[-1]]
+        turn = (np.trace(here[:3, :3].T @ last[:3, :3]) - 1) / 2
+        if np.linalg.norm(here[:3, 3] - last[:3, 3]) > apart or turn < np.cos(np.radians(apart_deg)):
+            kept.append(number)
+    return world_from_camera[kept]
 
 
 def _scene(mesh: SurfaceMesh) -> Any:

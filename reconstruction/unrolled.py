@@ -42,8 +42,9 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMa
     """
     cell = 2 * np.pi * coverage.radius / COLUMNS
     past = BEYOND * coverage.radius
-    rows = max(1, round((coverage.length + 2 * past) / cell))
-    arc_edges = np.linspace(-past, coverage.length + past, rows + 1)
+    end = coverage.stretch[1] + past
+    rows = max(1, round((end + past) / cell))
+    arc_edges = np.linspace(-past, end, rows + 1)
     angle_edges = np.linspace(0, 2 * np.pi, COLUMNS + 1)
     middle = (arc_edges[1:] + arc_edges[:-1]) / 2
     judged = coverage.is_visited(middle)[:, None] & np.ones(COLUMNS, bool)

@@ -13,7 +13,7 @@ from reconstruction.centreline import NotATube, WallRays, lumen_radius, trace_ce
 from reconstruction.closure import Closure
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_picture import draw_coverage
-from reconstruction.unrolled import MISSED, NOT_JUDGED, unroll
+from reconstruction.unrolled import MISSED, NOT_JUDGED, SEEN, unroll
 
 
 def omega():
@@ -82,6 +82,8 @@ def test_what_no_posed_frame_passed_is_not_judged():
     unrolled = unroll(coverage, mesh)
     middle = (unrolled.arc_edges[1:] + unrolled.arc_edges[:-1]) / 2
     assert (unrolled.state[(middle > 42) & (middle < 98)] == NOT_JUDGED).all()
+    assert (unrolled.state[(middle > 104) & (middle < 146)] == SEEN).all()
+    assert unrolled.arc_edges[-1] > 150
 
 
 def test_a_ring_has_no_hour(tmp_path):

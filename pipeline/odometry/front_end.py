@@ -122,7 +122,8 @@ def adjust_maps(
     """As `refit_maps`; and those that features do not hold to their corners, `changed` or not (see `polish`)."""
     held = refit_maps(maps, find, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-        polish(local_map, changed)
+        with progress.bar("adjusting to corners", None) as advance:
+            polish(local_map, changed, advance)
     return held
 
 
@@ -131,8 +132,10 @@ def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> 
     so; of the others, how wide the features were at most."""
     if not maps:
         return []
-    with progress.bar("adjusting to features", None) as advance:
-        held = [refit(local_map, find, advance) for local_map in maps]
+    held = []
+    for local_map in maps:
+        with progress.bar("adjusting to features", None) as advance:
+            held.append(refit(local_map, find, advance))
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.say(
@@ -207,7 +210,8 @@ def _with_lens(
         local_map.recalibrate(rays)
         if far:
             local_map.forget_features()
-            polish(local_map, changed=True)
+            with progress.bar("adjusting to corners", None) as advance:
+                polish(local_map, True, advance)
     return adjust_maps(maps, find, progress, changed=True)
 
 

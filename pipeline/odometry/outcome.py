@@ -38,6 +38,7 @@ def polish(local_map: LocalMap, changed: bool = False, advance: Advance = unhear
     for number, (loss_px, max_error_px) in enumerate(passes):
         advance(number, len(passes), "adjusting all keyframes")
         local_map.adjust(count, FINAL_ITERATIONS, count, loss_px, max_error_px, 0, FINAL_TOLERANCE, FINAL_DAMPING)
+    advance(len(passes), len(passes), "adjusted")
 
 
 def _straighten(local_map: LocalMap, advance: Advance = unheard) -> None:

@@ -12,6 +12,12 @@ from pipeline.scale import in_words
 Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
 
 
+def _unmeasured(seen: dict[str, Any]) -> str:
+    """Of a run that was made before wall in plain view was told apart, nothing."""
+    share = seen.get("unmeasured_percent")
+    return "" if share is None else f"; {share:.0f} % in view, but not measured"
+
+
 def cards(metrics: dict[str, Any]) -> str:
     """The handful of figures that a reader looks for first; of the largest submap where there are several."""
     frames, main = metrics["frames"], metrics["submaps"][0]
@@ -25,7 +31,7 @@ def cards(metrics: dict[str, Any]) -> str:
             (
                 "wall seen",
                 f"{seen['covered_percent']:.0f} %",
-                f"over {seen['stretch']:.3g} {word} of visited lumen{where}",
+                f"over {seen['stretch']:.3g} {word} of visited lumen{where}{_unmeasured(seen)}",
             ),
             (
                 "missed regions",
