@@ -12,7 +12,7 @@ demo: $(STAMP)
 
 # README command two: install, lint, and the everyday tests.
 test: $(STAMP) lint browser
-	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadfile
+	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test-all: $(STAMP) lint browser
 	$(BIN)/python -m pytest

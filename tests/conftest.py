@@ -16,7 +16,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell's background job ignores Ctrl-C, and so would every process that the tests start and interrupt.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # and what `nohup` starts ignores a lost terminal
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+# Half of the suite's time: begun first, so that no process is left with one of them when the others are done.
+LONGEST = ("test_reconstruct.py", "test_chunks.py", "test_refit.py", "test_training.py", "test_joining.py")
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, the rest as they are."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 def shared(name: str) -> Path:
