@@ -40,17 +40,18 @@ USED_FRINGE = 1.0
 
 def fuse_truth(folder: Path, every: int) -> tuple[SurfaceMesh, NDArray[np.uint8]]:
     """Mesh in mm of every `every`-th frame's true depth and colour at its true pose; and which pixels show wall."""
-    rectifier = make_rectifier(read_camera(folder / "camera.json"), WIDEST_DEG)
+    lens = read_camera(folder / "camera.json")
+    rectifier = make_rectifier(lens, WIDEST_DEG)
     _, poses = read_tum(folder / "trajectory.txt")
     fusion = SurfaceFusion(FusionSettings(VOXEL_MM, truncation=TRUNCATION))
-    content = None
+    content = np.zeros((lens.height, lens.width), bool)
     for number in range(0, len(poses), every):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
         stored: Any = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED)
-        content = (stored > 0) if content is None else content | (stored > 0)
+        content |= stored > 0
         depth = rectifier.mask(stored).astype(np.float32) * np.float32(0.01)
         fusion.integrate(rectifier.image(rgb), depth, None, rectifier.camera.matrix, poses[number])
-    return drop_small_components(fusion.extract(), SMALLEST_PIECE)[0], np.asarray(content, np.uint8)
+    return drop_small_components(fusion.extract(), SMALLEST_PIECE)[0], content.astype(np.uint8)
 
 
 def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageErrors], CoverageErrors]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from reconstruction.errors import ReconstructionError
 from reconstruction.lumen_path import ordered_path
 from reconstruction.mesh import SurfaceMesh
-from reconstruction.open3d_import import import_open3d
+from reconstruction.open3d_import import import_open3d, ray_scene
 
 Array = NDArray[np.float64]
 
@@ -106,10 +106,7 @@ class WallRays:
 
     def __init__(self, mesh: SurfaceMesh) -> None:
         self._core = import_open3d().core
-        self._scene = import_open3d().t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._core.Tensor(mesh.vertices.astype(np.float32)), self._core.Tensor(mesh.faces.astype(np.uint32))
-        )
+        self._scene = ray_scene(mesh.vertices, mesh.faces)
 
     def distance(self, origins: Array, directions: Array) -> Array:
         """Length (...) of unit rays (...,3) to the wall; infinite where they meet none or the outer side of one."""

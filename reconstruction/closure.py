@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from reconstruction.centreline import Centreline, NotATube
 from reconstruction.mesh import SurfaceMesh
-from reconstruction.open3d_import import import_open3d
+from reconstruction.open3d_import import import_open3d, ray_scene
 from reconstruction.plain_view import Picture, Sight, in_plain_view
 
 Array = NDArray[np.float64]
@@ -62,13 +62,10 @@ class Closure:
         return replace(self, **rows)
 
     def seen_by(self, mesh: SurfaceMesh, poses: Array, picture: Picture, radius: float) -> Closure:
-        """The same closing where what is in plain view of a camera (N,4,4) counts as seen, though it is not in the
+        """The same closing where what is in plain view of cameras (N,4,4) counts as seen, though it is not in the
         mesh, which alone stands in the way. `radius` is the lumen's."""
         rows = np.flatnonzero(self.unseen)
-        first, second, third = (self.vertices[self.faces[rows, corner]] for corner in range(3))
-        normals = np.cross(second - first, third - first)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        centroids = (first + second + third) / 3
+        normals, centroids = self.surface.face_normals[rows], self.centroids[rows]
         lengths = (length * radius for length in (IN_SIGHT, SLACK, BEHIND, APART))
         sight = Sight(float(np.cos(np.radians(SQUARE_DEG))), *lengths)
         seen = in_plain_view(centroids, normals, mesh, poses, picture, sight)
@@ -158,10 +155,7 @@ def _beyond_the_frontier(mesh: SurfaceMesh, points: Array, fringe: float, stray:
     """Whether the mesh's nearest point to each of `points` (N,3) lies on its boundary and farther than `fringe`, or
     anywhere and farther than `stray`."""
     o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.faces.astype(np.uint32))
-    )
+    scene = ray_scene(mesh.vertices, mesh.faces)
     answer = scene.compute_closest_points(o3d.core.Tensor(points.astype(np.float32)))
     face = answer["primitive_ids"].numpy().astype(np.int64)
     u, v = answer["primitive_uvs"].numpy().T

@@ -150,7 +150,7 @@ def measure_coverage(
     around the lumen leaves the view of a camera that passes. What lies farther was seen only from afar and is not
     judged. A surface cut from voxels ends up to a voxel short of what was seen, because all eight corners of a cell
     must be known: give that as `fringe` (mesh unit), and wall so near to the mesh's edge counts as seen. With the
-    `picture` that all cameras take, wall of the closing in plain view of one of them counts as seen, too. Raises
+    `picture` that all cameras take, wall of the closing in plain view of two of them counts as seen, too. Raises
     `NotATube`, whose text is one sentence, where mesh or path do not suffice.
 
     Everything is measured in the first camera's axes and in radii of the lumen, so that the answer moves, turns and

@@ -121,10 +121,7 @@ def estimated_labels(coverage: Coverage, wall: SurfaceMesh) -> NDArray[np.int64]
 
 def _placed(mesh: SurfaceMesh, weight: float) -> Array:
     """Centroid and weighted unit normal of each face, (F,6)."""
-    first, second, third = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    normal = np.cross(second - first, third - first)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    return np.hstack([(first + second + third) / 3, weight * normal])
+    return np.hstack([mesh.vertices[mesh.faces].mean(axis=1), weight * mesh.face_normals])
 
 
 def _diameter(area: NDArray[Any]) -> Array:
@@ -138,5 +135,4 @@ def _share(area: Array, part: NDArray[np.bool_], of: NDArray[np.bool_]) -> float
 
 
 def _is_true(part: NDArray[np.bool_], seen: NDArray[np.bool_], area: Array) -> bool:
-    total = float(area[part].sum())
-    return total > 0 and float(area[part & ~seen].sum()) >= OVERLAP * total
+    return _share(area, ~seen, part) >= OVERLAP

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.open3d_import import import_open3d
+from reconstruction.open3d_import import import_open3d, ray_scene
 
 DIRECTIONS = 72  # rays across each station
 MIN_HITS = 0.7  # share of them that must meet the surface
@@ -35,8 +35,7 @@ def measure_lumen(
     path's direction is taken, so that wobble does not turn it.
     """
     o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
+    scene = ray_scene(vertices, faces)
     step = -(-len(world_from_camera) // MAX_POSES)
     origins, axes = _stations(world_from_camera[::step], reach)
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS

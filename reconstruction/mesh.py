@@ -61,6 +61,12 @@ class SurfaceMesh:
         """(F,) in squared units of the vertices."""
         return np.linalg.norm(_doubled_face_vectors(self.vertices, self.faces), axis=1) / 2
 
+    @property
+    def face_normals(self) -> NDArray[np.float64]:
+        """(F,3) unit length; zero where a face has no area."""
+        vectors = _doubled_face_vectors(self.vertices, self.faces)
+        return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+
     def with_faces(self, kept: NDArray[np.bool_]) -> SurfaceMesh:
         """A new mesh of the faces where `kept` (F,) is true, without the vertices that no face uses any more."""
         faces = self.faces[kept]

@@ -1,7 +1,11 @@
-"""Import Open3D on a machine that lacks its system libraries, or say which ones to install."""
+"""Import Open3D where its system libraries may be missing, or say which to install; and its scene to cast rays in."""
 
 import ctypes
 from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.errors import ReconstructionError
 
@@ -20,6 +24,14 @@ def import_open3d() -> ModuleType:
             f"{reason}; on Debian or Ubuntu, `apt-get install {DEBIAN_PACKAGES}` provides what it needs."
         ) from error
     return open3d
+
+
+def ray_scene(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Any:
+    """A `RaycastingScene` of triangles (F,3) between vertices (V,3); in single precision, as Open3D has it."""
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
+    return scene
 
 
 def _loads(library: str) -> bool:

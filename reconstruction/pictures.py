@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.mesh import SurfaceMesh
-from reconstruction.open3d_import import import_open3d
+from reconstruction.open3d_import import import_open3d, ray_scene
 
 Floats = NDArray[np.float32]
 
@@ -43,7 +43,7 @@ def render_mesh(
         raise ReconstructionError("a mesh without faces cannot be drawn")
     pose = outside_view(mesh, width, height, fov_deg) if world_from_camera is None else world_from_camera
     paint = brightened(mesh.colours) if colours is None else colours.astype(np.float32)
-    scene = _scene(mesh)
+    scene = ray_scene(mesh.vertices, mesh.faces)
     total = np.zeros((height * width, 3), np.float32)
     for shift in SUBPIXELS:
         directions = _pixel_directions(width, height, fov_deg, shift)
@@ -73,14 +73,6 @@ def brightened(colours: NDArray[np.uint8]) -> Floats:
     """Scaled so that all but the brightest twentieth keep below `BRIGHT`: an endoscope's far walls are dark."""
     gain = max(1.0, BRIGHT / max(1.0, float(np.percentile(colours.max(axis=1), 95))))
     return np.minimum(colours * np.float32(gain), WHITE)
-
-
-def _scene(mesh: SurfaceMesh) -> Any:
-    open3d = import_open3d()
-    scene = open3d.t.geometry.RaycastingScene()
-    vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
-    scene.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(faces))
-    return scene
 
 
 def _pixel_directions(width: int, height: int, fov_deg: float, shift: tuple[float, float]) -> Floats:

@@ -1,4 +1,4 @@
-"""Which places of a wall stood in plain view of a camera: in its picture, turned towards it, with nothing in between.
+"""Which places of a wall stood in plain view: in the pictures of cameras, turned towards them, with nothing in between.
 
 A surface is fused only where depth is sure and several frames agree. Beside and behind the rims of folds neither is
 so, though the camera looks at the wall there: it was not missed, it was not measured. Poses and the surface that stands
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.mesh import SurfaceMesh
-from reconstruction.open3d_import import import_open3d
+from reconstruction.open3d_import import import_open3d, ray_scene
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def in_plain_view(
     views, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     if not len(points):
         return views > 0
-    scene, tree = _scene(wall), cKDTree(points)
+    scene, tree = ray_scene(wall.vertices, wall.faces), cKDTree(points)
     for pose in distinct(world_from_camera, sight.apart, APART_DEG):
         near = np.array(tree.query_ball_point(pose[:3, 3], sight.farthest, return_sorted=True), np.int64)
         ray = points[near] - pose[:3, 3]
@@ -87,15 +87,6 @@ def distinct(world_from_camera: Array, apart: float, apart_deg: float) -> Array:
         if np.linalg.norm(here[:3, 3] - last[:3, 3]) > apart or turn < np.cos(np.radians(apart_deg)):
             kept.append(number)
     return world_from_camera[kept]
-
-
-def _scene(mesh: SurfaceMesh) -> Any:
-    o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.faces.astype(np.uint32))
-    )
-    return scene
 
 
 def _cast(scene: Any, origin: Array, ray: Array) -> tuple[Array, NDArray[np.bool_]]:

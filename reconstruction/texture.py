@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from reconstruction.decimate import decimated
 from reconstruction.errors import ReconstructionError
 from reconstruction.mesh import UNCOLOURED, SurfaceMesh
-from reconstruction.open3d_import import import_open3d
+from reconstruction.open3d_import import import_open3d, ray_scene
 
 TEXELS_PER_EDGE = 1.5  # of the fine mesh's median edge: its colours know no more
 FILLED = 0.5  # part of the picture that charts cover, roughly; the rest is gaps
@@ -76,9 +76,7 @@ def distance_to_surface(points: NDArray[np.float64], mesh: SurfaceMesh) -> NDArr
     """(N,) distance of points (N,3) to the nearest triangle."""
     o3d = import_open3d()
     middle = mesh.vertices.mean(axis=0)  # Open3D computes in float32
-    scene = o3d.t.geometry.RaycastingScene()
-    vertices, faces = (mesh.vertices - middle).astype(np.float32), mesh.faces.astype(np.uint32)
-    scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces))
+    scene = ray_scene(mesh.vertices - middle, mesh.faces)
     return scene.compute_distance(o3d.core.Tensor((points - middle).astype(np.float32))).numpy().astype(np.float64)
 
 

@@ -1,6 +1,7 @@
-"""The README's picture from a finished run: frame, sparse points, completed depth, surface.
+"""The README's pictures of a finished run: frame, sparse points, completed depth, surface; or its shape alone.
 
 python scripts/readme_picture.py demo_run docs/demo.png
+python scripts/readme_picture.py sinus_run docs/sinus.png --shape   # for films whose pictures may not be passed on
 """
 
 import argparse
@@ -11,6 +12,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
 
 from pipeline.dense import planned_keyframes
 from pipeline.frames import load_frames
@@ -18,16 +21,17 @@ from pipeline.refinement import refined_keyframes
 from pipeline.sparse_depth import SparseDepthMaker
 from pipeline.structure import load_structure
 from pipeline.surface import load_surfaces
-from pipeline.workspace import open_workspace
+from pipeline.workspace import Workspace, open_workspace
 from reconstruction.pictures import render_mesh
+from reconstruction.trajectory import read_tum
+
+CLAY = (214, 178, 160)
+BACK = 0.6  # of the median distance to the surface: how far behind the first camera the first view stands
+ORBIT_DEG = 50.0  # around the surface, upwards, to the second
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("target", type=Path)
-    arguments = parser.parse_args()
-    workspace = open_workspace(arguments.run)
+def stages(workspace: Workspace) -> Figure:
+    """From a frame to the surface."""
     planned = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)
     part = refined_keyframes(planned, workspace)[0]
     surface = load_surfaces(workspace)[0]
@@ -49,6 +53,40 @@ def main() -> None:
     for panel in panels[:3]:
         panel.set_xlim(-0.5, keyframe.rgb.shape[1] - 0.5)
         panel.set_ylim(keyframe.rgb.shape[0] - 0.5, -0.5)
+    return figure
+
+
+def shape(workspace: Workspace) -> Figure:
+    """The surface without its colours, from two sides."""
+    mesh = load_surfaces(workspace)[0].mesh
+    _, poses = read_tum(workspace.trajectory)
+    clay = np.tile(np.array(CLAY, np.uint8), (len(mesh.vertices), 1))
+    inner = poses[0].copy()
+    inner[:3, 3] -= BACK * np.median(np.linalg.norm(mesh.vertices - inner[:3, 3], axis=1)) * inner[:3, 2]
+    turn, centre = np.eye(4), mesh.vertices.mean(axis=0)
+    turn[:3, :3] = Rotation.from_rotvec(-np.radians(ORBIT_DEG) * inner[:3, 0]).as_matrix()
+    turn[:3, 3] = centre - turn[:3, :3] @ centre
+    views = {
+        "from behind the first camera": render_mesh(mesh, inner, 800, 620, 60.0, cut_away=True, colours=clay),
+        f"{ORBIT_DEG:.0f} degrees from above": render_mesh(mesh, turn @ inner, 800, 620, 60.0, colours=clay),
+    }
+    figure = plt.figure(figsize=(9, 3.7), constrained_layout=True)
+    panels = figure.subplots(1, 2)
+    for panel, (title, picture) in zip(panels, views.items(), strict=True):
+        panel.imshow(picture)
+        panel.set_title(title, fontsize=11)
+        panel.set_axis_off()
+    return figure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("run", type=Path)
+    parser.add_argument("target", type=Path)
+    parser.add_argument("--shape", action="store_true", help="no picture of the film, and no colour of it")
+    arguments = parser.parse_args()
+    workspace = open_workspace(arguments.run)
+    figure = shape(workspace) if arguments.shape else stages(workspace)
     figure.savefig(arguments.target, dpi=110)
 
 
