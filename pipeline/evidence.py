@@ -47,16 +47,19 @@ def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> Evidence:
     """Evidence for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
-    frame, point = submap.observations.T
+    order = np.argsort(submap.observations[:, 0], kind="stable")
+    frame, point = submap.observations[order].T
+    pixels = submap.pixels[order]
     distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)
+    starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
     correlations = []
     for row, index in enumerate(submap.frames):
-        mine = frame == row
-        if mine.sum() < MIN_POINTS:
+        mine = slice(starts[row], starts[row + 1])
+        if starts[row + 1] - starts[row] < MIN_POINTS:
             continue
         brightness = brightness_of(image_of(int(index)))
         height, width = brightness.shape
-        x, y = np.floor(submap.pixels[mine]).astype(int).T
+        x, y = np.floor(pixels[mine]).astype(int).T
         values = brightness[y.clip(0, height - 1), x.clip(0, width - 1)]
         correlation = spearmanr(distance[mine], values).statistic
         if np.isfinite(correlation):

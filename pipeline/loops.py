@@ -15,7 +15,16 @@ from pipeline.config import PoseGraphSettings
 from pipeline.dense import DenseSubmap
 from pipeline.frames import Frames, read_image
 from pipeline.loop_pairs import vlad
-from pipeline.odometry.places import MIN_POINTS, WORDS, inverse_depth_at, learn_words, match, rooted, sift
+from pipeline.odometry.places import (
+    MIN_POINTS,
+    WORDS,
+    inverse_depth_at,
+    learn_words,
+    match,
+    rooted,
+    sift,
+    triangulated,
+)
 from pipeline.odometry.similarity import Side, refine_similarity, sure_similarity
 from pipeline.sparse_depth import SparseDepthMaker
 from reconstruction.consistency import DepthView, agreement
@@ -106,7 +115,7 @@ def _place(part: DenseSubmap, maker: SparseDepthMaker, row: int, frames: Frames)
     found = sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8)), CONTRAST)
     pixels = np.asarray(found.pixels, np.float64)
     sparse = maker.sparse_depth(row)
-    inverse = inverse_depth_at(pixels, sparse.pixels, sparse.depth)
+    inverse = inverse_depth_at(pixels, triangulated(sparse.pixels), sparse.depth)
     good = np.isfinite(inverse)
     plane = _on_plane(part, pixels[good])
     points = np.column_stack([plane, np.ones(len(plane))]) / inverse[good, None]

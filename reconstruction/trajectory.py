@@ -85,18 +85,28 @@ def align_umeyama(source: Array, target: Array, with_scale: bool) -> Array:
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 2:
         raise ReconstructionError(f"alignment needs two or more pairs of points, got {source.shape} and {target.shape}")
-    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)  # eqs. 34, 35
-    source_variance = np.mean(np.sum((source - source_mean) ** 2, axis=1))  # eq. 36
-    covariance = (target - target_mean).T @ (source - source_mean) / len(source)  # eq. 38
-    u, singular, vt = np.linalg.svd(covariance)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])  # eqs. 39, 43: no mirror
-    if with_scale and not singular[0] > 0:
+    target_from_source = align_each(source[None], target[None], with_scale)[0]
+    if not np.isfinite(target_from_source).all():
         raise ReconstructionError("the camera does not move, so the scale of its path cannot be aligned")
-    scale = (singular * signs).sum() / source_variance if with_scale else 1.0  # eq. 42
-    target_from_source = np.eye(4)
-    target_from_source[:3, :3] = scale * (u * signs) @ vt  # eq. 40
-    target_from_source[:3, 3] = target_mean - target_from_source[:3, :3] @ source_mean  # eq. 41
     return target_from_source
+
+
+def align_each(source: Array, target: Array, with_scale: bool) -> Array:
+    """(K,4,4), as `align_umeyama` gives them, of K sets of points (K,N,3); NaN where no scale can be aligned."""
+    source_mean, target_mean = source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True)  # eqs. 34, 35
+    source_variance = ((source - source_mean) ** 2).sum(axis=2).mean(axis=1)  # eq. 36
+    covariance = np.swapaxes(target - target_mean, 1, 2) @ (source - source_mean) / source.shape[1]  # eq. 38
+    u, singular, vt = np.linalg.svd(covariance)
+    signs = np.ones_like(singular)
+    signs[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))  # eqs. 39, 43: no mirror
+    scale = np.ones(len(source))
+    if with_scale:
+        known = (singular[:, 0] > 0) & (source_variance > 0)
+        scale = np.where(known, (singular * signs).sum(axis=1) / np.where(known, source_variance, 1), np.nan)  # eq. 42
+    found = np.tile(np.eye(4), (len(source), 1, 1))
+    found[:, :3, :3] = scale[:, None, None] * (u * signs[:, None]) @ vt  # eq. 40
+    found[:, :3, 3] = target_mean[:, 0] - np.einsum("kij,kj->ki", found[:, :3, :3], source_mean[:, 0])  # eq. 41
+    return found
 
 
 @dataclass(frozen=True)

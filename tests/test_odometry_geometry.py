@@ -13,7 +13,16 @@ from pipeline.odometry.bundle import Bundle, adjust
 from pipeline.odometry.poses import angle_between, inverse
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.resection import refine_poses, reprojection_errors, robust_pose
-from pipeline.odometry.similarity import Side, refine_similarity, robust_similarity, scale_of, similarity_errors
+from pipeline.odometry.similarity import (
+    Side,
+    Stack,
+    _errors_of_each,
+    moved_points,
+    refine_similarity,
+    robust_similarity,
+    scale_of,
+    similarity_errors,
+)
 from pipeline.odometry.triangulation import triangulate
 from pipeline.odometry.two_view import Sight, judge, parallax_px, start_pose
 
@@ -295,3 +304,49 @@ def test_similarity_is_found_whatever_it_is(scale, turn, shift, seed, outliers):
     refined = refine_similarity(found[0], [(first.at(right), second.at(right))])
     np.testing.assert_allclose(refined[:3, :3], similarity[:3, :3], atol=1e-4 * scale)
     assert np.median(similarity_errors(refined, first, second)[right]) < 1e-2
+
+
+def random_sides(count, rng):
+    """Two sides of points that do not belong together, some of them behind the cameras."""
+    sides = []
+    for _ in range(2):
+        points, camera = rng.normal(0, 20, (count, 3)), pose(rng.uniform(-30, 30, 3), rng.normal(0, 5, 3))
+        sides.append(Side(points, camera, rng.normal(0, 0.5, (count, 2)), gains(count)))
+    return sides
+
+
+def random_similarity(rng):
+    found = np.eye(4)
+    found[:3, :3] = rng.uniform(0.3, 3) * Rotation.random(random_state=int(rng.integers(1000))).as_matrix()
+    found[:3, 3] = rng.normal(0, 10, 3)
+    return found
+
+
+def test_many_similarities_are_judged_as_each_alone():
+    rng = np.random.default_rng(3)
+    first, second = random_sides(40, rng)
+    transforms = np.stack([random_similarity(rng) for _ in range(7)])
+    each = np.stack([similarity_errors(transform, first, second) for transform in transforms])
+    assert 0 < np.isinf(each).mean() < 1  # both kinds are there
+    np.testing.assert_allclose(_errors_of_each(transforms, first, second), each, rtol=1e-9)
+
+
+def test_many_sides_are_judged_as_each_alone():
+    rng = np.random.default_rng(4)
+    sides, transform = [random_sides(count, rng)[0] for count in (5, 30, 9)], random_similarity(rng)
+    stack = Stack.of(sides)
+    together = stack.errors(moved_points(transform, stack.points))
+    alone = [reprojection_errors(s.pose, moved_points(transform, s.points), s.seen, s.gain) for s in sides]
+    assert stack.starts.tolist() == [0, 5, 35]
+    assert 0 < np.isinf(together).mean() < 1
+    np.testing.assert_allclose(together, np.concatenate(alone), rtol=1e-9)
+
+
+def test_one_generator_gives_one_similarity():
+    first, second = random_sides(30, np.random.default_rng(5))
+    second = Side(first.points * 2, first.pose, first.seen, first.gain)
+    found = [robust_similarity(first, second, np.random.default_rng(6), max_error_px=1e3) for _ in range(2)]
+    assert found[0] is not None
+    assert found[1] is not None
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])

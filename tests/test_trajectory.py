@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.trajectory import (
+    align_each,
     align_poses,
     align_umeyama,
     associate,
@@ -93,6 +94,16 @@ def test_umeyama_rejects_what_has_no_answer():
         align_umeyama(np.zeros((1, 3)), np.zeros((1, 3)), False)
     with pytest.raises(ReconstructionError, match="does not move"):
         align_umeyama(np.ones((5, 3)), np.random.default_rng(0).normal(size=(5, 3)), True)
+
+
+def test_many_alignments_are_those_of_each_alone_and_nan_where_there_is_none():
+    rng = np.random.default_rng(8)
+    source, target = rng.normal(size=(2, 6, 3, 3))
+    source[4] = source[4, :1]  # one place
+    found = align_each(source, target, True)
+    assert np.isnan(found[4]).any()
+    for k in (0, 1, 2, 3, 5):
+        np.testing.assert_allclose(found[k], align_umeyama(source[k], target[k], True), atol=1e-12)
 
 
 @pytest.mark.parametrize("alignment", ["sim3", "se3", "none"])

@@ -13,7 +13,8 @@ from pipeline.odometry.poses import Array
 
 @dataclass(frozen=True)
 class Tracks:
-    """points (T,3) in the world; (M,) observations: feature number `feature` of picture `place` belongs to `track`."""
+    """points (T,3) in the world; (M,) observations, by picture: feature number `feature` of picture `place` belongs to
+    `track`."""
 
     points: Array
     track: NDArray[np.int64]

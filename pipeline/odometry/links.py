@@ -17,6 +17,7 @@ from pipeline.odometry.poses import Array, in_camera, inverse
 from pipeline.odometry.similarity import (
     MAX_ERROR_PX,
     Side,
+    Stack,
     is_sure,
     moved_points,
     refine_similarity,
@@ -137,21 +138,28 @@ def strongest(links: list[Link]) -> list[Link]:
 
 def _agreeing(links: list[Link]) -> list[Link]:
     """The largest set of links that the similarity of one of them explains."""
-    best: list[Link] = []
+    if not links:
+        return []
+    explained = _explained(links)
+    return [links[k] for k in np.flatnonzero(explained[explained.sum(axis=1).argmax()])]
+
+
+def _explained(links: list[Link]) -> NDArray[np.bool_]:
+    """(L,L) whether the similarity of the one (row) explains the other (column)."""
+    first, second = Stack.of([link.first for link in links]), Stack.of([link.second for link in links])
+    counts = np.diff([*first.starts, len(first.points)])
+    rows = []
     for link in links:
-        agreeing = [other for other in links if _explains(link.second_from_first, other)]
-        if len(agreeing) > len(best):
-            best = agreeing
-    return best
-
-
-def _explains(similarity: Array, link: Link) -> bool:
-    return float((similarity_errors(similarity, link.first, link.second) < MAX_SAME_PX).mean()) >= SAME_SHARE
+        ahead = second.errors(moved_points(link.second_from_first, first.points))
+        back = first.errors(moved_points(np.linalg.inv(link.second_from_first), second.points))
+        explained = np.maximum(ahead, back) < MAX_SAME_PX
+        rows.append(np.add.reduceat(explained.astype(np.int64), first.starts) >= SAME_SHARE * counts)
+    return np.stack(rows)
 
 
 def joint_similarity(links: list[Link]) -> Array:
     """One similarity from the points of all links: one pair of views alone leaves the scale to its noise."""
-    best = max(links, key=lambda link: sum(_explains(link.second_from_first, other) for other in links))
+    best = links[int(_explained(links).sum(axis=1).argmax())]
     return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
 
 
@@ -194,7 +202,7 @@ def _share_on(points: Array, local_map: LocalMap, place: Place) -> float:
     local = in_camera(pose, points)
     local = local[local[:, 2] > 0]
     depth = in_camera(pose, place.points)[:, 2]
-    surface = inverse_depth_at(local_map.rays.project(local), place.pixels, depth)
+    surface = inverse_depth_at(local_map.rays.project(local), place.triangles, depth)
     inside = np.isfinite(surface) & (surface > 0)
     off = np.abs(np.log(local[inside, 2] * surface[inside]))
     return float((off < MAX_DEPTH_RATIO).mean()) if len(off) else 0.0

@@ -7,12 +7,13 @@ place forgive, and far more of them get one than by matching neighbours.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import QhullError
+from scipy.spatial import Delaunay, QhullError
 
 from pipeline.loop_pairs import vlad
 from pipeline.odometry.local_map import LocalMap
@@ -58,6 +59,11 @@ class Place:
     def rooted(self) -> NDArray[np.float32]:
         """(N,128) RootSIFT; made anew each time, since all places of all maps are held until the joining ends."""
         return rooted(self.descriptors)
+
+    @cached_property
+    def triangles(self) -> Delaunay | None:
+        """Of `pixels`, as `inverse_depth_at` takes them; a place is asked for its surface dozens of times."""
+        return triangulated(self.pixels)
 
 
 def find_places(local_map: LocalMap, find: FindFeatures) -> list[Place]:
@@ -125,7 +131,7 @@ def place_of(local_map: LocalMap, number: int, find: FindFeatures) -> Place:
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
     front = depth > 0
-    inverse_depth = inverse_depth_at(found.pixels, keyframe.pixels[known][front], depth[front])
+    inverse_depth = inverse_depth_at(found.pixels, triangulated(keyframe.pixels[known][front]), depth[front])
     good = np.isfinite(inverse_depth)
     seen, _ = local_map.rays.look_up(found.pixels[good])
     local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]
@@ -133,13 +139,20 @@ def place_of(local_map: LocalMap, number: int, find: FindFeatures) -> Place:
     return Place(number, found.pixels[good], found.descriptors[good], points, found.sizes[good])
 
 
-def inverse_depth_at(pixels: Array, known: Array, depth: Array) -> Array:
-    """(N,) inverse depth at pixels (N,2) from known ones (K,2) of depth (K,), linear as it is across a plane's image;
-    NaN outside their hull, and everywhere if they have none."""
+def triangulated(pixels: Array) -> Delaunay | None:
+    """Delaunay's triangles of pixels (K,2); None if they have none."""
     try:
-        return LinearNDInterpolator(known, 1 / depth)(pixels) if len(known) > 3 else np.full(len(pixels), np.nan)
+        return Delaunay(pixels) if len(pixels) > 3 else None
     except QhullError:  # all on one line
+        return None
+
+
+def inverse_depth_at(pixels: Array, known: Delaunay | None, depth: Array) -> Array:
+    """(N,) inverse depth at pixels (N,2) from `triangulated` ones of depth (K,), linear as it is across a plane's
+    image; NaN outside their hull, and everywhere if they have none."""
+    if known is None:
         return np.full(len(pixels), np.nan)
+    return LinearNDInterpolator(known, 1 / depth)(pixels)
 
 
 def learn_words(descriptors: NDArray[np.uint8], seed: int) -> NDArray[np.float32]:

@@ -151,8 +151,9 @@ def _map_of(local_map: LocalMap, matched: Matched, wide: bool, widest: float) ->
     fitted.reserve(len(tracks.points))
     fitted.points[: len(tracks.points)] = tracks.points
     fitted.known[: len(tracks.points)] = True
+    starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))
     for number, (keyframe, place) in enumerate(zip(local_map.keyframes, matched.places, strict=True)):
-        mine = tracks.place == number
+        mine = slice(starts[number], starts[number + 1])
         fitted.add_keyframe(keyframe.frame, keyframe.pose, tracks.track[mine], place.pixels[tracks.feature[mine]])
     return fitted
 

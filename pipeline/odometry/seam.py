@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.places import MIN_POINTS, inverse_depth_at
+from pipeline.odometry.places import MIN_POINTS, inverse_depth_at, triangulated
 from pipeline.odometry.poses import Array, in_camera, inverse
 from pipeline.odometry.similarity import moved_points, moved_pose
 
@@ -82,9 +82,10 @@ def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -
         seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
     if min(len(depth) for _, depth in seen) < MIN_POINTS:
         return None
-    ratio = 1 / (inverse_depth_at(seen[1][0], *seen[0]) * seen[1][1])
+    (pixels, depth), (others, theirs) = seen
+    ratio = 1 / (inverse_depth_at(others, triangulated(pixels), depth) * theirs)
     good = np.isfinite(ratio) & (ratio > 0)
-    return (float(np.median(ratio[good])), float(np.median(seen[0][1]))) if good.sum() >= MIN_POINTS else None
+    return (float(np.median(ratio[good])), float(np.median(depth))) if good.sum() >= MIN_POINTS else None
 
 
 def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:

@@ -8,15 +8,15 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pipeline.odometry.bundle import reprojections
-from pipeline.odometry.poses import Array, in_camera
+from pipeline.odometry.poses import Array
 from pipeline.odometry.resection import reprojection_errors, rounds_needed
-from reconstruction.errors import ReconstructionError
-from reconstruction.trajectory import align_umeyama
+from reconstruction.trajectory import align_each
 
 MAX_ERROR_PX = 4.0
 MIN_INLIERS = 20
 MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
 MAX_SCALE = 20.0  # two maps of one place are in units of its depth; farther apart is a false fit
+BATCH = 64  # samples judged at once
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,42 @@ class Side:
 
     def at(self, rows: NDArray) -> "Side":
         return replace(self, points=self.points[rows], seen=self.seen[rows], gain=self.gain[rows])
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Several sides one after another, to be asked at once: points (M,3), each one's camera_from_world rotation (M,3,3)
+    and shift (M,3), seen (M,2), gain (M,2,2). starts: (S,) where each side begins."""
+
+    points: Array
+    rotation: Array
+    shift: Array
+    seen: Array
+    gain: Array
+    starts: NDArray[np.int64]
+
+    @staticmethod
+    def of(sides: list[Side]) -> "Stack":
+        counts = [len(side.points) for side in sides]
+        poses = np.repeat(np.stack([side.pose for side in sides]), counts, axis=0)
+        return Stack(
+            np.concatenate([side.points for side in sides]),
+            poses[:, :3, :3],
+            poses[:, :3, 3],
+            np.concatenate([side.seen for side in sides]),
+            np.concatenate([side.gain for side in sides]),
+            np.cumsum([0, *counts[:-1]]),
+        )
+
+    def seen_from(self, points: Array) -> Array:
+        """(M,3) points of the world in the axes of each one's camera."""
+        return np.einsum("mij,mj->mi", self.rotation, points) + self.shift
+
+    def errors(self, points: Array) -> Array:
+        """(M,) pixels by which points (M,3) miss what was seen; infinite behind the camera."""
+        local = self.seen_from(points)
+        off = np.linalg.norm(reprojections(local, self.seen, self.gain), axis=1)
+        return np.where(local[:, 2] > 1e-9, off, np.inf)
 
 
 def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Array:
@@ -51,26 +87,32 @@ def robust_similarity(
         return None
     best, most, rounds, done = None, 3, most_rounds, 0
     while done < rounds:
-        done += 1
-        sample = rng.choice(count, 3, replace=False)
-        if not _is_alike(first.points[sample], second.points[sample]):
+        size = min(BATCH, rounds - done)
+        done += size
+        sample = rng.random((size, count)).argpartition(2, axis=1)[:, :3]
+        sample = sample[_are_alike(first.points[sample], second.points[sample])]
+        found = _fits(first.points[sample], second.points[sample])
+        if len(found) == 0:
             continue
-        found = _fit(first.points[sample], second.points[sample])
-        if found is None:
-            continue
-        agreeing = int((similarity_errors(found, first, second) < max_error_px).sum())
-        if agreeing > most:
-            best, most = found, agreeing
+        agreeing = (_errors_of_each(found, first, second) < max_error_px).sum(axis=1)
+        if agreeing.max() > most:
+            best, most = found[agreeing.argmax()], int(agreeing.max())
             rounds = min(most_rounds, rounds_needed((most / count) ** 3))
-    if best is None:
-        return None
+    return None if best is None else _refitted(best, first, second, max_error_px)
+
+
+def _refitted(best: Array, first: Side, second: Side, max_error_px: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Fitted to all that agree, three times or until fewer do; and which do in the end."""
+    inlier = similarity_errors(best, first, second) < max_error_px
     for _ in range(3):
-        inlier = similarity_errors(best, first, second) < max_error_px
-        refined = _fit(first.points[inlier], second.points[inlier]) if inlier.sum() >= 3 else None
-        if refined is None or (similarity_errors(refined, first, second) < max_error_px).sum() < inlier.sum():
+        refined = _fits(first.points[inlier][None], second.points[inlier][None])
+        if len(refined) == 0:
             break
-        best = refined
-    return best, similarity_errors(best, first, second) < max_error_px
+        agreeing = similarity_errors(refined[0], first, second) < max_error_px
+        if agreeing.sum() < inlier.sum():
+            break
+        best, inlier = refined[0], agreeing
+    return best, inlier
 
 
 def scale_of(similarity: Array) -> float:
@@ -88,16 +130,14 @@ def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Arra
         [Rotation.from_matrix(similarity[:3, :3] / scale).as_rotvec(), similarity[:3, 3], [np.log(scale)]]
     )
 
+    one, other = (Stack.of([pair[k] for pair in sides]) for k in (0, 1))
+
     def residuals(x: Array) -> Array:
         moved = np.eye(4)
         moved[:3, :3], moved[:3, 3] = np.exp(x[6]) * Rotation.from_rotvec(x[:3]).as_matrix(), x[3:6]
-        back = np.linalg.inv(moved)
-        found = []
-        for first, second in sides:
-            for transform, source, camera in ((moved, first, second), (back, second, first)):
-                local = in_camera(camera.pose, moved_points(transform, source.points))
-                found.append(reprojections(local, camera.seen, camera.gain).ravel())
-        return np.concatenate(found).clip(-1e3, 1e3)
+        ahead = reprojections(other.seen_from(moved_points(moved, one.points)), other.seen, other.gain)
+        back = reprojections(one.seen_from(moved_points(np.linalg.inv(moved), other.points)), one.seen, one.gain)
+        return np.concatenate([ahead.ravel(), back.ravel()]).clip(-1e3, 1e3)
 
     found = least_squares(residuals, start, loss="cauchy", f_scale=1.0, max_nfev=40).x
     refined = np.eye(4)
@@ -105,12 +145,30 @@ def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Arra
     return refined
 
 
-def _fit(source: Array, target: Array) -> Array | None:
-    try:
-        found = align_umeyama(np.asarray(source, np.float64), np.asarray(target, np.float64), with_scale=True)
-    except ReconstructionError:
-        return None
-    return found if np.isfinite(found).all() and 1 / MAX_SCALE < scale_of(found) < MAX_SCALE else None
+def _fits(source: Array, target: Array) -> Array:
+    """(K',4,4) similarities of K sets of points (K,N,3), without those of sets that none can have moved so."""
+    if source.shape[0] == 0 or source.shape[1] < 3:
+        return np.zeros((0, 4, 4))
+    found = align_each(np.asarray(source, np.float64), np.asarray(target, np.float64), with_scale=True)
+    scale = np.cbrt(np.linalg.det(found[:, :3, :3]))
+    return found[np.isfinite(found).all(axis=(1, 2)) & (scale > 1 / MAX_SCALE) & (scale < MAX_SCALE)]
+
+
+def _errors_of_each(transforms: Array, first: Side, second: Side) -> Array:
+    """(K,N) `similarity_errors` of K transforms (K,4,4)."""
+    ahead, back = second.pose @ transforms, first.pose @ np.linalg.inv(transforms)
+    return np.maximum(
+        _reprojected(ahead, first.points, second.seen, second.gain),
+        _reprojected(back, second.points, first.seen, first.gain),
+    )
+
+
+def _reprojected(camera_from_world: Array, points: Array, seen: Array, gain: Array) -> Array:
+    """(K,N) pixels by which points (N,3) miss their places under each of (K,4,4), affine; infinite behind it."""
+    local = points @ np.swapaxes(camera_from_world[:, :3, :3], 1, 2) + camera_from_world[:, None, :3, 3]
+    front = local[:, :, 2] > 1e-9
+    off = local[:, :, :2] / np.where(front, local[:, :, 2], 1.0)[:, :, None] - seen
+    return np.where(front, np.linalg.norm(np.einsum("nij,knj->kni", gain, off), axis=2), np.inf)
 
 
 def sure_similarity(
@@ -143,11 +201,12 @@ def _narrow_spread(pixels: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels.T))[0], 0)))
 
 
-def _is_alike(source: Array, target: Array) -> bool:
-    """Whether two triangles are similar enough to be worth a fit: three ratios of sides that agree within a half."""
-    sides = [np.linalg.norm(p - p[[1, 2, 0]], axis=1) for p in (source, target)]
+def _are_alike(source: Array, target: Array) -> NDArray[np.bool_]:
+    """(K,) whether two triangles (K,3,3) are similar enough to be worth a fit: three ratios of sides that agree within
+    a half."""
+    sides = [np.linalg.norm(p - p[:, [1, 2, 0]], axis=2) for p in (source, target)]
     ratio = sides[1] / np.maximum(sides[0], 1e-12)
-    return bool(ratio.min() > 0 and ratio.max() < 1.5 * ratio.min())
+    return (ratio.min(axis=1) > 0) & (ratio.max(axis=1) < 1.5 * ratio.min(axis=1))
 
 
 def moved_pose(transform: Array, camera_from_world: Array) -> Array:
