@@ -9,14 +9,16 @@ tracking (`used`), the share of them that is posed in any submap, submaps; then 
 submap for itself: ATE RMSE over all posed frames, the largest submap's ATE, and the median rotation error. A run counts
 as wrong where a submap's median rotation error exceeds 5 degrees. Speed is the structure stage alone (images read from
 disk, tracking, adjustment, joining, evidence): frames per second of wall time and processor milliseconds per frame; the
-latter is the fairer one on a machine that does other work. `--guess 100` hides the camera: a guess of so many degrees
-across the image takes its place, and the error of the focal length found is printed. `--chunks 4` cuts each film.
+latter is the fairer one on a machine that does other work. Of odometry also what it says itself: frames per second of
+tracking and local mapping alone. `--guess 100` hides the camera: a guess of so many degrees across the image takes its
+place, and the error of the focal length found is printed. `--chunks 4` cuts each film.
 """
 
 import argparse
 import dataclasses
 import json
 import os
+import re
 import tempfile
 import time
 from pathlib import Path
@@ -41,6 +43,16 @@ WRONG_DEG = 5.0
 MIN_FRAMES = 3  # for an alignment
 
 
+class Hearing(SilentProgress):
+    """Keeps the rate at which odometry says that it tracked."""
+
+    tracked_per_s: float | None = None
+
+    def say(self, sentence: str) -> None:
+        found = re.match(r"odometry at ([0-9.]+) frames a second", sentence)
+        self.tracked_per_s = float(found[1]) if found else self.tracked_per_s
+
+
 def store(folder: Path, config: Config, root: Path) -> tuple[Frames, Workspace]:
     workspace = create_workspace(root, folder, config, overwrite=True)
     return read_frames(Source(folder), config, workspace, SilentProgress()), workspace
@@ -59,9 +71,10 @@ def run(folder: Path, config: Config, truth: np.ndarray, guess_deg: float | None
         if guess_deg is not None:
             guess = guess_camera(true.width, true.height, (0, 0, true.width, true.height), guess_deg)
             frames = dataclasses.replace(frames, camera=guess)
+        heard = Hearing()
         wall, busy = time.perf_counter(), processor_seconds()
         try:
-            submaps = solve_structure(frames, config, workspace, SilentProgress())
+            submaps = solve_structure(frames, config, workspace, heard)
         except HaustraError as error:
             return {"used": len(frames.index), "posed_share": 0.0, "submaps": 0, "failure": str(error)}
         wall, busy = time.perf_counter() - wall, processor_seconds() - busy
@@ -71,6 +84,7 @@ def run(folder: Path, config: Config, truth: np.ndarray, guess_deg: float | None
         "posed_share": sum(len(submap.frames) for submap in submaps) / count,
         "submaps": len(submaps),
         "frames_per_s": count / wall,
+        **({} if heard.tracked_per_s is None else {"tracked_per_s": heard.tracked_per_s}),
         "processor_ms_per_frame": 1e3 * busy / count,
         **errors_of(submaps, truth),
         **({} if guess_deg is None else lens_of(submaps[0], true.focal[0])),
@@ -104,7 +118,7 @@ def errors_of(submaps: list[Submap], truth: np.ndarray) -> dict[str, Any]:
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Median and spread of each figure over the seeds that gave it."""
     names = ("posed_share", "submaps", "ate_mm", "rotation_deg", "frames_per_s", "processor_ms_per_frame")
-    names += ("focal_px", "focal_sigma_px", "focal_error_percent")
+    names += ("tracked_per_s", "focal_px", "focal_sigma_px", "focal_error_percent")
     found = {name: [run[name] for run in runs if name in run] for name in names}
     return {name: spread(values) for name, values in found.items() if values} | {
         "wrong": sum(run.get("wrong", True) for run in runs),
@@ -120,6 +134,8 @@ def print_row(sequence: str, front_end: str, figures: dict[str, Any]) -> None:
         print(f", ATE {medians['ate_mm']:.3f} mm, rotation {medians['rotation_deg']:.2f} deg", end="")
         print(f", {medians['frames_per_s']:.1f} frames/s", end="")
         print(f", {medians['processor_ms_per_frame']:.1f} ms of processor a frame", end="")
+    if "tracked_per_s" in medians:
+        print(f", tracked at {medians['tracked_per_s']:.1f} frames/s", end="")
     if "focal_px" in medians:
         error, sigma = medians["focal_error_percent"], medians["focal_sigma_px"]
         print(f", focal length {medians['focal_px']:.1f} px ({error:+.1f} %, sigma {sigma:.2g} px)", end="")
