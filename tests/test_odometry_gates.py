@@ -11,7 +11,7 @@ from pipeline.odometry import links as linking
 from pipeline.odometry import merging
 from pipeline.odometry.features import normalise
 from pipeline.odometry.keyframe_features import KeyframeFeatures
-from pipeline.odometry.links import Shown, find_links, sure_links
+from pipeline.odometry.links import Link, Shown, find_links, sure_links
 from pipeline.odometry.local_map import Keyframe, LocalMap
 from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
@@ -19,6 +19,7 @@ from pipeline.odometry.places import Place, find_places
 from pipeline.odometry.poses import inverse
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.resection import reprojection_errors, robust_pose
+from pipeline.odometry.similarity import Side, similarity_errors
 from pipeline.odometry.tracking import Tracker
 
 RAYS = RayTable(PINHOLE)
@@ -122,11 +123,12 @@ def test_a_link_needs_matches_agreement_and_spread():
 
 
 def test_one_thing_that_occurs_in_two_places_links_nothing():
-    """Half of the features are the same, rigid and spread; the wall around them is half as far again in one map."""
+    """A third of the features are the same, rigid and spread; the wall around them is farther in one map, here more
+    and there less. As many matches link where the wall is the same."""
     wall = tube(120, np.random.default_rng(0))
     elsewhere = wall.copy()
-    elsewhere[60:] *= 1.5
-    assert len(linked(120, wrong=60, points=wall)) == 1
+    elsewhere[45:] *= np.random.default_rng(1).uniform(1.4, 2.0, (75, 1))
+    assert len(linked(120, wrong=75, points=wall)) == 1
     assert linked(120, points=wall, others=elsewhere) == []
 
 
@@ -150,6 +152,39 @@ def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     assert len(links) == 4
     assert bool(sure_links(links, *shown)) == joined
     assert sure_links(links[:1], *shown) == []
+
+
+def links_of_one_world(count, rng):
+    """Links whose similarities are the identity, off by a millimetre or two, each from other points and cameras."""
+    found = []
+    for _ in range(count):
+        points = tube(int(rng.integers(20, 60)), rng)
+        sides = []
+        for _ in range(2):
+            camera = pose(rng.uniform(-4, 4, 3), rng.normal(0, 2, 3))
+            sides.append(Side(points, camera, on_plane(camera, points)[0], gains(len(points))))
+        similarity = np.eye(4)
+        similarity[:3, 3] = rng.normal(0, 1.5, 3)
+        found.append(Link((None, None), similarity, *sides, (np.arange(len(points)),) * 2))
+    return found
+
+
+def test_links_that_agree_are_found_as_one_by_one():
+    links = links_of_one_world(20, np.random.default_rng(2))
+    links[4].second_from_first[:3, 3] += 40  # explains no other, and no other explains it: its points are moved too
+    links[4] = replace(links[4], second=replace(links[4].second, seen=links[4].second.seen + 3))
+
+    def explains(one, other):
+        errors = similarity_errors(one.second_from_first, other.first, other.second)
+        return (errors < linking.MAX_SAME_PX).mean() >= linking.SAME_SHARE
+
+    one_by_one = np.array([[explains(one, other) for other in links] for one in links])
+    assert 0.3 < one_by_one.mean() < 0.97
+    assert (one_by_one != one_by_one.T).any()
+    np.testing.assert_array_equal(linking._explained(links), one_by_one)
+    agreeing = linking._agreeing(links)
+    assert len(agreeing) == one_by_one.sum(axis=1).max()
+    assert not any(link is links[4] for link in agreeing)
 
 
 def test_a_pair_of_places_is_compared_once(monkeypatch):
