@@ -100,7 +100,8 @@ def _row(runs: list[dict[str, Any]]) -> str:
         text += f", ATE {ate['median']:.3f} [{ate['min']:.3f}, {ate['max']:.3f}] mm"
         text += f", rotation {_median(runs, 'rotation_deg'):.2f} deg"
         text += f", {_median(runs, 'processor_ms_per_frame'):.0f} ms of processor a frame"
-    return text + f", wrong {wrong} of {len(runs)}"
+    commits = len({r.get("commit") for r in runs})
+    return text + f", wrong {wrong} of {len(runs)}" + (f", of {commits} commits" if commits > 1 else "")
 
 
 def _median(runs: list[dict[str, Any]], name: str) -> float:
