@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 Pixels = NDArray[np.float32]  # (N,2), COLMAP's convention unless named otherwise
 
 WINDOW = 15  # px at 320 px width; scaled with the image
-LEVELS = 3
+LEVELS = 3  # halvings of the image for a search from where the point was
+NEAR_LEVELS = 1  # from where it should be; in coarser images a window sees beyond the mask, and more is lost than found
 LOCAL_SHARE = 0.05  # of the width: half the side of the surroundings that are evened out
 FLOOR = 0.02  # of the logarithm; where the wall varies less than 2 %, noise must not become texture
 CONTRAST = 42.0  # grey levels for one local standard deviation
@@ -55,23 +56,26 @@ def _window(image: NDArray[np.uint8]) -> tuple[int, int]:
     return size, size
 
 
-def follow(reference: View, current: View, places: Pixels, guess: Pixels) -> tuple[Pixels, NDArray[np.bool_]]:
-    """Where points at `places` of the reference are now, searched from `guess`; and which of them came back to where
-    they started, within the mask."""
+def follow(
+    reference: View, current: View, places: Pixels, guess: Pixels, levels: int = LEVELS
+) -> tuple[Pixels, NDArray[np.bool_]]:
+    """Where points at `places` of the reference are now, searched from `guess` in images halved up to `levels` times;
+    and which of them came back to where they started, within the mask."""
     if len(places) == 0:
         return places.copy(), np.zeros(0, dtype=bool)
     start = (places - 0.5).astype(np.float32)
     window = _window(reference.image)
     guessed = (guess - 0.5).astype(np.float32)
-    ahead, there = _flow(reference, current, start, guessed, window)
-    back, here = _flow(current, reference, ahead, start.copy(), window)
+    ahead, there = _flow(reference, current, start, guessed, window, levels)
+    # Whether the way back ends where it began is asked from there: nothing has to be searched for.
+    back, here = _flow(current, reference, ahead, start.copy(), window, NEAR_LEVELS)
     returned = np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
     found = (there.ravel() > 0) & (here.ravel() > 0) & returned & inside(current.mask, ahead + 0.5)
     return ahead + 0.5, found
 
 
 def _flow(
-    reference: View, current: View, places: Pixels, guess: Pixels, window: tuple[int, int]
+    reference: View, current: View, places: Pixels, guess: Pixels, window: tuple[int, int], levels: int
 ) -> tuple[Pixels, NDArray[np.uint8]]:
     """Pyramidal Lucas-Kanade in OpenCV's integer-centre pixels."""
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -80,7 +84,7 @@ def _flow(
         places,
         guess,
         winSize=window,
-        maxLevel=LEVELS,
+        maxLevel=levels,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-4,
