@@ -134,7 +134,7 @@ def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:
 
 def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Bring the mean brightness of the lit area to that of the training frames, within a factor of two."""
-    brightest = rgb.max(axis=2)
+    brightest = np.maximum.reduce(cv2.split(rgb))
     lit = brightest > 16  # video black: the border is not part of the picture
     if not lit.any():
         return rgb

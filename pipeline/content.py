@@ -27,7 +27,7 @@ class ContentArea:
 
 def find_content(frames: Iterable[NDArray[np.uint8]]) -> ContentArea:
     """Content area of frames (H,W,3) uint8 RGB; raises `HaustraError` when all of them are black."""
-    values = np.array([cv2.blur(rgb.max(axis=2), (5, 5)) for rgb in frames])
+    values = np.array([cv2.blur(np.maximum.reduce(cv2.split(rgb)), (5, 5)) for rgb in frames])
     if len(values) == 0:
         raise HaustraError("the video holds no frames")
     # The third brightest of many: a title card or two must not light the border.
@@ -71,9 +71,10 @@ def highlight_mask(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     rgb: (H,W,3) uint8 -> (H,W) uint8. Burnt-out pixels, and small spots far brighter than their surroundings and
     pale, each with a margin.
     """
-    smallest = rgb.min(axis=2)
+    channels = cv2.split(rgb)  # NumPy's min and max over an axis of three take twelve times as long
+    smallest = np.minimum.reduce(channels)
     size = max(5, round(0.06 * rgb.shape[1]) | 1)
     surroundings = cv2.medianBlur(smallest, min(size, 255))
     spot = (smallest.astype(np.int16) - surroundings > 40) & (smallest > 140)
-    burnt = (rgb.max(axis=2) >= 252) & (smallest >= 235)
+    burnt = (np.maximum.reduce(channels) >= 252) & (smallest >= 235)
     return cv2.dilate((spot | burnt).astype(np.uint8) * 255, np.ones((5, 5), np.uint8))

@@ -42,7 +42,7 @@ class Evidence:
 def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Smoothed brightest channel: red saturates last to zero in blood, blue first; (H,W) float32."""
     sigma = 0.012 * rgb.shape[1]
-    return cv2.GaussianBlur(rgb.max(axis=2).astype(np.float32), (0, 0), sigma)
+    return cv2.GaussianBlur(np.maximum.reduce(cv2.split(rgb)).astype(np.float32), (0, 0), sigma)
 
 
 def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> Evidence:

@@ -25,7 +25,7 @@ class FrameJudge:
     def judge(self, rgb: NDArray[np.uint8], content: NDArray[np.uint8]) -> Verdict:
         """rgb (H,W,3) and content mask (H,W), both at working size."""
         inside = content > 0
-        brightest = rgb.max(axis=2)[inside]
+        brightest = np.maximum.reduce(cv2.split(rgb))[inside]
         if np.median(brightest) < self.settings.min_brightness:
             return "black"
         if (brightest >= 250).mean() > self.settings.max_burnt:
