@@ -13,6 +13,7 @@ from pipeline.camera import Camera
 WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretches beyond use
 STEP = 1e-5  # of the finite differences, on the plane z = 1
 NEWTON_STEPS = 12
+SETTLED_PX = 1e-9
 MAX_MISFIT_PX = 0.01  # a table entry whose projection misses its pixel by more lies outside the lens model
 
 
@@ -78,12 +79,15 @@ def _invert(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.flo
     if camera.model == "OPENCV_FISHEYE":
         theta = np.linalg.norm(plane, axis=1, keepdims=True)
         plane *= np.tan(np.minimum(theta, 1.3)) / np.maximum(theta, 1e-9)
+    left = np.arange(len(pixels))  # those that are not there yet
     for _ in range(0 if camera.is_pinhole else NEWTON_STEPS):
-        off = pixels - camera.project(_on_plane(plane))
-        gain = _gain(camera, plane)
+        off = pixels[left] - camera.project(_on_plane(plane[left]))
+        far = np.abs(off).max(axis=1) > SETTLED_PX
+        left, off = left[far], off[far]
+        gain = _gain(camera, plane[left])
         singular = np.abs(np.linalg.det(gain)) < 1e-6
         gain[singular] = np.eye(2) * camera.focal[0]
         step = np.linalg.solve(gain, off[:, :, None])[:, :, 0]
-        plane = np.clip(plane + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
+        plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
     misfit = np.linalg.norm(pixels - camera.project(_on_plane(plane)), axis=1)
     return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < WIDEST)
