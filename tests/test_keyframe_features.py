@@ -1,6 +1,7 @@
 """Features of keyframes: found once, by whoever asks first, and the same as asked for directly."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -33,14 +34,51 @@ def test_each_frame_is_read_once_and_gives_what_sift_gives():
         np.testing.assert_array_equal(getattr(found[0], name), getattr(expected, name))
 
 
+def test_what_has_not_begun_is_found_by_whoever_asks():
+    """One thread is busy with the first frame; the third is asked for, and does not wait for it."""
+    go, by = threading.Event(), {}
+
+    def read(frame):
+        by[frame] = threading.current_thread()
+        if frame == 0:
+            go.wait(10)
+        return IMAGE, MASK
+
+    with KeyframeFeatures(read) as find:
+        for frame in range(3):
+            find.begin(frame)
+        find(2)
+        assert 1 not in by
+        go.set()
+        find(0), find(1)
+    assert by[2] is threading.current_thread()
+    assert by[0] is not threading.current_thread()
+
+
+def test_many_who_ask_at_once_read_each_frame_once():
+    asked = []
+
+    def read(frame):
+        asked.append(frame)
+        return IMAGE, MASK
+
+    with KeyframeFeatures(read) as find, ThreadPoolExecutor(6) as threads:
+        for frame in range(6):
+            find.begin(frame)
+        found = list(threads.map(find, [frame for frame in range(6) for _ in range(4)]))
+    assert sorted(asked) == list(range(6))
+    assert all(found[k] is found[k - k % 4] for k in range(24))
+
+
 def test_what_reading_raises_is_raised_by_the_call():
     def read(frame):
         raise HaustraError(f"{frame} is missing")
 
     with KeyframeFeatures(read) as find:
         find.begin(7)
-        with pytest.raises(HaustraError, match="7 is missing"):
-            find(7)
+        for frame in (7, 8, 8):  # begun before, and not
+            with pytest.raises(HaustraError, match=f"{frame} is missing"):
+                find(frame)
 
 
 def test_leaving_does_not_wait_for_what_nobody_asked_for():
