@@ -5,23 +5,25 @@ import pytest
 
 from pipeline.odometry import schur
 from pipeline.odometry.bundle import _inverse_root
-from pipeline.odometry.schur import Blocks, Symmetric, gram, solve
+from pipeline.odometry.kernels import halved, onto_cameras, onto_points
+from pipeline.odometry.schur import Coupling, Symmetric, gram, solve
 
 
-def half_matrix(rng, cameras: int, reach: int, points_each: int = 12) -> Blocks:
-    """Of points that are seen by cameras at most `reach` numbers apart, some by one alone."""
+def half_matrix(rng, cameras: int, reach: int, points_each: int = 12) -> tuple[np.ndarray, Coupling]:
+    """Blocks, and the points of the cameras: these are seen by cameras at most `reach` numbers apart, some by one
+    alone, some by none."""
     points = cameras * points_each
     home = np.arange(points) // points_each
     sees = (np.abs(np.arange(cameras)[:, None] - home) <= reach / 2) & (rng.random((cameras, points)) < 0.7)
     camera, point = np.nonzero(sees)
-    starts = np.searchsorted(camera, np.arange(cameras + 1))
-    return Blocks(rng.normal(size=(len(camera), 6, 3)), point, starts, points)
+    return rng.normal(size=(len(camera), 3, 6)), Coupling.of(camera, point, cameras, points)
 
 
-def full(of: Blocks) -> np.ndarray:
-    matrix = np.zeros((of.cameras, 6, of.points, 3))
-    matrix[np.repeat(np.arange(of.cameras), np.diff(of.starts)), :, of.point] = of.data
-    return matrix.reshape(6 * of.cameras, -1)
+def full(half: np.ndarray, coupling: Coupling) -> np.ndarray:
+    cameras, points = len(coupling.starts) - 1, len(coupling.begins) - 1
+    matrix = np.zeros((cameras, 6, points, 3))
+    np.add.at(matrix, (coupling.camera, slice(None), coupling.point), half.transpose(0, 2, 1))
+    return matrix.reshape(6 * cameras, -1)
 
 
 def positive_definite(rng, row: np.ndarray, column: np.ndarray, cameras: int) -> Symmetric:
@@ -36,23 +38,53 @@ def positive_definite(rng, row: np.ndarray, column: np.ndarray, cameras: int) ->
     return Symmetric(diagonal, blocks, row, column)
 
 
-@pytest.mark.parametrize("limit", [schur.FULL, 0], ids=["full", "sparse"])
+@pytest.mark.parametrize("few", [0, 10**9], ids=["threads", "one thread"])
 @pytest.mark.parametrize("cameras", [1, 9, 75])
-def test_the_product_is_that_of_the_full_matrix(monkeypatch, limit, cameras):
-    half = half_matrix(np.random.default_rng(0), cameras, 20)
-    monkeypatch.setattr(schur, "FULL", limit)
-    np.testing.assert_allclose(gram(half).full(), full(half) @ full(half).T, atol=1e-10)
+def test_the_product_is_that_of_the_full_matrix(monkeypatch, few, cameras):
+    half, coupling = half_matrix(np.random.default_rng(0), cameras, 20)
+    monkeypatch.setattr(schur, "FEW", few)
+    expected = full(half, coupling) @ full(half, coupling).T
+    np.testing.assert_allclose(gram(half, coupling).full(), expected, atol=1e-10)
 
 
-def test_a_camera_that_sees_nothing_leaves_zeros(monkeypatch):
-    half = half_matrix(np.random.default_rng(1), 40, 6)
-    blind = np.insert(half.starts, 35, half.starts[35])  # one more, between the others, in the last lot
-    half = Blocks(half.data, half.point, blind, half.points)
-    for limit in (0, schur.FULL):
-        monkeypatch.setattr(schur, "FULL", limit)
-        found = gram(half).full()
-        np.testing.assert_allclose(found, full(half) @ full(half).T, atol=1e-10)
-        assert not found[6 * 35 : 6 * 36].any()
+def test_a_camera_that_sees_nothing_leaves_zeros():
+    rng = np.random.default_rng(1)
+    _, coupling = half_matrix(rng, 40, 6)
+    rows = coupling.camera != 35
+    coupling = Coupling.of(coupling.camera[rows], coupling.point[rows], 41, len(coupling.begins) - 1)
+    half = rng.normal(size=(rows.sum(), 3, 6))
+    found = gram(half, coupling).full()
+    np.testing.assert_allclose(found, full(half, coupling) @ full(half, coupling).T, atol=1e-10)
+    assert not found[6 * 35 : 6 * 36].any()
+    assert not found[6 * 40 :].any()
+
+
+def test_a_camera_that_sees_one_point_twice_is_counted_twice():
+    """Two tracks that became one leave two observations in a keyframe."""
+    rng = np.random.default_rng(5)
+    camera, point = np.array([0, 0, 0, 1, 1]), np.array([2, 0, 2, 2, 1])
+    coupling, half = Coupling.of(camera, point, 2, 3), rng.normal(size=(5, 3, 6))
+    expected = full(half, coupling) @ full(half, coupling).T
+    np.testing.assert_allclose(gram(half, coupling).full(), expected, atol=1e-12)
+
+
+def test_vectors_go_through_the_same_matrix():
+    rng = np.random.default_rng(6)
+    half, of = half_matrix(rng, 12, 6)
+    matrix, cameras, points = full(half, of), 12, len(of.begins) - 1
+    values = rng.normal(size=(points, 3))
+    found = onto_cameras(half, of.camera, of.point, values, cameras)
+    np.testing.assert_allclose(found.ravel(), matrix @ values.ravel(), atol=1e-12)
+    values = rng.normal(size=(cameras, 6))
+    found = onto_points(half, of.camera, of.point, values, points)
+    np.testing.assert_allclose(found.ravel(), matrix.T @ values.ravel(), atol=1e-12)
+
+
+def test_blocks_are_multiplied_by_the_root_of_their_point():
+    rng = np.random.default_rng(7)
+    cross, root = rng.normal(size=(20, 6, 3)), np.triu(rng.normal(size=(5, 3, 3)))
+    point = rng.integers(0, 5, 20)
+    np.testing.assert_allclose(halved(cross, root, point).transpose(0, 2, 1), cross @ root[point], atol=1e-12)
 
 
 def test_the_inverse_of_a_block_is_its_root_times_the_roots_transpose():

@@ -1,4 +1,4 @@
-"""Bundle adjustment: Levenberg-Marquardt on the Schur complement of the points (`schur`), in NumPy.
+"""Bundle adjustment: Levenberg-Marquardt on the Schur complement of the points (`schur`, `kernels`).
 
 Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6. Residuals are linear in the plane z = 1 (see
 `rays`), down-weighted by Cauchy's loss through reweighting. Preferred to Ceres, which would live in another process,
@@ -6,18 +6,16 @@ and to GTSAM, which takes a Python object for each observation; see docs/front_e
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
+from pipeline.odometry.kernels import MIN_DEPTH, halved, normal_equations, onto_cameras, onto_points, robust_cost
 from pipeline.odometry.poses import Array, moved
-from pipeline.odometry.schur import Blocks, gram, solve
+from pipeline.odometry.schur import Coupling, gram, solve
 
 DAMPING, LEAST_DAMPING = 1e-4, 1e-9
 TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustment
-MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
 
 
 @dataclass(frozen=True)
@@ -56,13 +54,14 @@ def adjust(
     the diagonal; what costs little to bend, as the scale along a path, it holds back most.
     Without two fixed cameras the scale is free; the damping then keeps it where it was.
     """
-    sums = _Sums(bundle)
+    bundle = _contiguous(bundle)
+    coupling = Coupling.of(bundle.camera, bundle.point, len(bundle.rotation), len(bundle.points))
     cost = _cost(bundle, loss_px)
     system = None
     for _ in range(iterations):
         if system is None:
-            system = _linearise(bundle, sums, loss_px)
-        step = _solve(bundle, system, damping)
+            system = _linearise(bundle, loss_px)
+        step = _solve(bundle, coupling, system, damping)
         if step is None:
             damping *= 10
             continue
@@ -87,41 +86,19 @@ def reprojections(local: Array, seen: Array, gain: Array) -> Array:
     return np.einsum("mij,mj->mi", gain, local[:, :2] / depth - seen)
 
 
-def cauchy_weight(squared: Array, loss_px: float) -> Array:
-    """(M,) weight of each residual in reweighted least squares."""
-    return 1 / (1 + squared / loss_px**2)
-
-
 def _cost(bundle: Bundle, loss_px: float) -> float:
-    squared = (bundle.residuals() ** 2).sum(axis=1)
-    return float(loss_px**2 * np.log1p(squared / loss_px**2).sum())
+    return robust_cost(
+        bundle.rotation, bundle.translation, bundle.points, bundle.camera, bundle.point, bundle.seen, bundle.gain,
+        loss_px,
+    )  # fmt: skip
 
 
-def jacobians(local: Array, gain: Array) -> tuple[Array, Array]:
-    """(M,2,6) by the pose's tangent and (M,2,3) by the point in the camera's axes."""
-    inverse_depth = 1 / np.maximum(local[:, 2], MIN_DEPTH)
-    projection = np.zeros((len(local), 2, 3))
-    projection[:, 0, 0] = projection[:, 1, 1] = inverse_depth
-    projection[:, :, 2] = -local[:, :2] * inverse_depth[:, None] ** 2
-    by_local = gain @ projection
-    x, y, z = (local[:, None, k] for k in range(3))
-    a, b, c = (by_local[:, :, k] for k in range(3))  # a row of J [-x]x is the point cross this row of J
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c], axis=2), by_local
-
-
-class _Sums:
-    """Sums over the observations of each camera, which lie together, and of each point."""
-
-    def __init__(self, bundle: Bundle) -> None:
-        count = len(bundle.camera)
-        self.by_point = csr_array((np.ones(count), (bundle.point, np.arange(count))), shape=(len(bundle.points), count))
-        self.starts = np.searchsorted(bundle.camera, np.arange(len(bundle.rotation) + 1))
-
-    def by_camera(self, first: Array, second: Array) -> Array:
-        """(C,6,K) sums of first' @ second over each camera's observations, (M,2,6) and (M,2,K)."""
-        parts = [slice(begin, end) for begin, end in pairwise(self.starts.tolist())]
-        width = second.shape[2]
-        return np.stack([first[part].reshape(-1, 6).T @ second[part].reshape(-1, width) for part in parts])
+def _contiguous(bundle: Bundle) -> Bundle:
+    """The same numbers as the kernels take them: other layouts would be compiled for themselves."""
+    floats = (bundle.rotation, bundle.translation, bundle.points, bundle.seen, bundle.gain)
+    rotation, translation, points, seen, gain = (np.ascontiguousarray(a, np.float64) for a in floats)
+    camera, point = (np.ascontiguousarray(a, np.int64) for a in (bundle.camera, bundle.point))
+    return Bundle(rotation, translation, points, camera, point, seen, gain, np.ascontiguousarray(bundle.fixed))
 
 
 @dataclass(frozen=True)
@@ -133,51 +110,33 @@ class _System:
     cross: Array
     camera_side: Array
     point_side: Array
-    starts: NDArray[np.int64]
 
 
-def _linearise(bundle: Bundle, sums: _Sums, loss_px: float) -> _System:
-    rotation = bundle.rotation[bundle.camera]
-    local = np.einsum("mij,mj->mi", rotation, bundle.points[bundle.point]) + bundle.translation[bundle.camera]
-    residual = reprojections(local, bundle.seen, bundle.gain)
-    weight = cauchy_weight((residual**2).sum(axis=1), loss_px)
-    by_pose, by_local = jacobians(local, bundle.gain)
-    by_pose[bundle.fixed[bundle.camera]] = 0
-    by_point = by_local @ rotation
-    weighted_pose, weighted_point = by_pose * weight[:, None, None], by_point * weight[:, None, None]
-    count = len(residual)
-
-    def outer(first: Array, second: Array) -> Array:
-        return (np.swapaxes(first, 1, 2) @ second).reshape(count, -1)
-
-    side = residual[:, :, None]
+def _linearise(bundle: Bundle, loss_px: float) -> _System:
     return _System(
-        sums.by_camera(weighted_pose, by_pose),
-        (sums.by_point @ outer(weighted_point, by_point)).reshape(-1, 3, 3),
-        outer(weighted_pose, by_point).reshape(-1, 6, 3),
-        -sums.by_camera(weighted_pose, side)[:, :, 0],
-        -(sums.by_point @ outer(weighted_point, side)),
-        sums.starts,
-    )
+        *normal_equations(
+            bundle.rotation, bundle.translation, bundle.points, bundle.camera, bundle.point, bundle.seen, bundle.gain,
+            bundle.fixed, loss_px,
+        )
+    )  # fmt: skip
 
 
-def _solve(bundle: Bundle, system: _System, damping: float) -> tuple[Array, Array] | None:
+def _solve(bundle: Bundle, coupling: Coupling, system: _System, damping: float) -> tuple[Array, Array] | None:
     """Steps (C,6) and (P,3), or None if the damped system is not positive definite."""
     cameras, points = len(system.cameras), len(system.points)
     free = np.flatnonzero(~bundle.fixed)
     root = _inverse_root(_damped(system.points, damping))
-    half = Blocks(system.cross @ root[bundle.point], bundle.point, system.starts, points)
-    rows = half.rows(0, cameras)
+    half = halved(system.cross, root, bundle.point)
     point_side = np.einsum("pji,pj->pi", root, system.point_side)
     camera_step = np.zeros((cameras, 6))
     if len(free):
-        reduced = gram(half).subtracted_from(_damped(system.cameras, damping))
-        side = system.camera_side - (rows @ point_side.ravel()).reshape(cameras, 6)
+        reduced = gram(half, coupling).subtracted_from(_damped(system.cameras, damping))
+        side = system.camera_side - onto_cameras(half, bundle.camera, bundle.point, point_side, cameras)
         step = solve(reduced.among(free), side[free])
         if step is None:
             return None
         camera_step[free] = step
-    rest = point_side - (rows.T @ camera_step.ravel()).reshape(points, 3)
+    rest = point_side - onto_points(half, bundle.camera, bundle.point, camera_step, points)
     point_step = np.einsum("pij,pj->pi", root, rest)
     return (camera_step, point_step) if np.isfinite(camera_step).all() and np.isfinite(point_step).all() else None
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.bundle import cauchy_weight, jacobians
+from pipeline.odometry.kernels import pose_equations
 from pipeline.odometry.poses import Array, compose, moved
 
 MIN_POINTS = 6
@@ -25,24 +25,16 @@ def refine_poses(
 
     Gauss-Newton with Cauchy's weights; points stay. A camera without observations keeps its pose.
     """
-    seen_rows, starts = np.unique(camera, return_index=True)
-    if len(seen_rows) == 0:
-        return rotation, translation
+    floats = (rotation, translation, points, seen, gain)
+    rotation, translation, points, seen, gain = (np.ascontiguousarray(a, np.float64) for a in floats)
     for _ in range(iterations):
-        local = np.einsum("mij,mj->mi", rotation[camera], points) + translation[camera]
-        residual = np.einsum("mij,mj->mi", gain, local[:, :2] / np.maximum(local[:, 2:], 1e-9) - seen)
-        by_pose, _ = jacobians(local, gain)
-        weighted = by_pose * cauchy_weight((residual**2).sum(axis=1), loss_px)[:, None, None]
-        normal = np.add.reduceat(np.swapaxes(weighted, 1, 2) @ by_pose, starts)
-        side = -np.add.reduceat(np.einsum("mij,mi->mj", weighted, residual), starts)
+        normal, side = pose_equations(rotation, translation, points, camera, seen, gain, loss_px)
         diagonal = np.einsum("cii->ci", normal)
         diagonal += 1e-6 * diagonal + 1e-9
         step = np.linalg.solve(normal, side[:, :, None])[:, :, 0]
         step = np.where(np.isfinite(step), step, 0.0)
-        tangent = np.zeros((len(rotation), 6))
-        tangent[seen_rows] = step
-        rotation, translation = moved(rotation, translation, tangent)
-        if np.abs(step[:, :3]).max() < 1e-7:
+        rotation, translation = moved(rotation, translation, step)
+        if np.abs(step[:, :3]).max(initial=0) < 1e-7:
             break
     return rotation, translation
 

@@ -11,36 +11,46 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
-from scipy.linalg.blas import dsyrk
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array, identity, triu
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from pipeline.odometry.kernels import products
 from pipeline.odometry.poses import Array
 
-FULL = 1_000_000  # entries of a cross matrix up to which it is multiplied as a full one
 ROWS = 32  # cameras multiplied at once
-THREADS = 2  # SciPy lets go of the interpreter; the order of the sums is fixed
+FEW = 20_000  # observations that are not worth a second thread
+THREADS = 2  # the kernels let go of the interpreter; each row's sums are one thread's
 NARROW = 1 / 3  # band's share of the matrix up to which it pays; the full solver has the better BLAS
 
 
 @dataclass(frozen=True)
-class Blocks:
-    """A matrix of (M,6,3) blocks, cameras by points: `point` (M,) columns, `starts` (C+1,) where each camera begins."""
+class Coupling:
+    """Which cameras share points: what the product of the cross blocks with themselves looks like, whatever is in them.
 
-    data: Array
+    Of observations sorted by camera: `camera` and `point` (M,), `starts` (C+1,) where each camera begins; `by_point`
+    (M,) the same sorted by point, `begins` (P+1,) where each point begins. The blocks of the product that are not zero,
+    on the diagonal and right of it: `column` (K,), `firsts` (C+1,) where each row begins.
+    """
+
+    camera: NDArray[np.int64]
     point: NDArray[np.int64]
     starts: NDArray[np.int64]
-    points: int
+    by_point: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    column: NDArray[np.int64]
+    firsts: NDArray[np.int64]
 
-    @property
-    def cameras(self) -> int:
-        return len(self.starts) - 1
-
-    def rows(self, begin: int, end: int) -> bsr_array:
-        """The rows of some cameras."""
-        part = slice(self.starts[begin], self.starts[end])
-        shape = (6 * (end - begin), 3 * self.points)
-        return bsr_array((self.data[part], self.point[part], self.starts[begin : end + 1] - part.start), shape=shape)
+    @staticmethod
+    def of(camera: NDArray[np.int64], point: NDArray[np.int64], cameras: int, points: int) -> "Coupling":
+        starts = np.searchsorted(camera, np.arange(cameras + 1))
+        begins = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=points))])
+        sees = csr_array((np.ones(len(point), np.int32), point, starts), shape=(cameras, points))
+        shared = triu(sees @ sees.T + identity(cameras, np.int32), format="csr")
+        shared.sort_indices()
+        return Coupling(
+            camera, point, starts, np.argsort(point, kind="stable"), begins,
+            shared.indices.astype(np.int64), shared.indptr.astype(np.int64),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,31 +113,22 @@ class Symmetric:
         return flat.reshape(-1, height).T
 
 
-def gram(half: Blocks) -> Symmetric:
-    """half @ half', which couples the cameras."""
-    count = half.cameras
-    if 18 * count * half.points <= FULL:  # a window's matrix is so full that BLAS beats the sparse product
-        upper = dsyrk(1.0, half.rows(0, count).toarray().T, trans=1)
-        row, column = np.triu_indices(count)
-        blocks = upper.reshape(count, 6, count, 6)[row, :, column]
-        on = row == column
-        blocks[on] = np.triu(blocks[on]) + np.triu(blocks[on], 1).transpose(0, 2, 1)
-        return Symmetric.of(blocks, row, column, count)
-    last = np.zeros(half.points, np.int64)  # camera that sees each point
-    np.maximum.at(last, half.point, np.repeat(np.arange(count), np.diff(half.starts)))
+def gram(half: Array, coupling: Coupling) -> Symmetric:
+    """The product of a (6C,3P) matrix with its own transpose; half: its blocks transposed, (M,3,6)."""
+    of, count = coupling, len(coupling.starts) - 1
+    blocks = np.zeros((len(of.column), 6, 6))
 
-    def part(begin: int) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    def rows(begin: int) -> None:
         end = min(begin + ROWS, count)
-        seen = half.point[half.starts[begin] : half.starts[end]]
-        until = int(last[seen].max()) + 1 if len(seen) else end
-        result = (half.rows(begin, end) @ half.rows(begin, max(until, end)).T).tobsr((6, 6))
-        row = np.repeat(np.arange(end - begin), np.diff(result.indptr))
-        return result.data, begin + row, begin + result.indices.astype(np.int64)
+        products(half, of.camera, of.point, of.starts, of.by_point, of.begins, of.column, of.firsts, begin, end, blocks)
 
-    with ThreadPoolExecutor(THREADS) as threads:
-        parts = list(threads.map(part, range(0, count, ROWS)))
-    blocks, row, column = (np.concatenate(of) for of in zip(*parts, strict=True))
-    return Symmetric.of(blocks, row, column, count)
+    if len(of.camera) < FEW:
+        for begin in range(0, count, ROWS):
+            rows(begin)
+    else:
+        with ThreadPoolExecutor(THREADS) as threads:
+            list(threads.map(rows, range(0, count, ROWS)))
+    return Symmetric.of(blocks, np.repeat(np.arange(count), np.diff(of.firsts)), of.column, count)
 
 
 def solve(matrix: Symmetric, side: Array) -> Array | None:

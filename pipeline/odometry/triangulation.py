@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.bundle import jacobians
+from pipeline.odometry.kernels import MIN_DEPTH
 from pipeline.odometry.poses import Array
 
 REFINEMENTS = 3
@@ -49,8 +49,8 @@ def _refined(
     for _ in range(REFINEMENTS):
         local = np.einsum("mij,mj->mi", rotation, points[point]) + translation
         behind = np.minimum.reduceat(local[:, 2], starts) < 1e-9
-        residual = np.einsum("mij,mj->mi", gain, local[:, :2] / np.maximum(local[:, 2:], 1e-9) - seen)
-        by_point = jacobians(local, gain)[1] @ rotation
+        residual = np.einsum("mij,mj->mi", gain, local[:, :2] / np.maximum(local[:, 2:], MIN_DEPTH) - seen)
+        by_point = _by_local(local, gain) @ rotation
         normal = np.add.reduceat(np.swapaxes(by_point, 1, 2) @ by_point, starts)
         diagonal = np.einsum("pii->pi", normal)
         diagonal += 1e-6 * diagonal + 1e-12
@@ -58,3 +58,12 @@ def _refined(
         step = np.linalg.solve(normal, side[:, :, None])[:, :, 0]
         points = points + np.where(behind[:, None] | ~np.isfinite(step), 0.0, step)
     return points
+
+
+def _by_local(local: Array, gain: Array) -> Array:
+    """(M,2,3) of the residuals by the points in their camera's axes."""
+    inverse_depth = 1 / np.maximum(local[:, 2], MIN_DEPTH)
+    projection = np.zeros((len(local), 2, 3))
+    projection[:, 0, 0] = projection[:, 1, 1] = inverse_depth
+    projection[:, :, 2] = -local[:, :2] * inverse_depth[:, None] ** 2
+    return gain @ projection
