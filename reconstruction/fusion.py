@@ -9,6 +9,7 @@ Nothing is filled in: a cell becomes surface only if all of its eight corners we
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 from reconstruction.depth_frame import DepthFrame, prepare_frame
 from reconstruction.errors import ReconstructionError
 from reconstruction.mesh import SurfaceMesh
+from reconstruction.voxel_average import average_frame
 from reconstruction.voxel_grid import BLOCK, VoxelGrid
 
-BLOCKS_AT_ONCE = 64  # 32 768 voxels: the dozen arrays of one update then stay in the processor's cache
+BLOCKS_AT_ONCE = 64
+THREADS = 2  # `average_frame` lets go of the interpreter
 COARSEST_STRIDE = 4  # pixels between the rays along which blocks are touched
 STEP_OF_BLOCK = 0.6  # between the points along such a ray
 PIXELS_PER_VOXEL = 2.5
@@ -140,10 +143,18 @@ class SurfaceFusion:
         rotation, shift = frame.camera_from_world[:3, :3], frame.camera_from_world[:3, 3]
         corners = (origins @ rotation.T + shift).astype(np.float32)
         offsets = self._grid.offsets_in_block @ rotation.T.astype(np.float32)
-        for start in range(0, len(rows), BLOCKS_AT_ONCE):
-            part = slice(start, start + BLOCKS_AT_ONCE)
-            x, y, z = (corners[part, axis, None] + offsets[:, axis] for axis in range(3))
-            self._average(frame, rows[part], x, y, z)
+        pinhole = frame.centred_intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].astype(np.float32)
+        truncation = np.float32(self.settings.truncation * self.settings.voxel_size)
+        images = (frame.depth, frame.weight, frame.confidence, frame.colour)
+        values = [self._grid.channel(name)[..., 0] for name in ("evidence", "observations", "tsdf", "confidence")]
+        channels = (*values, self._grid.channel("colour"))
+
+        def average(part: slice) -> None:
+            average_frame(rows[part], corners[part], offsets, pinhole, *images, truncation, *channels)
+
+        with ThreadPoolExecutor(THREADS) as threads:  # no block is in two parts
+            parts = [slice(start, start + BLOCKS_AT_ONCE) for start in range(0, len(rows), BLOCKS_AT_ONCE)]
+            list(threads.map(average, parts))
 
     def _points_near_surface(self, frame: DepthFrame) -> NDArray[np.float32]:
         """World points (N,3) along the rays, within the truncation of the depth, dense enough to hit every block."""
@@ -164,46 +175,3 @@ class SurfaceFusion:
         along = np.maximum(depth[:, None] + steps, 0)
         points = along[..., None] * turned[:, None] + world_from_camera[:3, 3].astype(np.float32)
         return points.reshape(-1, 3)
-
-    def _average(
-        self,
-        frame: DepthFrame,
-        rows: NDArray[np.int64],
-        x: NDArray[np.float32],
-        y: NDArray[np.float32],
-        z: NDArray[np.float32],
-    ) -> None:
-        """Running averages of the voxels (B,512) at camera coordinates x, y, z; weight 0 leaves them as they are."""
-        pixel, seen = _project(x, y, z, frame)
-        truncation = np.float32(self.settings.truncation * self.settings.voxel_size)
-        distance = frame.depth.reshape(-1).take(pixel) - z
-        confidence = frame.confidence.reshape(-1).take(pixel)
-        weight = frame.weight.reshape(-1).take(pixel) * (seen & (distance > -truncation))
-        evidence = self._grid.channel("evidence")[rows, :, 0] + weight
-        share = weight / np.maximum(evidence, np.float32(1e-12))
-        self._grid.channel("evidence")[rows, :, 0] = evidence
-        self._grid.channel("observations")[rows, :, 0] += (weight > 0) & (distance < truncation)
-        self._blend("tsdf", rows, share[..., None], np.clip(distance / truncation, -1, 1)[..., None])
-        self._blend("confidence", rows, share[..., None], confidence[..., None])
-        self._blend("colour", rows, share[..., None], frame.colour.reshape(-1, 3).take(pixel, axis=0))
-
-    def _blend(
-        self, name: str, rows: NDArray[np.int64], share: NDArray[np.float32], value: NDArray[np.float32]
-    ) -> None:
-        channel = self._grid.channel(name)
-        old = channel[rows]
-        channel[rows] = old + share * (value - old)
-
-
-def _project(
-    x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], frame: DepthFrame
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Flat index of the pixel that each point falls into (0 where none does), and whether one does."""
-    height, width = frame.depth.shape
-    fx, fy, cx, cy = (np.float32(value) for value in frame.centred_intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
-    inverse_z = 1 / np.maximum(z, np.float32(1e-9))
-    column = fx * x * inverse_z + (cx + np.float32(0.5))  # from the pixel's edge, so that truncation rounds
-    row = fy * y * inverse_z + (cy + np.float32(0.5))
-    seen = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    pixel = np.where(seen, row, 0).astype(np.int32) * width + np.where(seen, column, 0).astype(np.int32)
-    return pixel, seen

@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from pipeline.odometry import kernels
 from pipeline.odometry.kernels import normal_equations, pose_equations, robust_cost
+from reconstruction import compiled
 
 CAMERAS, POINTS, LOSS = 4, 9, 1.5
 
@@ -109,6 +109,6 @@ def test_where_nothing_can_be_kept_on_disk_it_is_compiled_all_the_same(monkeypat
             raise RuntimeError("cannot cache function: no locator available")
         return lambda function: function
 
-    monkeypatch.setattr(kernels, "njit", njit)
-    assert kernels.compiled(abs) is abs
+    monkeypatch.setattr(compiled, "njit", njit)
+    assert compiled.compiled(abs) is abs
     assert asked == [{"cache": True, "nogil": True}, {"nogil": True}]

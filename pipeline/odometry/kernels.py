@@ -1,33 +1,20 @@
-"""The loops of bundle adjustment, compiled by Numba: what NumPy would do in a dozen passes over all observations.
-
-Compiled at their first call, some seconds, and kept beside this file or in the user's cache. Sums run in the order of
-the observations, so that the same numbers give the same bytes.
+"""The loops of bundle adjustment, compiled: what NumPy would do in a dozen passes over all observations.
 
 C cameras (rotation (C,3,3), translation (C,3), camera_from_world), P points (P,3), M observations: `camera` and `point`
 (M,) rows, `seen` (M,2) on the plane z = 1, `gain` (M,2,2) pixels per unit there. The loss is Cauchy's, in pixels.
 """
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from reconstruction.compiled import compiled
 
 Array = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
 MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual instead of a mirrored one
-
-
-def compiled(function: Function) -> Function:
-    """Without the interpreter's lock; kept on disk where anything can be written, else compiled in each process."""
-    try:
-        return cast(Function, njit(cache=True, nogil=True)(function))
-    except RuntimeError:  # Numba's word for a package and a home that are both read-only
-        return cast(Function, njit(nogil=True)(function))
 
 
 @compiled
