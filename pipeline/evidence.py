@@ -47,11 +47,10 @@ def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> Evidence:
     """Evidence for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
-    order = np.argsort(submap.observations[:, 0], kind="stable")
+    order, starts = submap.by_frame()
     frame, point = submap.observations[order].T
     pixels = submap.pixels[order]
     distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)
-    starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
     correlations = []
     for row, index in enumerate(submap.frames):
         mine = slice(starts[row], starts[row + 1])

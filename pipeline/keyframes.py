@@ -18,10 +18,8 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     The first, then each whose shared points moved by more than `motion` image widths (`NEAR_WALL` percentile), or that
     shares too few points with the last keyframe.
     """
-    order = np.argsort(submap.observations[:, 0], kind="stable")
-    frame, point = submap.observations[order].T
-    pixels = submap.pixels[order]
-    starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
+    order, starts = submap.by_frame()
+    point, pixels = submap.observations[order, 1], submap.pixels[order]
     good = _well_seen(np.diff(starts))
     chosen = [int(good[0])]
     for row in good[1:].tolist():

@@ -85,9 +85,8 @@ class SparseDepthMaker:
         focal, angles = submap.camera_params[0], submap.triangulation_angles()
         self.good, self.scatter = reliable_points(submap, angles, focal, settings)
         self.error = error_with_slide(self.scatter, submap.is_followed, angles, SLIDE * pinhole.width / focal)
-        order = np.argsort(submap.observations[:, 0], kind="stable")
-        frame, self._points = submap.observations[order].T
-        self._starts = np.searchsorted(frame, np.arange(len(submap.frames) + 1))
+        order, self._starts = submap.by_frame()
+        self._points = submap.observations[order, 1]
 
     def seen_by(self, row: int) -> NDArray[np.int64]:
         """Rows of the good points that frame row `row` observed."""

@@ -49,6 +49,11 @@ class Submap:
         axis = self.world_from_camera[frame, :3, 2]
         return np.einsum("ij,ij->i", self.points[point] - self.centres[frame], axis)
 
+    def by_frame(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The observations' rows frame after frame, (M,), and where each frame's begin, (N+1,)."""
+        frame = self.observations[:, 0]
+        return np.argsort(frame, kind="stable"), np.cumsum(np.bincount(frame + 1, minlength=len(self.frames) + 1))
+
     def track_lengths(self) -> NDArray[np.int64]:
         """(P,) number of frames that saw each point."""
         return np.bincount(self.observations[:, 1], minlength=len(self.points))

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.camera import Camera
@@ -41,24 +40,15 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
         (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
     params = " ".join(repr(float(p)) for p in submap.camera_params)
     (folder / "cameras.txt").write_text(f"{CAMERA_ID} {camera.model} {camera.width} {camera.height} {params}\n")
-    order = np.argsort(submap.observations[:, 0], kind="stable")
-    place = _place_in_image(submap.observations[order, 0], len(submap.frames))
     with (folder / "images.txt").open("w") as file:
-        file.writelines(_image_lines(submap, names, order))
+        file.writelines(_image_lines(submap, names))
     with (folder / "points3D.txt").open("w") as file:
-        file.writelines(_point_lines(submap, order, place))
+        file.writelines(_point_lines(submap))
 
 
-def _place_in_image(frame: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Position of each observation within its image; `frame` ascends."""
-    starts = np.searchsorted(frame, np.arange(count + 1))
-    return np.arange(len(frame)) - starts[frame]
-
-
-def _image_lines(submap: Submap, names: list[str], order: NDArray[np.int64]) -> Iterator[str]:
-    frame, point = submap.observations[order].T
-    pixels = submap.pixels[order]
-    starts = np.searchsorted(frame, np.arange(len(names) + 1))
+def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
+    order, starts = submap.by_frame()
+    point, pixels = submap.observations[order, 1], submap.pixels[order]
     rotations = np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)
     quaternions = Rotation.from_matrix(rotations).as_quat(canonical=True)
     for row, name in enumerate(names):
@@ -70,8 +60,10 @@ def _image_lines(submap: Submap, names: list[str], order: NDArray[np.int64]) -> 
         yield " ".join(f"{u:.4f} {v:.4f} {p + 1}" for (u, v), p in zip(pixels[mine], point[mine], strict=True)) + "\n"
 
 
-def _point_lines(submap: Submap, order: NDArray[np.int64], place: NDArray[np.int64]) -> Iterator[str]:
+def _point_lines(submap: Submap) -> Iterator[str]:
+    order, first = submap.by_frame()
     frame, point = submap.observations[order].T
+    place = np.arange(len(frame)) - first[frame]  # of each observation within its image
     by_point = np.argsort(point, kind="stable")
     starts = np.searchsorted(point[by_point], np.arange(len(submap.points) + 1))
     for row, (x, y, z) in enumerate(submap.points):
