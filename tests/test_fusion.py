@@ -113,6 +113,18 @@ def test_the_same_frames_give_the_same_arrays():
     np.testing.assert_array_equal(first.faces, second.faces)
 
 
+def test_one_thread_gives_the_same_bytes_as_four(monkeypatch):
+    poses = views(4)
+    depths = [sphere_depth(pose) for pose in poses]
+    monkeypatch.setattr("reconstruction.fusion.BLOCKS_AT_ONCE", 5)
+    meshes = []
+    for threads in (1, 4):
+        monkeypatch.setattr("reconstruction.fusion.THREADS", threads)
+        meshes.append(fuse(poses, depths))
+    for name in ("vertices", "faces", "colours", "confidence", "observations"):
+        np.testing.assert_array_equal(*(getattr(mesh, name) for mesh in meshes))
+
+
 def test_nothing_is_lost_when_memory_grows(monkeypatch):
     poses = views(3)
     depths = [sphere_depth(pose) for pose in poses]

@@ -6,7 +6,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pipeline.odometry.kernels import normal_equations, pose_equations, robust_cost
-from reconstruction import compiled
 
 CAMERAS, POINTS, LOSS = 4, 9, 1.5
 
@@ -19,7 +18,7 @@ def problem(seed: int = 0) -> tuple[np.ndarray, ...]:
     points = rng.normal(0, 1, (POINTS, 3)) + np.array([0, 0, 6])
     sees = rng.random((CAMERAS, POINTS)) < 0.7
     sees[:, 5] = sees[2] = False
-    camera, point = np.nonzero(sees)
+    camera, point = (np.ascontiguousarray(k) for k in np.nonzero(sees))  # as `adjust` gives them
     local = np.einsum("mij,mj->mi", rotation[camera], points[point]) + translation[camera]
     seen = local[:, :2] / local[:, 2:] + rng.normal(0, 0.005, (len(camera), 2))
     seen[3] += 0.2
@@ -96,19 +95,5 @@ def test_a_point_behind_a_camera_costs_much_and_breaks_nothing():
     before = robust_cost(rotation, translation, points, camera, point, seen, gain, LOSS)
     points[0] = [0.3, 0.2, -5]
     given = (rotation, translation, points, camera, point, seen, gain)
-    assert robust_cost(*given, LOSS) > before + 10
+    assert robust_cost(*given, LOSS) > before + 50
     assert all(np.isfinite(a).all() for a in normal_equations(*given, np.zeros(CAMERAS, bool), LOSS))
-
-
-def test_where_nothing_can_be_kept_on_disk_it_is_compiled_all_the_same(monkeypatch):
-    asked = []
-
-    def njit(**options):
-        asked.append(options)
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return lambda function: function
-
-    monkeypatch.setattr(compiled, "njit", njit)
-    assert compiled.compiled(abs) is abs
-    assert asked == [{"cache": True, "nogil": True}, {"nogil": True}]

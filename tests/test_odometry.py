@@ -16,6 +16,7 @@ from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
 from pipeline.odometry.places import match
 from pipeline.odometry.rays import RayTable
+from pipeline.odometry.tracks import TrackSet
 from pipeline.progress import SilentProgress
 from pipeline.structure import solve_structure
 from pipeline.workspace import Workspace
@@ -165,6 +166,41 @@ def test_tracks_follow_a_known_shift(clip):
     now, found = follow(first, second, places, places)
     assert found.mean() > 0.6
     np.testing.assert_allclose(np.median((now - places)[found], axis=0), [-5, -3], atol=0.05)
+
+
+def followed(second, off):
+    """Tracks of a picture that moved by (-15, -9), looked for `off` (N,2) from where they are; None: with no guess."""
+    tracks = TrackSet()
+    tracks.anchor_at(make_view(np.ascontiguousarray(second[:150, :150]), MASK[:150, :150]))
+    guess = None if off is None else tracks.places + np.array([-15, -9]) + off(len(tracks.places))
+    tracks.follow(make_view(np.ascontiguousarray(second[9:159, 15:165]), MASK[:150, :150]), guess)
+    right = np.abs(tracks.now - tracks.places - [-15, -9]).max(axis=1) < 1
+    return tracks.found & right, tracks.found & ~right
+
+
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_tracks_whose_guess_is_wrong_are_found_as_without_one(clip, share):
+    """A guess 12 px off for some of them or for all, too far to search near it: those are searched in coarse images."""
+
+    def off(count):
+        return np.where(np.arange(count) < share * count, 10.0, 0.0)[:, None] * np.array([1.0, -0.7])
+
+    alone, _ = followed(clip[0][0], None)
+    good, _ = followed(clip[0][0], lambda count: np.zeros((count, 2)))
+    right, wrong = followed(clip[0][0], off)
+    assert alone.sum() > 60
+    assert good.sum() >= alone.sum()
+    assert right.sum() > 0.85 * alone.sum()
+    assert wrong.sum() < 0.1 * right.sum()
+
+
+@pytest.mark.parametrize("near", [True, False])
+def test_what_is_not_in_the_picture_is_not_found(clip, near):
+    """Another part of the wall: the way back does not end where the way there began."""
+    first, second = make_view(clip[0][0], MASK), make_view(np.ascontiguousarray(clip[0][0][::-1, ::-1]), MASK)
+    places = detect(first, np.zeros((0, 2), np.float32), 12)
+    _, found = follow(first, second, places, places, near)
+    assert found.mean() < 0.15
 
 
 def test_new_corners_keep_away_from_old_ones(clip):

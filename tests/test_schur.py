@@ -15,7 +15,7 @@ def half_matrix(rng, cameras: int, reach: int, points_each: int = 12) -> tuple[n
     points = cameras * points_each
     home = np.arange(points) // points_each
     sees = (np.abs(np.arange(cameras)[:, None] - home) <= reach / 2) & (rng.random((cameras, points)) < 0.7)
-    camera, point = np.nonzero(sees)
+    camera, point = (np.ascontiguousarray(k) for k in np.nonzero(sees))
     return rng.normal(size=(len(camera), 3, 6)), Coupling.of(camera, point, cameras, points)
 
 
@@ -66,6 +66,12 @@ def test_a_camera_that_sees_one_point_twice_is_counted_twice():
     coupling, half = Coupling.of(camera, point, 2, 3), rng.normal(size=(5, 3, 6))
     expected = full(half, coupling) @ full(half, coupling).T
     np.testing.assert_allclose(gram(half, coupling).full(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("camera", "point"), [([1, 0], [0, 1]), ([0, 2], [0, 1]), ([0, 1], [0, 3]), ([0, 1], [-1, 0])])
+def test_what_the_kernels_could_not_index_is_refused(camera, point):
+    with pytest.raises(ValueError, match="sorted by camera"):
+        Coupling.of(np.array(camera), np.array(point), 2, 3)
 
 
 def test_vectors_go_through_the_same_matrix():

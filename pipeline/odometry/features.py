@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 Pixels = NDArray[np.float32]  # (N,2), COLMAP's convention unless named otherwise
 
 WINDOW = 15  # px at 320 px width; scaled with the image
-LEVELS = 3  # halvings of the image for a search from where the point was
-NEAR_LEVELS = 1  # from where it should be; in coarser images a window sees beyond the mask, and more is lost than found
+LEVELS, ITERATIONS = 3, 20  # halvings of the image, and steps in each, of a search from where the point was
+NEAR_LEVELS, NEAR_ITERATIONS = 1, 10  # from where it should be; coarser windows reach beyond the mask and lose points
 LOCAL_SHARE = 0.05  # of the width: half the side of the surroundings that are evened out
 FLOOR = 0.02  # of the logarithm; where the wall varies less than 2 %, noise must not become texture
 CONTRAST = 42.0  # grey levels for one local standard deviation
@@ -57,25 +57,26 @@ def _window(image: NDArray[np.uint8]) -> tuple[int, int]:
 
 
 def follow(
-    reference: View, current: View, places: Pixels, guess: Pixels, levels: int = LEVELS
+    reference: View, current: View, places: Pixels, guess: Pixels, near: bool = False
 ) -> tuple[Pixels, NDArray[np.bool_]]:
-    """Where points at `places` of the reference are now, searched from `guess` in images halved up to `levels` times;
-    and which of them came back to where they started, within the mask."""
+    """Where points at `places` of the reference are now, searched from `guess`, within some pixels if it is `near`; and
+    which of them came back to where they started, within the mask."""
     if len(places) == 0:
         return places.copy(), np.zeros(0, dtype=bool)
     start = (places - 0.5).astype(np.float32)
     window = _window(reference.image)
     guessed = (guess - 0.5).astype(np.float32)
-    ahead, there = _flow(reference, current, start, guessed, window, levels)
-    # Whether the way back ends where it began is asked from there: nothing has to be searched for.
-    back, here = _flow(current, reference, ahead, start.copy(), window, NEAR_LEVELS)
+    levels, steps = (NEAR_LEVELS, NEAR_ITERATIONS) if near else (LEVELS, ITERATIONS)
+    ahead, there = _flow(reference, current, start, guessed, window, levels, steps)
+    # The way back begins at its goal. It is the coarse images that say no to a false match.
+    back, here = _flow(current, reference, ahead, start.copy(), window, LEVELS, steps)
     returned = np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
     found = (there.ravel() > 0) & (here.ravel() > 0) & returned & inside(current.mask, ahead + 0.5)
     return ahead + 0.5, found
 
 
 def _flow(
-    reference: View, current: View, places: Pixels, guess: Pixels, window: tuple[int, int], levels: int
+    reference: View, current: View, places: Pixels, guess: Pixels, window: tuple[int, int], levels: int, steps: int
 ) -> tuple[Pixels, NDArray[np.uint8]]:
     """Pyramidal Lucas-Kanade in OpenCV's integer-centre pixels."""
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -85,7 +86,7 @@ def _flow(
         guess,
         winSize=window,
         maxLevel=levels,
-        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.01),
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, steps, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-4,
     )

@@ -51,8 +51,9 @@ class KeyframeFeatures:
 
     def begin(self, frame: int) -> None:
         """Find them in the background."""
-        if frame not in self._found:
-            self._found[frame] = self._thread.submit(self._find, frame)
+        with self._guard:
+            if frame not in self._found:
+                self._found[frame] = self._thread.submit(self._find, frame)
 
     def _find(self, frame: int) -> Features:
         return sift(*self._read(frame), CONTRAST)

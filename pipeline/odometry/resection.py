@@ -27,6 +27,7 @@ def refine_poses(
     """
     floats = (rotation, translation, points, seen, gain)
     rotation, translation, points, seen, gain = (np.ascontiguousarray(a, np.float64) for a in floats)
+    camera = np.ascontiguousarray(camera, np.int64)
     for _ in range(iterations):
         normal, side = pose_equations(rotation, translation, points, camera, seen, gain, loss_px)
         diagonal = np.einsum("cii->ci", normal)

@@ -42,6 +42,10 @@ class Coupling:
 
     @staticmethod
     def of(camera: NDArray[np.int64], point: NDArray[np.int64], cameras: int, points: int) -> "Coupling":
+        # The kernels check no index.
+        inside = (camera >= 0).all() and (camera < cameras).all() and (point >= 0).all() and (point < points).all()
+        if not inside or (np.diff(camera) < 0).any():
+            raise ValueError("observations must be sorted by camera, and name cameras and points that there are")
         starts = np.searchsorted(camera, np.arange(cameras + 1))
         begins = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=points))])
         sees = csr_array((np.ones(len(point), np.int32), point, starts), shape=(cameras, points))

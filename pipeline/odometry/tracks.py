@@ -7,10 +7,9 @@ anchor and a single bad frame costs nothing. The anchor moves on when the view h
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.features import LEVELS, NEAR_LEVELS, Pixels, View, detect, follow
+from pipeline.odometry.features import Pixels, View, detect, follow
 
 CELL_SHARE = 0.045  # of the width: one track for each cell of this side
-MIN_NEAR_SHARE = 0.5  # of the tracks that are found near the guess; fewer, and the guess was wrong
 
 
 class TrackSet:
@@ -29,10 +28,10 @@ class TrackSet:
         if self.anchor is None:
             return
         start = self.now if guess is None else np.where(np.isfinite(guess), guess, self.now).astype(np.float32)
-        levels = LEVELS if guess is None else NEAR_LEVELS
-        now, self.found = follow(self.anchor, view, self.places, start, levels)
-        if levels < LEVELS and self.found_share() < MIN_NEAR_SHARE:
-            now, self.found = follow(self.anchor, view, self.places, start, LEVELS)
+        now, self.found = follow(self.anchor, view, self.places, start, near=guess is not None)
+        lost = ~self.found
+        if guess is not None and lost.any():  # those for which the guess was wrong: near points, in a sudden motion
+            now[lost], self.found[lost] = follow(self.anchor, view, self.places[lost], start[lost])
         self.now = np.where(self.found[:, None], now, self.now)
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
