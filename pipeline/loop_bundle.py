@@ -19,7 +19,9 @@ from pipeline.keyframe_graph import Closed, moved, nodes_of
 from pipeline.loops import Link, Place, every_place
 from pipeline.odometry.bundle import Bundle, adjust
 from pipeline.odometry.feature_tracks import Tracks, join_features
+from pipeline.odometry.outcome import FINAL_DAMPING, FINAL_TOLERANCE
 from pipeline.odometry.places import match, rooted
+from pipeline.odometry.refit import widest_narrow
 from reconstruction.pose_graph import Edge, misfit, scale_of
 
 AHEAD = 5  # keyframes with which each one's features are compared
@@ -32,6 +34,7 @@ MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle togeth
 MAX_GAP = 5  # keyframes in a row that may follow
 
 Array = NDArray[np.float64]
+Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
 
 
 def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
@@ -60,10 +63,10 @@ def adjust_nodes(
     `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
     places, are believed.
     """
-    tracks = tie_tracks(part, places, links, world_from_node)
-    number = well_seen(tracks, len(places))
-    if len(number) < 2 or not holds(tracks, number, len(places)):
+    tracks = _held_tracks(part, places, links, world_from_node)
+    if tracks is None:
         return None
+    number = well_seen(tracks, len(places))
     scale = scale_of(world_from_node)
     poses = world_from_node.copy()
     poses[:, :3, :3] /= scale[:, None, None]
@@ -86,20 +89,44 @@ def adjust_nodes(
     )
     bundle, depth = _at(bundle, local[:, 2], np.arange(len(held)))
     for loss_px, max_error_px in SETTLING:
-        bundle = adjust(bundle, ITERATIONS, loss_px)
+        bundle = adjust(bundle, ITERATIONS, loss_px, FINAL_TOLERANCE, FINAL_DAMPING)
         bundle, depth = _at(bundle, depth, np.flatnonzero(bundle.errors() < max_error_px))
     return _nodes(bundle, depth, number)
 
 
-def tie_tracks(part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array) -> Tracks:
-    """Features that look alike and lie where the map has them, or that a link matched, are one point."""
+def _held_tracks(
+    part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
+) -> Tracks | None:
+    """Of narrow features, since wide ones slide and bend the scale (docs/front_end.md); of all where those are too few;
+    None if these are, too."""
+    same = same_features(part, places, links)
+    for widest in (widest_narrow(part.camera.width), np.inf):
+        tracks = tie_tracks(places, same, world_from_node, widest)
+        number = well_seen(tracks, len(places))
+        if len(number) >= 2 and holds(tracks, number, len(places)):
+            return tracks
+    return None
+
+
+def same_features(part: DenseSubmap, places: list[Place], links: Sequence[Link]) -> Same:
+    """Pairs of places, and of each the features (K,2) that look alike and lie where the map has them, or that a link
+    matched."""
     pairs, same = [(k.first, k.second) for k in links], [np.column_stack(k.rows) for k in links]
     for one in range(len(places)):
         for other in range(one + 1, min(len(places), one + AHEAD + 1)):
             pairs.append((one, other))
             same.append(_followed(part, places[one], places[other]))
+    return pairs, same
+
+
+def tie_tracks(places: list[Place], same: Same, world_from_node: Array, widest: float = np.inf) -> Tracks:
+    """Features of at most `widest` pixels across that are the same are one point."""
+    narrow = [place.sizes <= widest for place in places]
+    chosen = [
+        rows[narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]]] for (one, other), rows in zip(*same, strict=True)
+    ]
     world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(places, world_from_node, strict=True)]
-    return join_features(world, pairs, same)
+    return join_features(world, same[0], chosen)
 
 
 def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:

@@ -45,12 +45,14 @@ NOTHING: NDArray[np.int64] = np.zeros(0, np.int64)
 
 @dataclass(frozen=True)
 class Place:
-    """A keyframe's features that have a depth: pixels (N,2), descriptors (N,128), points (N,3) in the camera's axes."""
+    """A keyframe's features that have a depth: pixels (N,2), descriptors (N,128), points (N,3) in the camera's axes,
+    sizes (N,) in pixels across."""
 
     row: int  # in the submap
     pixels: NDArray[np.float64]
     descriptors: NDArray[np.uint8]
     points: NDArray[np.float64]
+    sizes: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def _place(part: DenseSubmap, maker: SparseDepthMaker, row: int, frames: Frames)
     good = np.isfinite(inverse)
     plane = _on_plane(part, pixels[good])
     points = np.column_stack([plane, np.ones(len(plane))]) / inverse[good, None]
-    return Place(row, pixels[good], found.descriptors[good], points)
+    return Place(row, pixels[good], found.descriptors[good], points, found.sizes[good].astype(np.float64))
 
 
 def _link(

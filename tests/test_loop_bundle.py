@@ -12,7 +12,7 @@ from test_pose_graph import circle, exponential
 from pipeline.camera import Camera
 from pipeline.dense import DenseSubmap
 from pipeline.keyframe_graph import Closed, moved, nodes_of
-from pipeline.loop_bundle import adjust_loops, adjust_nodes, holds, tie_tracks, well_seen
+from pipeline.loop_bundle import adjust_loops, adjust_nodes, holds, same_features, tie_tracks, well_seen
 from pipeline.loops import Link, Place
 from pipeline.rectify import make_rectifier
 from pipeline.submap import Submap
@@ -48,7 +48,7 @@ def seen() -> tuple[DenseSubmap, list[Place], Link]:
         inside = ((pixels > 0) & (pixels < 320)).all(axis=1)
         ids.append(near[inside])
         points = local[ids[-1]] * scale_of(nodes[row])
-        places.append(Place(row, pixels[inside], names[ids[-1]], points))
+        places.append(Place(row, pixels[inside], names[ids[-1]], points, np.full(len(points), 4.0)))
     poses = nodes.copy()
     poses[:, :3, :3] /= scale_of(nodes)[:, None, None]
     nothing = np.zeros((0, 2))
@@ -121,7 +121,7 @@ def test_a_stretch_without_features_is_not_adjusted():
 
 def test_few_may_follow_at_the_ends(monkeypatch):
     part, places, _ = seen()
-    tracks = tie_tracks(part, places, [], part.submap.world_from_camera)
+    tracks = tie_tracks(places, same_features(part, places, []), part.submap.world_from_camera)
     assert well_seen(tracks, COUNT).tolist() == list(range(COUNT))
     assert holds(tracks, np.arange(COUNT - 4), COUNT)
     assert not holds(tracks, np.arange(COUNT - 7), COUNT)
@@ -132,7 +132,7 @@ def test_few_may_follow_at_the_ends(monkeypatch):
 def test_two_features_of_one_picture_are_not_one_point():
     part, places, link = seen()
     twice = replace(link, rows=(np.array([0, 1]), np.array([0, 0])))
-    tracks = tie_tracks(part, places, [twice], part.submap.world_from_camera)
+    tracks = tie_tracks(places, same_features(part, places, [twice]), part.submap.world_from_camera)
     assert len(np.unique(np.column_stack([tracks.track, tracks.place]), axis=0)) == len(tracks.track)
     assert (np.bincount(tracks.track) >= 2).all()
 
@@ -149,4 +149,4 @@ def test_links_between_places_are_those_of_keyframes(monkeypatch):
 
 
 def empty(place: Place) -> Place:
-    return Place(place.row, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)))
+    return Place(place.row, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0))

@@ -66,7 +66,7 @@ def dense(workspace: Workspace, submap: Submap | None = None) -> DenseSubmap:
 
 
 def places(part: DenseSubmap) -> list[Place]:
-    empty = np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3))
+    empty = np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0)
     return [Place(int(row), *empty) for row in part.rows]
 
 

@@ -52,8 +52,7 @@ def refit(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -
     """
     local_map.forget_features()
     matched = _matched(local_map, find, advance)
-    limit = max(WIDEST, WIDEST_SHARE * local_map.rays.camera.width)
-    for widest in (limit, np.inf):
+    for widest in (widest_narrow(local_map.rays.camera.width), np.inf):
         moving = _map_of(local_map, matched, False, widest)
         before = _adjusted(moving, advance)
         if before is not None:
@@ -61,6 +60,11 @@ def refit(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -
             _follow(local_map, moving, before)
             return widest
     return None
+
+
+def widest_narrow(width: int) -> float:
+    """Pixels across of the widest feature that still counts as narrow, in a picture of that width."""
+    return max(WIDEST, WIDEST_SHARE * width)
 
 
 def _adjusted(fitted: LocalMap, advance: Advance) -> Array | None:
