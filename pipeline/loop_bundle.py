@@ -18,7 +18,7 @@ from pipeline.frames import Frames
 from pipeline.keyframe_graph import Closed, moved, nodes_of
 from pipeline.loops import Link, Place, every_place
 from pipeline.odometry.bundle import Bundle, adjust
-from pipeline.odometry.feature_tracks import Tracks, join_features
+from pipeline.odometry.feature_tracks import Tracks, both_narrow, join_features
 from pipeline.odometry.outcome import FINAL_DAMPING, FINAL_TOLERANCE
 from pipeline.odometry.places import match, rooted
 from pipeline.odometry.refit import widest_narrow
@@ -63,10 +63,10 @@ def adjust_nodes(
     `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
     places, are believed.
     """
-    tracks = _held_tracks(part, places, links, world_from_node)
-    if tracks is None:
+    found = _held_tracks(part, places, links, world_from_node)
+    if found is None:
         return None
-    number = well_seen(tracks, len(places))
+    tracks, number = found
     scale = scale_of(world_from_node)
     poses = world_from_node.copy()
     poses[:, :3, :3] /= scale[:, None, None]
@@ -96,15 +96,15 @@ def adjust_nodes(
 
 def _held_tracks(
     part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
-) -> Tracks | None:
-    """Of narrow features, since wide ones slide and bend the scale (docs/front_end.md); of all where those are too few;
-    None if these are, too."""
+) -> tuple[Tracks, NDArray[np.int64]] | None:
+    """Tracks of narrow features, since wide ones slide and bend the scale (docs/front_end.md); of all where those are
+    too few; None if these are, too. And numbers of the places that they fix."""
     same = same_features(part, places, links)
     for widest in (widest_narrow(part.camera.width), np.inf):
         tracks = tie_tracks(places, same, world_from_node, widest)
         number = well_seen(tracks, len(places))
         if len(number) >= 2 and holds(tracks, number, len(places)):
-            return tracks
+            return tracks, number
     return None
 
 
@@ -121,10 +121,8 @@ def same_features(part: DenseSubmap, places: list[Place], links: Sequence[Link])
 
 def tie_tracks(places: list[Place], same: Same, world_from_node: Array, widest: float = np.inf) -> Tracks:
     """Features of at most `widest` pixels across that are the same are one point."""
-    narrow = [place.sizes <= widest for place in places]
-    chosen = [
-        rows[narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]]] for (one, other), rows in zip(*same, strict=True)
-    ]
+    narrow = both_narrow([place.sizes for place in places], *same, widest)
+    chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
     world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(places, world_from_node, strict=True)]
     return join_features(world, same[0], chosen)
 

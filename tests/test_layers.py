@@ -43,7 +43,8 @@ def test_only_the_worker_imports_pycolmap():
 
 def test_the_command_line_imports_nothing_heavy():
     code = (
-        "import sys, pipeline.cli; heavy = {'torch', 'open3d', 'cv2', 'av', 'matplotlib', 'pycolmap', 'scipy'};"
+        "import sys, pipeline.cli;"
+        "heavy = {'torch', 'open3d', 'cv2', 'av', 'matplotlib', 'pycolmap', 'scipy', 'numba'};"
         "sys.exit(sorted(heavy & set(sys.modules)) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -35,6 +35,11 @@ class Bundle:
     gain: Array
     fixed: NDArray[np.bool_]
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64], Array, Array]:
+        """All but `fixed`, as the kernels take them."""
+        return self.rotation, self.translation, self.points, self.camera, self.point, self.seen, self.gain
+
     def residuals(self) -> Array:
         """(M,2) pixels."""
         local = np.einsum("mij,mj->mi", self.rotation[self.camera], self.points[self.point])
@@ -87,10 +92,7 @@ def reprojections(local: Array, seen: Array, gain: Array) -> Array:
 
 
 def _cost(bundle: Bundle, loss_px: float) -> float:
-    return robust_cost(
-        bundle.rotation, bundle.translation, bundle.points, bundle.camera, bundle.point, bundle.seen, bundle.gain,
-        loss_px,
-    )  # fmt: skip
+    return robust_cost(*bundle.arrays, loss_px)
 
 
 def _contiguous(bundle: Bundle) -> Bundle:
@@ -113,12 +115,7 @@ class _System:
 
 
 def _linearise(bundle: Bundle, loss_px: float) -> _System:
-    return _System(
-        *normal_equations(
-            bundle.rotation, bundle.translation, bundle.points, bundle.camera, bundle.point, bundle.seen, bundle.gain,
-            bundle.fixed, loss_px,
-        )
-    )  # fmt: skip
+    return _System(*normal_equations(*bundle.arrays, bundle.fixed, loss_px))
 
 
 def _solve(bundle: Bundle, coupling: Coupling, system: _System, damping: float) -> tuple[Array, Array] | None:

@@ -22,6 +22,14 @@ class Tracks:
     feature: NDArray[np.int64]
 
 
+def both_narrow(
+    sizes: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]], widest: float
+) -> list[NDArray[np.bool_]]:
+    """For each pair of pictures, (K,) whether both features that are the same are at most `widest` pixels across."""
+    narrow = [of <= widest for of in sizes]
+    return [narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]] for (one, other), rows in zip(pairs, same, strict=True)]
+
+
 def join_features(
     points: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]]
 ) -> Tracks:

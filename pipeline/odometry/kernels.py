@@ -45,6 +45,22 @@ def _jacobian(local: Array, gain: Array, by_pose: Array) -> None:
 
 
 @compiled
+def _add_camera(by_pose: Array, residual: Array, weight: float, c: int, blocks: Array, side: Array) -> None:
+    """One observation's share in the block and the right-hand side of its camera `c`, of (C,6,6) and (C,6)."""
+    for j in range(6):
+        first, second = weight * by_pose[0, j], weight * by_pose[1, j]
+        side[c, j] -= first * residual[0] + second * residual[1]
+        for k in range(6):
+            blocks[c, j, k] += first * by_pose[0, k] + second * by_pose[1, k]
+
+
+@compiled
+def _weight(residual: Array, loss: float) -> float:
+    """Of Cauchy's loss in reweighted least squares."""
+    return 1.0 / (1.0 + (residual[0] ** 2 + residual[1] ** 2) / loss**2)
+
+
+@compiled
 def robust_cost(
     rotation: Array, translation: Array, points: Array, camera: Rows, point: Rows, seen: Array, gain: Array, loss: float
 ) -> float:
@@ -84,7 +100,7 @@ def normal_equations(
         turn = rotation[c]
         _residual(turn, translation[c], points[p], seen[m], gain[m], local, residual)
         _jacobian(local, gain[m], by_pose)
-        weight = 1.0 / (1.0 + (residual[0] ** 2 + residual[1] ** 2) / loss**2)
+        weight = _weight(residual, loss)
         for i in range(2):
             for k in range(3):
                 by_point[i, k] = by_pose[i, 3] * turn[0, k] + by_pose[i, 4] * turn[1, k] + by_pose[i, 5] * turn[2, k]
@@ -95,11 +111,9 @@ def normal_equations(
                 of_points[p, j, k] += first * by_point[0, k] + second * by_point[1, k]
         if fixed[c]:
             continue
+        _add_camera(by_pose, residual, weight, c, of_cameras, camera_side)
         for j in range(6):
             first, second = weight * by_pose[0, j], weight * by_pose[1, j]
-            camera_side[c, j] -= first * residual[0] + second * residual[1]
-            for k in range(6):
-                of_cameras[c, j, k] += first * by_pose[0, k] + second * by_pose[1, k]
             for k in range(3):
                 cross[m, j, k] = first * by_point[0, k] + second * by_point[1, k]
     return of_cameras, of_points, cross, camera_side, point_side
@@ -116,12 +130,7 @@ def pose_equations(
         c = camera[m]
         _residual(rotation[c], translation[c], points[m], seen[m], gain[m], local, residual)
         _jacobian(local, gain[m], by_pose)
-        weight = 1.0 / (1.0 + (residual[0] ** 2 + residual[1] ** 2) / loss**2)
-        for j in range(6):
-            first, second = weight * by_pose[0, j], weight * by_pose[1, j]
-            side[c, j] -= first * residual[0] + second * residual[1]
-            for k in range(6):
-                blocks[c, j, k] += first * by_pose[0, k] + second * by_pose[1, k]
+        _add_camera(by_pose, residual, _weight(residual, loss), c, blocks, side)
     return blocks, side
 
 

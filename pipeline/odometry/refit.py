@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from pipeline.odometry.bundle import reprojections
-from pipeline.odometry.feature_tracks import Tracks, join_features
+from pipeline.odometry.feature_tracks import Tracks, both_narrow, join_features
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import growth, polish
 from pipeline.odometry.places import STILL_PX, FindFeatures, Place, match, place_of
@@ -118,11 +118,8 @@ class Matched:
 
     def tracks(self, wide: bool, widest: float) -> Tracks:
         """Of matches between two features of at most `widest` pixels across, or of all other matches."""
-        narrow = [place.sizes <= widest for place in self.places]
-        chosen = [
-            rows[(narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]]) != wide]
-            for (one, other), rows in zip(self.pairs, self.same, strict=True)
-        ]
+        narrow = both_narrow([place.sizes for place in self.places], self.pairs, self.same, widest)
+        chosen = [rows[good != wide] for rows, good in zip(self.same, narrow, strict=True)]
         return join_features([place.points for place in self.places], self.pairs, chosen)
 
 
