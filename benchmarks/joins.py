@@ -59,7 +59,8 @@ def tracked(film: Film, part: np.ndarray) -> list[Held]:
     """The maps of some of the frames, adjusted, most keyframes first."""
     odometry = Odometry(RayTable(film.frames.camera), 0)
     for index in part.tolist():
-        odometry.feed(index, *film.read(index))
+        rgb, mask = film.read(index)
+        odometry.feed(index, rgb, odometry.view(rgb, mask))
     maps = odometry.finish()
     held = zip(maps, adjust_maps(maps, film.features, SilentProgress()), strict=True)
     return sorted((h for h in held if to_submap(h[0], h[0].rays.camera.params)), key=lambda h: -len(h[0].keyframes))

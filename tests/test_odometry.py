@@ -73,7 +73,7 @@ def clip():
 
 def run(images, seed=0, mask=MASK):
     odometry = Odometry(RayTable(CAMERA), seed)
-    states = [odometry.feed(k, image, mask) for k, image in enumerate(images)]
+    states = [odometry.feed(k, image, odometry.view(image, mask)) for k, image in enumerate(images)]
     return odometry.finish(), states
 
 

@@ -335,7 +335,7 @@ def test_many_sides_are_judged_as_each_alone():
     rng = np.random.default_rng(4)
     sides, transform = [random_sides(count, rng)[0] for count in (5, 30, 9)], random_similarity(rng)
     stack = Stack.of(sides)
-    together = stack.errors(moved_points(transform, stack.points))
+    together = stack.errors(transform, stack.points)
     alone = [reprojection_errors(s.pose, moved_points(transform, s.points), s.seen, s.gain) for s in sides]
     assert stack.starts.tolist() == [0, 5, 35]
     assert 0 < np.isinf(together).mean() < 1

@@ -25,7 +25,8 @@ def track(job: dict[str, Any]) -> int:
     odometry = Odometry(RayTable(Camera.from_dict(job["camera"])), job["seed"], job["stride"])
     with threadpool_limits(1, "blas"):
         for done, frame in enumerate(job["frames"], start=1):
-            odometry.feed(frame, *read(frame))
+            rgb, mask = read(frame)
+            odometry.feed(frame, rgb, odometry.view(rgb, mask))
             if done % STEP == 0 or done == len(job["frames"]):
                 print(done, len(job["frames"]), flush=True)
         output = Path(job["output"])

@@ -14,8 +14,10 @@ from pipeline.config import Config
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_image
 from pipeline.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, track_chunks
+from pipeline.odometry.features import View
 from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
 from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.lookahead import made_ahead
 from pipeline.odometry.merging import merge_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import polish, to_submap
@@ -74,10 +76,15 @@ def _tracked(
         jobs = jobs_of(frames.index, frames.camera, pieces, stride, config.seed, workspace)
         return track_chunks(jobs, rays, run, progress)
     odometry, read = Odometry(rays, config.seed, stride), frame_reader(workspace)
+
+    def look(index: int) -> tuple[int, NDArray[np.uint8], View]:
+        rgb, mask = read(index)
+        return index, rgb, odometry.view(rgb, mask)
+
     started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:
-        for done, index in enumerate(frames.index.tolist(), start=1):
-            state = odometry.feed(index, *read(index))
+        for done, (index, rgb, view) in enumerate(made_ahead(look, frames.index.tolist()), start=1):
+            state = odometry.feed(index, rgb, view)
             if odometry.keyframe == index:
                 features.begin(index)
             pace = done / max(time.perf_counter() - started, 1e-9)

@@ -75,6 +75,24 @@ def robust_cost(
 
 
 @compiled
+def moved_residuals(
+    transform: Array, points: Array, rotation: Array, translation: Array, camera: Rows, seen: Array, gain: Array
+) -> Array:
+    """(M,3): by how many pixels points (M,3), moved by an affine `transform` (4,4), miss what was seen; their depth."""
+    result = np.empty((len(points), 3))
+    moved, local, residual = np.empty(3), np.empty(3), np.empty(2)
+    for m in range(len(points)):
+        for i in range(3):
+            moved[i] = transform[i, 3]
+            for j in range(3):
+                moved[i] += transform[i, j] * points[m, j]
+        c = camera[m]
+        _residual(rotation[c], translation[c], moved, seen[m], gain[m], local, residual)
+        result[m, 0], result[m, 1], result[m, 2] = residual[0], residual[1], local[2]
+    return result
+
+
+@compiled
 def normal_equations(
     rotation: Array,
     translation: Array,

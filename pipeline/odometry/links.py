@@ -150,8 +150,8 @@ def _explained(links: list[Link]) -> NDArray[np.bool_]:
     counts = np.diff([*first.starts, len(first.points)])
     rows = []
     for link in links:
-        ahead = second.errors(moved_points(link.second_from_first, first.points))
-        back = first.errors(moved_points(np.linalg.inv(link.second_from_first), second.points))
+        ahead = second.errors(link.second_from_first, first.points)
+        back = first.errors(np.linalg.inv(link.second_from_first), second.points)
         explained = np.maximum(ahead, back) < MAX_SAME_PX
         rows.append(np.add.reduceat(explained.astype(np.int64), first.starts) >= SAME_SHARE * counts)
     return np.stack(rows)

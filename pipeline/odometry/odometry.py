@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.odometry.features import make_view
+from pipeline.odometry.features import View, make_view
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.rays import RayTable
 from pipeline.odometry.start import Start
@@ -51,9 +51,13 @@ class Odometry:
         """Number of the frame that became the latest keyframe of the current map."""
         return self.tracker.map.keyframes[-1].frame if self.tracker is not None else None
 
-    def feed(self, frame: int, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> State:
-        """rgb (H,W,3) uint8; mask (H,W), nonzero where features may lie; `frame` numbers ascend."""
-        view = make_view(rgb, self.rays.masked(mask))
+    def view(self, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> View:
+        """What `feed` asks of a frame that no other frame has a say in. rgb (H,W,3) uint8; mask (H,W), nonzero where
+        features may lie."""
+        return make_view(rgb, self.rays.masked(mask))
+
+    def feed(self, frame: int, rgb: NDArray[np.uint8], view: View) -> State:
+        """The next frame and its `view`; `frame` numbers ascend."""
         if self.tracker is not None:
             steps = max(1, round((frame - self.tracker.frame) / self.stride))
             outcome = "lost" if steps > MAX_JUMP else self.tracker.feed(frame, steps, view, rgb)

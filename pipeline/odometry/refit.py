@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from pipeline.odometry.bundle import reprojections
 from pipeline.odometry.feature_tracks import Tracks, both_narrow, join_features
+from pipeline.odometry.guided import likeness_elsewhere, match_near
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.outcome import growth, polish
-from pipeline.odometry.places import STILL_PX, FindFeatures, Place, match, place_of
+from pipeline.odometry.places import STILL_PX, FindFeatures, Place, place_of
 from pipeline.odometry.poses import Array, in_camera, inverse, scaled
 from pipeline.progress import Advance, unheard
 
@@ -40,7 +40,6 @@ ROOTED = 64  # keyframes whose descriptors are kept as RootSIFT, half a megabyte
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
 T = TypeVar("T")
-Rooted = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its features' descriptors, (N,128)
 
 
 def refit(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -> float | None:
@@ -91,21 +90,30 @@ def _near(local_map: LocalMap) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _same(local_map: LocalMap, places: list[Place], rooted: Rooted, pair: tuple[int, int]) -> NDArray[np.int64]:
+@dataclass(frozen=True)
+class _Look:
+    """What a keyframe's features look like: RootSIFT (N,128), and how much their most alike elsewhere does (N,)."""
+
+    rooted: NDArray[np.float32]
+    elsewhere: Array
+
+
+def _same(
+    local_map: LocalMap, places: list[Place], look: Callable[[int], _Look], pair: tuple[int, int]
+) -> NDArray[np.int64]:
     """(K,2) features of a pair of keyframes that look alike and lie where the map says.
 
     What stands still in the picture where the wall should move is dirt, a reflection or text that was burned in.
     """
     here, there = (places[number] for number in pair)
-    pairs = match(*(rooted(number) for number in pair))
-    if len(pairs) == 0:
-        return pairs
-    first, second = here.pixels[pairs[:, 0]], there.pixels[pairs[:, 1]]
-    local = in_camera(local_map.keyframes[there.keyframe].pose, here.points[pairs[:, 0]])
-    off = reprojections(local, *local_map.rays.look_up(second))
-    near = np.linalg.norm(off, axis=1) < MAX_OFF_SHARE * local_map.rays.camera.width
-    way, expected = np.linalg.norm(second - first, axis=1), np.linalg.norm(second - first + off, axis=1)
-    return pairs[(local[:, 2] > 0) & near & ~((way < STILL_PX) & (expected > MOVING_PX))]
+    local = in_camera(local_map.keyframes[there.keyframe].pose, here.points)
+    expected = local_map.rays.project(local)
+    first, second = (look(number) for number in pair)
+    radius = MAX_OFF_SHARE * local_map.rays.camera.width
+    pairs = match_near(expected, there.pixels, first.rooted, second.rooted, first.elsewhere, radius)
+    before, now = here.pixels[pairs[:, 0]], there.pixels[pairs[:, 1]]
+    way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[pairs[:, 0]] - before, axis=1)
+    return pairs[~((way < STILL_PX) & (foreseen > MOVING_PX))]
 
 
 @dataclass(frozen=True)
@@ -130,12 +138,19 @@ def _matched(local_map: LocalMap, find: FindFeatures, advance: Advance) -> Match
         places = list(_counted(placed, len(keyframes), "finding features", advance))
         pairs = _near(local_map)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
-        rooted = lru_cache(ROOTED)(lambda number: places[number].rooted)
-        found = threads.map(partial(_same, local_map, places, rooted), pairs)
+        look = lru_cache(ROOTED)(partial(_look, local_map, places))
+        found = threads.map(partial(_same, local_map, places, look), pairs)
         same = list(_counted(found, len(pairs), "matching pairs of keyframes", advance))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(place, descriptors=np.zeros((0, 128), np.uint8)) for place in places]
     return Matched(bare, pairs, same)
+
+
+def _look(local_map: LocalMap, places: list[Place], number: int) -> _Look:
+    place = places[number]
+    rooted = place.rooted
+    radius = MAX_OFF_SHARE * local_map.rays.camera.width
+    return _Look(rooted, likeness_elsewhere(place.pixels, rooted, radius))
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> Iterator[T]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from pipeline.odometry.bundle import reprojections
+from pipeline.odometry.kernels import MIN_DEPTH, moved_residuals
 from pipeline.odometry.poses import Array
 from pipeline.odometry.resection import reprojection_errors, rounds_needed
 from reconstruction.trajectory import align_each
@@ -34,38 +34,42 @@ class Side:
 
 @dataclass(frozen=True)
 class Stack:
-    """Several sides one after another, to be asked at once: points (M,3), each one's camera_from_world rotation (M,3,3)
-    and shift (M,3), seen (M,2), gain (M,2,2). starts: (S,) where each side begins."""
+    """Several sides one after another, to be asked at once: points (M,3), seen (M,2), gain (M,2,2), the side (M,) that
+    each belongs to, and of each side the pose, rotation (S,3,3) and shift (S,3), and where it begins, starts (S,)."""
 
     points: Array
-    rotation: Array
-    shift: Array
     seen: Array
     gain: Array
+    side: NDArray[np.int64]
+    rotation: Array
+    shift: Array
     starts: NDArray[np.int64]
 
     @staticmethod
     def of(sides: list[Side]) -> "Stack":
         counts = [len(side.points) for side in sides]
-        poses = np.repeat(np.stack([side.pose for side in sides]), counts, axis=0)
+        poses = np.stack([side.pose for side in sides])
         return Stack(
             np.concatenate([side.points for side in sides]),
-            poses[:, :3, :3],
-            poses[:, :3, 3],
             np.concatenate([side.seen for side in sides]),
             np.concatenate([side.gain for side in sides]),
+            np.repeat(np.arange(len(sides)), counts),
+            np.ascontiguousarray(poses[:, :3, :3]),
+            np.ascontiguousarray(poses[:, :3, 3]),
             np.cumsum([0, *counts[:-1]]),
         )
 
-    def seen_from(self, points: Array) -> Array:
-        """(M,3) points of the world in the axes of each one's camera."""
-        return np.einsum("mij,mj->mi", self.rotation, points) + self.shift
+    def residuals(self, transform: Array, points: Array) -> Array:
+        """(M,3): by how many pixels points (M,3) of another world, moved into this one, miss what was seen; depth."""
+        return moved_residuals(
+            np.ascontiguousarray(transform), points, self.rotation, self.shift, self.side, self.seen, self.gain
+        )
 
-    def errors(self, points: Array) -> Array:
-        """(M,) pixels by which points (M,3) miss what was seen; infinite behind the camera."""
-        local = self.seen_from(points)
-        off = np.linalg.norm(reprojections(local, self.seen, self.gain), axis=1)
-        return np.where(local[:, 2] > 1e-9, off, np.inf)
+    def errors(self, transform: Array, points: Array) -> Array:
+        """(M,) pixels, the same; infinite behind the camera."""
+        residuals = self.residuals(transform, points)
+        off = np.sqrt(residuals[:, 0] ** 2 + residuals[:, 1] ** 2)
+        return np.where(residuals[:, 2] > MIN_DEPTH, off, np.inf)
 
 
 def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Array:
@@ -135,8 +139,8 @@ def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Arra
     def residuals(x: Array) -> Array:
         moved = np.eye(4)
         moved[:3, :3], moved[:3, 3] = np.exp(x[6]) * Rotation.from_rotvec(x[:3]).as_matrix(), x[3:6]
-        ahead = reprojections(other.seen_from(moved_points(moved, one.points)), other.seen, other.gain)
-        back = reprojections(one.seen_from(moved_points(np.linalg.inv(moved), other.points)), one.seen, one.gain)
+        ahead = other.residuals(moved, one.points)[:, :2]
+        back = one.residuals(np.linalg.inv(moved), other.points)[:, :2]
         return np.concatenate([ahead.ravel(), back.ravel()]).clip(-1e3, 1e3)
 
     found = least_squares(residuals, start, loss="cauchy", f_scale=1.0, max_nfev=40).x

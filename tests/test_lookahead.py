@@ -1,0 +1,47 @@
+"""Items made ahead of their turn: same order, no more than was asked for, and what fails fails in its turn."""
+
+import threading
+from itertools import count, islice
+
+import pytest
+
+from pipeline.odometry.lookahead import made_ahead
+
+
+def test_same_as_one_after_the_other():
+    assert list(made_ahead(lambda k: k * k, range(50))) == [k * k for k in range(50)]
+    assert list(made_ahead(lambda k: k * k, range(2), count=5)) == [0, 1]
+    assert list(made_ahead(lambda k: k, [])) == []
+
+
+def test_it_is_another_thread_that_makes_them():
+    assert threading.get_ident() not in set(made_ahead(lambda _: threading.get_ident(), range(5)))
+
+
+def test_the_next_ones_are_made_while_one_is_in_hand_and_no_more():
+    """The first result is in hand: two more are made without being asked for, of a stream without end."""
+    made, third = [], threading.Event()
+
+    def make(k):
+        made.append(k)
+        if k == 2:
+            third.set()
+        return k
+
+    stream = made_ahead(make, count(), count=2)
+    assert next(stream) == 0
+    assert third.wait(10)
+    stream.close()
+    assert made == [0, 1, 2]
+
+
+def test_what_fails_fails_in_its_turn():
+    def make(k):
+        if k == 3:
+            raise ValueError("no third")
+        return k
+
+    stream = made_ahead(make, range(10))
+    assert list(islice(stream, 3)) == [0, 1, 2]
+    with pytest.raises(ValueError, match="no third"):
+        next(stream)
