@@ -16,6 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.compiled import compiled
+
 MIN_VOTERS = 2
 MIN_SHARE_OF_VOTER = 0.1  # of the known pixels
 
@@ -75,55 +77,91 @@ def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, st
 
     tolerance: relative difference of depth that still counts as the same surface.
     """
-    rows, columns = np.arange(0, view.depth.shape[0], stride), np.arange(0, view.depth.shape[1], stride)
-    depth = view.depth[np.ix_(rows, columns)]
-    x, y = np.meshgrid(columns + 0.5, rows + 0.5)
-    points = _in_world(view, x, y, depth)
-    votes, voters = np.zeros((2, *depth.shape), np.int16), 0
-    for other in others:
-        support, contradiction = _judge(points, depth > 0, view, other, tolerance)
-        votes += np.stack([support, contradiction])
-        voters += int((support | contradiction).sum() > MIN_SHARE_OF_VOTER * (depth > 0).sum())
     height, width = view.depth.shape
+    votes, voters = np.zeros((2, -(-height // stride), -(-width // stride)), np.int16), 0
+    known = int(np.count_nonzero(view.depth[::stride, ::stride] > 0))
+    for other in others:
+        other_from_view = np.linalg.inv(other.world_from_camera) @ view.world_from_camera
+        both_ways = other_from_view, np.linalg.inv(other_from_view)
+        judged = _vote(*_arrays(view), *_arrays(other), *both_ways, tolerance, stride, votes)
+        voters += int(judged > MIN_SHARE_OF_VOTER * known)
     supports, contradictions = (v.repeat(stride, 0).repeat(stride, 1)[:height, :width] for v in votes)
     return Agreement(supports, contradictions, voters)
 
 
-def _judge(
-    points: NDArray[np.float32], known: Mask, view: DepthView, other: DepthView, tolerance: float
-) -> tuple[Mask, Mask]:
-    """(support, contradiction) of one other frame for world points (h,w,3)."""
-    rows, columns, z, inside = _project(other, points)
-    nearest, farthest = (extreme[rows, columns] for extreme in other.extremes)
-    seen = known & inside & (farthest > 0) & (nearest > 0)
-    # Between the nearest and farthest depth around the pixel: a fold's edge is never met to the pixel.
-    through = seen & (z < nearest * (1 - tolerance))
-    behind = seen & (z > farthest * (1 + tolerance))
-    support = seen & ~through & ~behind
-    # The surface that seems to hide the point, carried back: does this frame look through it?
-    hiding = _in_world(other, columns + 0.5, rows + 0.5, other.depth[rows, columns])
-    back_rows, back_columns, back_z, back_inside = _project(view, hiding)
-    own_nearest = view.extremes[0][back_rows, back_columns]
-    looked_through = behind & back_inside & (own_nearest > 0) & (back_z < own_nearest * (1 - tolerance))
-    return support, through | looked_through
+def _arrays(view: DepthView) -> tuple[Depth, Depth, Depth, NDArray[np.float64]]:
+    """As `_vote` takes a view: depth, its extremes, and fx, fy, cx, cy."""
+    nearest, farthest = view.extremes
+    pinhole: NDArray[np.float64] = np.asarray(view.intrinsics, np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
+    return np.ascontiguousarray(view.depth, np.float32), nearest, farthest, pinhole
 
 
-def _in_world(view: DepthView, x: NDArray[np.floating], y: NDArray[np.floating], depth: Depth) -> NDArray[np.float32]:
-    """World points (...,3) of pixel positions in COLMAP's convention."""
-    fx, fy, cx, cy = view.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]]
-    in_camera = np.stack([(x - cx) / fx * depth, (y - cy) / fy * depth, depth], axis=-1).astype(np.float32)
-    pose = view.world_from_camera.astype(np.float32)
-    return in_camera @ pose[:3, :3].T + pose[:3, 3]
+@compiled
+def _vote(
+    depth: Depth,
+    nearest: Depth,
+    farthest: Depth,
+    pinhole: NDArray[np.float64],
+    other_depth: Depth,
+    other_nearest: Depth,
+    other_farthest: Depth,
+    other_pinhole: NDArray[np.float64],
+    other_from_view: NDArray[np.floating],
+    view_from_other: NDArray[np.floating],
+    tolerance: float,
+    stride: int,
+    votes: NDArray[np.int16],
+) -> int:
+    """Add one other frame's supports and contradictions to `votes` (2,h,w); how many pixels it judged."""
+    judged = 0
+    for row in range(0, depth.shape[0], stride):
+        for column in range(0, depth.shape[1], stride):
+            if not depth[row, column] > 0:
+                continue
+            there, there_row, there_column = _carried(
+                row, column, depth[row, column], pinhole, other_from_view, other_pinhole, other_depth.shape
+            )
+            # Between the nearest and farthest depth around the pixel: a fold's edge is never met to the pixel.
+            if there_row < 0 or not other_nearest[there_row, there_column] > 0:
+                continue
+            if there < other_nearest[there_row, there_column] * (1 - tolerance):
+                votes[1, row // stride, column // stride] += 1
+            elif there <= other_farthest[there_row, there_column] * (1 + tolerance):
+                votes[0, row // stride, column // stride] += 1
+            else:  # behind a surface, which is carried back: does this frame look through it?
+                hiding = other_depth[there_row, there_column]
+                back, back_row, back_column = _carried(
+                    there_row, there_column, hiding, other_pinhole, view_from_other, pinhole, depth.shape
+                )
+                if back_row < 0 or not nearest[back_row, back_column] > 0:
+                    continue
+                if back >= nearest[back_row, back_column] * (1 - tolerance):
+                    continue
+                votes[1, row // stride, column // stride] += 1
+            judged += 1
+    return judged
 
 
-def _project(view: DepthView, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.int32], Depth, Mask]:
-    """Row and column of the pixel that each world point falls into (0 where none), its z-depth, whether it has one."""
-    pose = np.linalg.inv(view.world_from_camera).astype(np.float32)
-    in_camera = points @ pose[:3, :3].T + pose[:3, 3]
-    z = in_camera[..., 2]
-    fx, fy, cx, cy = view.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].astype(np.float32)
-    safe = np.maximum(z, np.float32(1e-9))
-    column, row = fx * in_camera[..., 0] / safe + cx, fy * in_camera[..., 1] / safe + cy
-    height, width = view.depth.shape
-    inside = (z > 1e-9) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    return np.where(inside, row, 0).astype(np.int32), np.where(inside, column, 0).astype(np.int32), z, inside
+@compiled
+def _carried(
+    row: int,
+    column: int,
+    depth: float,
+    pinhole: NDArray[np.float64],
+    to_from_here: NDArray[np.floating],
+    to_pinhole: NDArray[np.float64],
+    shape: tuple[int, int],
+) -> tuple[float, int, int]:
+    """z-depth, row and column of the middle of a pixel at some depth in another frame; row -1 where that shows nothing
+    of it."""
+    x = (column + 0.5 - pinhole[2]) / pinhole[0] * depth
+    y = (row + 0.5 - pinhole[3]) / pinhole[1] * depth
+    a, b, c = to_from_here[0], to_from_here[1], to_from_here[2]
+    z = c[0] * x + c[1] * y + c[2] * depth + c[3]
+    if not z > 1e-9:
+        return z, -1, -1
+    u = to_pinhole[0] * (a[0] * x + a[1] * y + a[2] * depth + a[3]) / z + to_pinhole[2]
+    v = to_pinhole[1] * (b[0] * x + b[1] * y + b[2] * depth + b[3]) / z + to_pinhole[3]
+    if not (u >= 0 and u < shape[1] and v >= 0 and v < shape[0]):
+        return z, -1, -1
+    return z, int(v), int(u)

@@ -20,9 +20,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 
 from reconstruction.depth_frame import view_cosine
@@ -36,6 +36,7 @@ SAMPLES = 2000  # pixels of each frame
 SMOOTH_SHARE = 0.02  # of the width: normals of completed depth are too rough to divide by (benchmarks/delighting.py)
 RANGES = ((-3.0, 0.0), (0.0, 2.0), (-1.0, 6.0))  # of the exponents; light does not grow with distance
 MOST = np.log(6.0)  # a pixel is brightened or darkened by no more: beyond, only its noise would show
+_LINEAR = np.power(np.arange(256, dtype=np.float32) / np.float32(255), np.float32(GAMMA))  # of each grey level
 NOISE = 0.15  # of log luminance by the mucosa's own pattern; residuals beyond count less (soft L1)
 
 
@@ -105,7 +106,11 @@ def _blurred(depth: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]
         return depth
     known = (depth > 0).astype(np.float32)
     log = np.log(np.where(known > 0, depth, 1))
-    mean = gaussian_filter(log * known, sigma_px) / np.maximum(gaussian_filter(known, sigma_px), 1e-6)
+    size = 2 * round(4 * sigma_px) + 1  # OpenCV's own choice ends at three sigmas, and is coarser for 8 bits
+    around, weight = (
+        cv2.GaussianBlur(image, (size, size), sigma_px, borderType=cv2.BORDER_REFLECT) for image in (log * known, known)
+    )
+    mean = around / np.maximum(weight, 1e-6)
     return np.where(known > 0, np.exp(mean), 0).astype(np.float32)
 
 
@@ -156,8 +161,9 @@ def _median_gain(linear: NDArray[np.float32], shade: NDArray[np.float32], judged
 
 def _is_exposed(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Neither black nor burnt out in any channel: glints would say that the wall is near."""
-    return (rgb.max(axis=-1) < BURNT) & (rgb.max(axis=-1) > DARK)
+    brightest = np.maximum.reduce(cv2.split(rgb))
+    return (brightest < BURNT) & (brightest > DARK)
 
 
 def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return np.power(rgb.astype(np.float32) / np.float32(255), np.float32(GAMMA), dtype=np.float32)
+    return _LINEAR[rgb]
