@@ -26,7 +26,6 @@ from reconstruction.witness import SurfaceWitness
 # Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
 # depth is unsure, and not fused, within some pixels of every rim. Chosen on benchmarks/coverage_films.yaml.
 FRINGE = 3.0
-ROUND_TRIP = 0.05  # of the distance from the axis and one: where a ray may come out that went through the lens and back
 SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
@@ -100,18 +99,7 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
 def seen_picture(camera: Camera, content: NDArray[np.uint8]) -> Picture:
     """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
     rays = RayTable(camera)
-
-    def project(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        pixels = rays.project(points)
-        known = np.isfinite(pixels).all(axis=1)
-        plane = points[known, :2] / points[known, 2:]
-        # A polynomial lens turns back on itself far outside its picture: what comes back elsewhere was never on it.
-        there = np.linalg.norm(rays.look_up(pixels[known])[0] - plane, axis=1)
-        lost = there > ROUND_TRIP * (1 + np.linalg.norm(plane, axis=1))
-        pixels[np.flatnonzero(known)[lost]] = np.nan
-        return pixels
-
-    return Picture(project, rays.masked(content) > 0)
+    return Picture(rays.seen_at, rays.masked(content) > 0)
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:

@@ -106,12 +106,14 @@ def _blurred(depth: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]
         return depth
     known = (depth > 0).astype(np.float32)
     log = np.log(np.where(known > 0, depth, 1))
-    size = 2 * round(4 * sigma_px) + 1  # OpenCV's own choice ends at three sigmas, and is coarser for 8 bits
+    middle = np.float32(log.sum() / max(known.sum(), 1))  # near zero, where single precision is fine whatever the unit
+    log -= middle
+    size = 2 * int(4 * sigma_px + 0.5) + 1  # OpenCV's own choice ends at three sigmas
     around, weight = (
         cv2.GaussianBlur(image, (size, size), sigma_px, borderType=cv2.BORDER_REFLECT) for image in (log * known, known)
     )
     mean = around / np.maximum(weight, 1e-6)
-    return np.where(known > 0, np.exp(mean), 0).astype(np.float32)
+    return np.where(known > 0, np.exp(mean + middle), 0).astype(np.float32)
 
 
 def fit_lamp(

@@ -108,6 +108,51 @@ def test_unknown_depth_has_no_vote_and_scale_does_not_matter() -> None:
     assert (plain.supports != other.supports).mean() < 0.01
 
 
+def voted(view: DepthView, other: DepthView, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """(supports, contradictions) of one other frame, with matrices, as the module's docstring has it."""
+
+    def carried(rows, columns, depth, source, target):
+        pixel = np.stack([columns + 0.5, rows + 0.5, np.ones(rows.shape)])
+        local = np.linalg.inv(INTRINSICS) @ pixel.reshape(3, -1) * depth.ravel()
+        world = source.world_from_camera[:3, :3] @ local + source.world_from_camera[:3, 3:]
+        back = np.linalg.inv(target.world_from_camera)
+        there = INTRINSICS @ (back[:3, :3] @ world + back[:3, 3:])
+        z = np.where(np.isfinite(there[2]), there[2], -1)
+        column, row = np.floor(np.nan_to_num(there[:2] / np.where(z > 1e-9, z, 1), nan=-1)).astype(int)
+        inside = (z > 1e-9) & (column >= 0) & (row >= 0) & (column < SIZE) & (row < SIZE)
+        return (a.reshape(rows.shape) for a in (z, np.where(inside, row, 0), np.where(inside, column, 0), inside))
+
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    z, row, column, inside = carried(rows, columns, view.depth, view, other)
+    near, far = (extreme[row, column] for extreme in other.extremes)
+    judged = (view.depth > 0) & inside & (near > 0)
+    through, behind = judged & (z < near * (1 - tolerance)), judged & (z > far * (1 + tolerance))
+    back, at_row, at_column, within = carried(row, column, other.depth[row, column], other, view)
+    own = view.extremes[0][at_row, at_column]
+    looked_through = behind & within & (own > 0) & (back < own * (1 - tolerance))
+    return judged & ~through & ~behind, through | looked_through
+
+
+@pytest.mark.parametrize("fold", [False, True])
+def test_votes_are_those_of_matrices(fold: bool) -> None:
+    """Noise, holes and values that are no depth; a pixel's share may fall on the other side by rounding."""
+    rng = np.random.default_rng(3)
+    frames = views(4, fold)
+    for frame in frames:
+        frame.depth[:] *= np.exp(rng.normal(0, 0.03, frame.depth.shape)).astype(np.float32)
+        frame.depth[rng.random(frame.depth.shape) < 0.01] = 0
+    frames[0].depth[20:50] *= 0.8
+    frames[0].depth[60:80] *= 1.2
+    frames[0].depth[rng.random((SIZE, SIZE)) < 0.01] = np.nan
+    frames[0].depth[rng.random((SIZE, SIZE)) < 0.01] = -1
+    votes = agreement(frames[0], frames[1:], tolerance=0.03, stride=1)
+    expected = np.sum([voted(frames[0], other, 0.03) for other in frames[1:]], axis=0)
+    assert expected[0].sum() > 1000
+    assert expected[1].sum() > 1000
+    assert (votes.supports != expected[0]).mean() < 1e-3
+    assert (votes.contradictions != expected[1]).mean() < 1e-3
+
+
 class Keyframes:
     """As much of a `DenseSubmap` as the check looks at."""
 

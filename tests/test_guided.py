@@ -36,22 +36,57 @@ def matched_by_matrices(expected, pixels, first, second, elsewhere, radius):
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10_000), st.integers(0, 60), st.integers(0, 60))
-def test_it_is_what_whole_matrices_say(seed, count, others):
-    """Features of the second picture are the first's, moved by some pixels and changed, and some of their own."""
+def changed(look, cosine, rng):
+    """A descriptor of length one at about this cosine to another."""
+    across = rng.normal(0, 1, look.shape)
+    across -= (across @ look) * look
+    return (cosine * look + np.sqrt(1 - cosine**2) * across / np.linalg.norm(across)).astype(np.float32)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(0, 40), st.booleans())
+def test_it_is_what_whole_matrices_say(seed, count, asks_elsewhere):
+    """Each feature of the first picture has up to three in the second, near where it should be or just out of reach, as
+    alike as each other within some hundredths; neighbours want the same ones."""
     rng = np.random.default_rng(seed)
     first = descriptors(count, rng)
-    kept = min(count, others)
-    expected = picture(count, rng)
-    expected[rng.random(count) < 0.1] = np.nan
-    pixels = picture(others, rng)
-    pixels[:kept] = np.where(np.isfinite(expected[:kept]), expected[:kept], 30) + rng.normal(0, 3, (kept, 2))
-    second = descriptors(others, rng)
-    second[:kept] = descriptors(kept, rng, first[:kept])
-    elsewhere = likeness_elsewhere(picture(count, rng), first, RADIUS)
+    expected = picture(count, rng, 40.0)
+    places, looks = [picture(3, rng)], [descriptors(3, rng)]
+    for place, look in zip(expected, first, strict=True):
+        for _ in range(rng.integers(0, 4)):
+            places.append(place + rng.normal(0, 4, (1, 2)))
+            looks.append(changed(look, rng.uniform(0.8, 0.99), rng)[None])
+    for k in range(1, count, 3):  # twins in the first picture
+        first[k] = changed(first[k - 1], 0.97, rng)
+        expected[k] = expected[k - 1] + rng.normal(0, 1, 2)
+    expected[rng.random(count) < 0.1, rng.integers(0, 2)] = np.nan
+    order = rng.permutation(sum(map(len, places)))
+    pixels, second = np.concatenate(places)[order], np.concatenate(looks)[order]
+    known = likeness_elsewhere(picture(count, rng), first, RADIUS)
+    elsewhere = known if asks_elsewhere else np.full(count, -1.0)
     found = match_near(expected, pixels, first, second, elsewhere, RADIUS)
     np.testing.assert_array_equal(found, matched_by_matrices(expected, pixels, first, second, elsewhere, RADIUS))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("best", "second", "clear"), [(0.97, 0.95, True), (0.97, 0.96, False), (0.9, 0.87, False)])
+def test_the_best_must_be_clearly_better_than_the_second(turned, best, second, clear):
+    """Whichever is met first: (1 - best) < 0.85^2 (1 - second)."""
+    rng = np.random.default_rng(4)
+    look = descriptors(1, rng)
+    looks = np.stack([changed(look[0], best, rng), changed(look[0], second, rng)])
+    pixels = np.array([[10.0, 9.0], [10.0, 11.0]])
+    looks = looks[::-1] if turned else looks
+    found = match_near(np.array([[10.0, 10.0]]), pixels, look, looks, np.array([-1.0]), RADIUS)
+    assert found.tolist() == ([[0, int(turned)]] if clear else [])
+
+
+def test_a_feature_is_matched_to_one_that_prefers_it():
+    rng = np.random.default_rng(5)
+    look = descriptors(1, rng)[0]
+    first = np.stack([changed(look, 0.9, rng), changed(look, 0.99, rng)])
+    found = match_near(np.full((2, 2), 10.0), np.full((1, 2), 10.0), first, look[None], np.full(2, -1.0), RADIUS)
+    assert found.tolist() == [[1, 0]]
 
 
 def test_most_are_found_and_none_out_of_reach():
@@ -95,3 +130,19 @@ def test_pictures_without_features(count, others):
         likeness_elsewhere(picture(count, rng), descriptors(count, rng), RADIUS), RADIUS,
     )  # fmt: skip
     assert found.shape == (0, 2)
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    """The kernels check no index."""
+    rng = np.random.default_rng(6)
+    places, looks = picture(5, rng), descriptors(5, rng)
+    good = {"expected": places, "pixels": places, "first": looks, "second": looks, "elsewhere": np.full(5, -1.0)}
+    assert len(match_near(**good, radius=RADIUS)) == 5
+    short = {name: array[:4] for name, array in good.items()}
+    for name in good:
+        with pytest.raises(ValueError, match="do not fit"):
+            match_near(**(good | {name: short[name]}), radius=RADIUS)
+    with pytest.raises(ValueError, match="do not fit"):
+        match_near(**(good | {"second": looks[:, :64]}), radius=RADIUS)
+    with pytest.raises(ValueError, match="do not fit"):
+        likeness_elsewhere(places, looks[:3], RADIUS)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 
-from reconstruction.lamp import GAMMA, fit_lamp, geometry
+from reconstruction.lamp import GAMMA, _blurred, fit_lamp, geometry
 
 K = np.array([[80.0, 0, 64], [0, 80, 48], [0, 0, 1]])
 HEIGHT, WIDTH = 96, 128
@@ -131,3 +132,17 @@ def test_each_frame_is_brought_to_the_films_median():
 def test_two_fits_agree():
     frames = [lit(*shape, (-2.0, 1.0, 0.0), k)[:2] for k, shape in enumerate(TUBES)]
     assert fit_lamp(frames, K, 3) == fit_lamp(frames, K, 3)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_depth_is_blurred_as_scipy_would(unit):
+    """The logarithm, over the known pixels alone, reflected at the border; whatever the unit."""
+    rng = np.random.default_rng(7)
+    depth = (unit * tube(20.0, 0.2, 0.1)[0] * np.exp(rng.normal(0, 0.05, (HEIGHT, WIDTH)))).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.2] = 0
+    known = depth > 0
+    log = np.where(known, np.log(np.maximum(depth, 1e-9).astype(np.float64)), 0)
+    mean = gaussian_filter(log, 2.5) / gaussian_filter(known.astype(np.float64), 2.5)
+    blurred = _blurred(depth, 2.5)
+    np.testing.assert_allclose(blurred[known], np.exp(mean)[known], rtol=2e-6)
+    assert (blurred[~known] == 0).all()

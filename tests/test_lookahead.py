@@ -1,7 +1,9 @@
 """Items made ahead of their turn: same order, no more than was asked for, and what fails fails in its turn."""
 
+import gc
 import threading
-from itertools import count, islice
+from contextlib import nullcontext
+from itertools import islice
 
 import pytest
 
@@ -19,7 +21,7 @@ def test_it_is_another_thread_that_makes_them():
 
 
 def test_the_next_ones_are_made_while_one_is_in_hand_and_no_more():
-    """The first result is in hand: two more are made without being asked for, of a stream without end."""
+    """The first result is in hand: two more are made without being asked for, of a long stream."""
     made, third = [], threading.Event()
 
     def make(k):
@@ -28,11 +30,37 @@ def test_the_next_ones_are_made_while_one_is_in_hand_and_no_more():
             third.set()
         return k
 
-    stream = made_ahead(make, count(), count=2)
+    stream = made_ahead(make, range(10**9), count=2)
     assert next(stream) == 0
     assert third.wait(10)
     stream.close()
     assert made == [0, 1, 2]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_nothing_is_made_after_the_end(fails):
+    """Closed, or left by an error of who asks, while the second item is in the making and the third waits for it."""
+    made, begun, go_on = [], threading.Event(), threading.Event()
+
+    def make(k):
+        if k == 1:
+            begun.set()
+            assert go_on.wait(10)
+        made.append(k)
+        return k
+
+    def ask():
+        for _ in made_ahead(make, range(10)):
+            assert begun.wait(10)
+            threading.Timer(0.2, go_on.set).start()  # while the end waits for what is in the making
+            if fails:
+                raise KeyError("who asks")
+            return
+
+    with pytest.raises(KeyError) if fails else nullcontext():
+        ask()
+    gc.collect()
+    assert made == [0, 1]
 
 
 def test_what_fails_fails_in_its_turn():

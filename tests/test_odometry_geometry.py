@@ -342,6 +342,28 @@ def test_many_sides_are_judged_as_each_alone():
     np.testing.assert_allclose(together, np.concatenate(alone), rtol=1e-9)
 
 
+def test_points_that_no_side_saw_are_refused():
+    """The kernel checks no index."""
+    stack = Stack.of([random_sides(5, np.random.default_rng(6))[0]])
+    with pytest.raises(ValueError, match="was seen"):
+        stack.errors(np.eye(4), np.zeros((6, 3)))
+
+
+def test_what_a_lens_folds_back_is_not_seen():
+    """k1 = -0.2 turns back on itself past 52 degrees; what is seen comes back along its own ray."""
+    rays = RayTable(Camera("OPENCV", 320, 256, (200.0, 200.0, 160.0, 128.0, -0.2, 0.0, 0.0, 0.0)))
+    angle = np.radians(np.arange(0, 76))
+    points = 5 * np.column_stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)])
+    pixels = rays.seen_at(points)
+    inside = np.isfinite(pixels).all(axis=1) & (pixels[:, 0] < 320)
+    folded = rays.project(points)[:, 0] < 320
+    assert folded[60:66].any()
+    assert inside[:40].all()
+    assert not inside[55:].any()
+    back = rays.look_up(pixels[inside])[0]
+    np.testing.assert_allclose(back, points[inside, :2] / points[inside, 2:], atol=2e-3)
+
+
 def test_one_generator_gives_one_similarity():
     rng = np.random.default_rng(5)
     points = tube(60, rng)

@@ -1,8 +1,8 @@
 """Bundle adjustment: Levenberg-Marquardt on the Schur complement of the points (`schur`, `kernels`).
 
 Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6. Residuals are linear in the plane z = 1 (see
-`rays`), down-weighted by Cauchy's loss through reweighting. Preferred to Ceres, which would live in another process,
-and to GTSAM, which takes a Python object for each observation; see docs/front_end.md.
+`rays`), down-weighted by Cauchy's loss through reweighting. Beside Ceres and GTSAM on a tracker's windows:
+`benchmarks/window_adjustment.py`, docs/front_end.md.
 """
 
 from dataclasses import dataclass, replace

@@ -3,7 +3,7 @@
 Comparing all features of two pictures is a product of two large matrices for each pair of keyframes. Where the map is
 right to some pixels, each feature has one or two candidates. What is lost is the rest of the picture, against which a
 likeness must stand out (Lowe, IJCV 2004); a feature's own picture, which looks much the same, stands for it, and is
-asked only once. See docs/front_end.md for what that is worth.
+asked once for all pairs. See docs/front_end.md for what that is worth.
 """
 
 import numpy as np
@@ -28,11 +28,17 @@ def match_near(
     floats = (np.ascontiguousarray(a, np.float64) for a in (expected, pixels, elsewhere))
     expected, pixels, elsewhere = floats
     first, second = np.ascontiguousarray(first, np.float32), np.ascontiguousarray(second, np.float32)
+    here, there = len(expected), len(pixels)
+    shapes = (expected.shape, pixels.shape, elsewhere.shape, first.shape, second.shape)
+    if shapes != ((here, 2), (there, 2), (here,), (here, first.shape[1]), (there, first.shape[1])):
+        raise ValueError(f"features of two pictures do not fit each other: {shapes}")  # the kernel checks no index
     return _match_near(expected, pixels, first, second, elsewhere, float(radius), RATIO**2)
 
 
 def likeness_elsewhere(pixels: Array, descriptors: Descriptors, radius: float) -> Array:
     """(N,) cosine to the most alike feature of the same picture farther than `radius` px away; -1 if there is none."""
+    if pixels.shape != (len(descriptors), 2):
+        raise ValueError(f"{len(descriptors)} descriptors do not fit pixels of shape {pixels.shape}")
     likeness = descriptors @ descriptors.T
     return _most_elsewhere(np.ascontiguousarray(pixels, np.float64), likeness, float(radius))
 

@@ -1,7 +1,7 @@
 """Work on the next items of a stream while this one is in hand."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -9,7 +9,7 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-def made_ahead(make: Callable[[Item], Made], items: Iterable[Item], count: int = 2) -> Iterator[Made]:
+def made_ahead(make: Callable[[Item], Made], items: Sequence[Item], count: int = 2) -> Iterator[Made]:
     """What `make` gives of each item, in their order; a thread makes up to `count` of them before they are asked for.
 
     What `make` raises is raised where its item would have come. Nothing is made after the iterator is closed.

@@ -13,6 +13,7 @@ from pipeline.camera import Camera
 WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretches beyond use
 STEP = 1e-5  # of the finite differences, on the plane z = 1
 NEWTON_STEPS = 12
+ROUND_TRIP = 0.05  # of the distance from the axis and one: where a ray may come out that went through the lens and back
 SETTLED_PX = 1e-9
 MAX_MISFIT_PX = 0.01  # a table entry whose projection misses its pixel by more lies outside the lens model
 
@@ -52,6 +53,19 @@ class RayTable:
         front = points[:, 2] > WIDEST**-1 * np.hypot(points[:, 0], points[:, 1])
         if front.any():
             pixels[front] = self.camera.project(np.asarray(points[front], np.float64))
+        return pixels
+
+    def seen_at(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(N,3) camera points -> (N,2) pixels; NaN also where the pixel's own ray leads elsewhere.
+
+        A polynomial lens turns back on itself far outside its picture: what comes back into it was never there.
+        """
+        pixels = self.project(points)
+        known = np.isfinite(pixels).all(axis=1)
+        plane = points[known, :2] / points[known, 2:]
+        off = np.linalg.norm(self.look_up(pixels[known])[0] - plane, axis=1)
+        lost = ~(off <= ROUND_TRIP * (1 + np.linalg.norm(plane, axis=1)))
+        pixels[np.flatnonzero(known)[lost]] = np.nan
         return pixels
 
     @property

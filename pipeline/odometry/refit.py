@@ -40,6 +40,7 @@ ROOTED = 64  # keyframes whose descriptors are kept as RootSIFT, half a megabyte
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
 T = TypeVar("T")
+Rooted = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its features' descriptors, (N,128)
 
 
 def refit(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -> float | None:
@@ -90,30 +91,30 @@ def _near(local_map: LocalMap) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-@dataclass(frozen=True)
-class _Look:
-    """What a keyframe's features look like: RootSIFT (N,128), and how much their most alike elsewhere does (N,)."""
-
-    rooted: NDArray[np.float32]
-    elsewhere: Array
-
-
 def _same(
-    local_map: LocalMap, places: list[Place], look: Callable[[int], _Look], pair: tuple[int, int]
+    local_map: LocalMap, places: list[Place], elsewhere: list[Array], rooted: Rooted, pair: tuple[int, int]
 ) -> NDArray[np.int64]:
     """(K,2) features of a pair of keyframes that look alike and lie where the map says.
 
-    What stands still in the picture where the wall should move is dirt, a reflection or text that was burned in.
+    elsewhere: of each keyframe, how much its features' most alike elsewhere in it look like them. What stands still in
+    the picture where the wall should move is dirt, a reflection or text that was burned in.
     """
     here, there = (places[number] for number in pair)
-    local = in_camera(local_map.keyframes[there.keyframe].pose, here.points)
-    expected = local_map.rays.project(local)
-    first, second = (look(number) for number in pair)
-    radius = MAX_OFF_SHARE * local_map.rays.camera.width
-    pairs = match_near(expected, there.pixels, first.rooted, second.rooted, first.elsewhere, radius)
+    expected = local_map.rays.seen_at(in_camera(local_map.keyframes[there.keyframe].pose, here.points))
+    first, second = (rooted(number) for number in pair)
+    pairs = match_near(expected, there.pixels, first, second, elsewhere[pair[0]], _radius(local_map))
     before, now = here.pixels[pairs[:, 0]], there.pixels[pairs[:, 1]]
     way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[pairs[:, 0]] - before, axis=1)
     return pairs[~((way < STILL_PX) & (foreseen > MOVING_PX))]
+
+
+def _radius(local_map: LocalMap) -> float:
+    """Pixels within which a feature is looked for."""
+    return MAX_OFF_SHARE * local_map.rays.camera.width
+
+
+def _elsewhere(local_map: LocalMap, place: Place) -> Array:
+    return likeness_elsewhere(place.pixels, place.rooted, _radius(local_map))
 
 
 @dataclass(frozen=True)
@@ -138,19 +139,13 @@ def _matched(local_map: LocalMap, find: FindFeatures, advance: Advance) -> Match
         places = list(_counted(placed, len(keyframes), "finding features", advance))
         pairs = _near(local_map)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
-        look = lru_cache(ROOTED)(partial(_look, local_map, places))
-        found = threads.map(partial(_same, local_map, places, look), pairs)
+        rooted = lru_cache(ROOTED)(lambda number: places[number].rooted)
+        elsewhere = list(threads.map(partial(_elsewhere, local_map), places))
+        found = threads.map(partial(_same, local_map, places, elsewhere, rooted), pairs)
         same = list(_counted(found, len(pairs), "matching pairs of keyframes", advance))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(place, descriptors=np.zeros((0, 128), np.uint8)) for place in places]
     return Matched(bare, pairs, same)
-
-
-def _look(local_map: LocalMap, places: list[Place], number: int) -> _Look:
-    place = places[number]
-    rooted = place.rooted
-    radius = MAX_OFF_SHARE * local_map.rays.camera.width
-    return _Look(rooted, likeness_elsewhere(place.pixels, rooted, radius))
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> Iterator[T]:

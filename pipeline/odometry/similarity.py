@@ -61,6 +61,8 @@ class Stack:
 
     def residuals(self, transform: Array, points: Array) -> Array:
         """(M,3): by how many pixels points (M,3) of another world, moved into this one, miss what was seen; depth."""
+        if points.shape != self.points.shape:
+            raise ValueError(f"{self.points.shape} was seen, not {points.shape}")  # the kernel checks no index
         return moved_residuals(
             np.ascontiguousarray(transform), points, self.rotation, self.shift, self.side, self.seen, self.gain
         )
