@@ -150,10 +150,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, help="the first so many frames only")
     parser.add_argument("--guess", type=float, metavar="DEG", help="hide the camera behind a guessed field of view")
     parser.add_argument("--chunks", type=int, default=1, help="that odometry tracks at once")
-    parser.add_argument("--threads", type=int, default=1, help="of OpenCV")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    cv2.setNumThreads(arguments.threads)
+    cv2.setNumThreads(1)
     figures: dict[str, Any] = {}
     for folder in arguments.folders:
         _, truth = read_tum(folder / "trajectory.txt")

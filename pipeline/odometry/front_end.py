@@ -1,7 +1,9 @@
 """Working frames to submaps by streaming odometry: the door of this package."""
 
+import contextlib
 import copy
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -49,8 +51,7 @@ class Tracked:
 
 def track_frames(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
-    # Most matrices are small: with a second thread of BLAS a film took twice the processor time, and longer.
-    with threadpool_limits(1, "blas"), KeyframeFeatures(frame_reader(workspace)) as features:
+    with _one_thread_a_call(), KeyframeFeatures(frame_reader(workspace)) as features:
         started = time.perf_counter()
         maps, seams = _tracked(frames, config, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
@@ -61,6 +62,19 @@ def track_frames(frames: Frames, config: Config, workspace: Workspace, progress:
             camera, sigma, held = _better_lens(maps, held, camera, config.seed, features, workspace, progress)
         merged, joins = join_maps(maps, held, features, config.seed, progress)
         return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins, seams)
+
+
+@contextlib.contextmanager
+def _one_thread_a_call() -> Iterator[None]:
+    """OpenCV and BLAS keep to the thread that calls them: pictures and matrices are small, and the second processor has
+    keyframes' features to find. With two threads each, a film took up to twice the processor time, and longer."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1, "blas"):
+            yield
+    finally:
+        cv2.setNumThreads(before)
 
 
 def _tracked(

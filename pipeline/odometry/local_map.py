@@ -18,7 +18,7 @@ from pipeline.odometry.triangulation import triangulate
 WINDOW = 8  # keyframes that a bundle adjustment moves
 ANCHORS = 6  # others that saw the same points and stay
 MIN_SHARED = 10  # points that such a one must share; fewer do not hold a scene
-WINDOW_ITERATIONS = 2  # each keyframe is in eight windows; six iterations gave no better a path in the end
+WINDOW_ITERATIONS = 2  # each keyframe is in several windows; six iterations gave no better a path in the end
 LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
 MAX_ERROR_PX = 2.0  # of an observation that is kept
 MAX_BIRTH_ERROR_PX = 1.2  # of a new point, in all its views

@@ -10,7 +10,7 @@ from scipy.stats import spearmanr
 
 from pipeline.evidence import brightness_of
 from pipeline.odometry.features import Pixels, View
-from pipeline.odometry.local_map import LOSS_PX, LocalMap
+from pipeline.odometry.local_map import LOSS_PX, WINDOW, LocalMap
 from pipeline.odometry.poses import Array, angle_between, in_camera, inverse
 from pipeline.odometry.resection import refine_pose, reprojection_errors, robust_pose
 from pipeline.odometry.tracks import TrackSet
@@ -25,6 +25,7 @@ MAX_TURN = np.radians(25.0)  # between two frames
 MAX_GAP = 3  # frames over which the motion is carried on
 KEYFRAME_MOTION_SHARE = 0.012  # of the width
 KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
+ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
 MIN_VOTERS = 15
 
 Outcome = Literal["tracked", "keyframe", "lost"]
@@ -46,6 +47,7 @@ class Tracker:
         self.pose = local_map.keyframes[-1].pose
         self.frame = frame
         self.velocity = self._initial_velocity(stride)
+        self.unadjusted = 0  # frames since the last adjustment
         self.light: list[float] = []  # rank correlation of distance and brightness at each keyframe
         self._anchor(view)
 
@@ -63,6 +65,7 @@ class Tracker:
         else:
             self.velocity = np.eye(4)
         self.pose, self.frame = pose, frame
+        self.unadjusted += steps
         tracks = self.tracks
         good = tracks.found.copy()
         good[mapped[~inlier]] = False
@@ -132,11 +135,13 @@ class Tracker:
         return tracks.motion_px() > KEYFRAME_MOTION_SHARE * width or tracks.found_share() < KEYFRAME_FOUND_SHARE
 
     def _make_keyframe(self, frame: int, view: View) -> None:
-        """The frame enters the map, the map is adjusted around it, and tracking goes on from its image."""
+        """The frame enters the map, which is adjusted around it if that is due, and tracking goes on from its image."""
         tracks = self.tracks
         self.map.add_keyframe(frame, self.pose, tracks.ids[tracks.found], tracks.now[tracks.found])
         self.map.triangulate_new()
-        self.map.adjust()
+        if self.unadjusted >= ADJUST_AFTER or len(self.map.keyframes) <= WINDOW:
+            self.map.adjust()
+            self.unadjusted = 0
         self.map.forget_unused()
         self.pose = self.map.keyframes[-1].pose
         self._anchor(view)
