@@ -11,7 +11,8 @@ as wrong where a submap's median rotation error exceeds 5 degrees. Speed is the 
 disk, tracking, adjustment, joining, evidence): frames per second of wall time and processor milliseconds per frame; the
 latter is the fairer one on a machine that does other work. Of odometry also what it says itself: frames per second of
 tracking and local mapping alone. `--guess 100` hides the camera: a guess of so many degrees across the image takes its
-place, and the error of the focal length found is printed. `--chunks 4` cuts each film.
+place, and the error of the focal length found is printed. `--chunks 4` cuts each film;
+`--fast` is that of `reconstruct`.
 """
 
 import argparse
@@ -28,7 +29,7 @@ import cv2
 import numpy as np
 
 from pipeline.camera import guess_camera
-from pipeline.config import Config, FrameSettings, OdometrySettings
+from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_frames
 from pipeline.progress import SilentProgress
@@ -142,10 +143,16 @@ def print_row(sequence: str, front_end: str, figures: dict[str, Any]) -> None:
     print(f", wrong {figures['wrong']} of {len(figures['runs'])}", flush=True)
 
 
+def odometry_of(arguments: argparse.Namespace) -> OdometrySettings:
+    motion = FAST_KEYFRAME_MOTION if arguments.fast else OdometrySettings().keyframe_motion
+    return OdometrySettings(chunks=arguments.chunks, keyframe_motion=motion)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
     parser.add_argument("--front-ends", nargs="+", default=["sfm", "odometry"], choices=["sfm", "odometry"])
+    parser.add_argument("--fast", action="store_true", help="odometry as `reconstruct --fast` has it")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", type=int, help="the first so many frames only")
     parser.add_argument("--guess", type=float, metavar="DEG", help="hide the camera behind a guessed field of view")
@@ -161,7 +168,8 @@ def main() -> None:
         for front_end in arguments.front_ends:
             runs = []
             for seed in range(arguments.seeds):
-                frames, odometry = FrameSettings(end_s=end), OdometrySettings(chunks=arguments.chunks)
+                frames = FrameSettings(end_s=end)
+                odometry = odometry_of(arguments) if front_end == "odometry" else OdometrySettings()
                 config = Config(front_end=front_end, seed=seed, frames=frames, odometry=odometry)
                 runs.append({"seed": seed} | run(folder, config, truth, arguments.guess))
             figures.setdefault(folder.name, {})[front_end] = summary(runs)
@@ -169,7 +177,7 @@ def main() -> None:
     write(
         arguments.json,
         {"seeds": arguments.seeds, "frames": arguments.frames, "guess_deg": arguments.guess}
-        | {"chunks": arguments.chunks, "figures": figures},
+        | {"chunks": arguments.chunks, "fast": arguments.fast, "figures": figures},
     )
 
 

@@ -6,10 +6,10 @@ Seed by seed over all sequences; every run is written down, with its commit, as 
 goes on where the one before it stopped. Features and matches of COLMAP are made once for each sequence, with seed 0,
 since they take as long as the mapping (how far they depend on the seed was not measured); each seed then maps them with
 `global` and with `incremental`. `sfm` is what the front end of that name makes of both: the first, or where it leaves
-doubt the better by evidence. Of every method the models count that `reconstruct` would keep: the largest, and others
-that the lamp does not contradict. ATE, rotation and wrong runs are those of `front_ends.py`, each method's over the
-frames that it posed. Processor time is the fairer speed: COLMAP matches and maps with one thread, as `reconstruct` has
-it, while odometry's last steps use two.
+doubt the better by evidence; `odometry-fast` is odometry with `--fast`. Of every method the models count that
+`reconstruct` would keep: the largest, and others that the lamp does not contradict. ATE, rotation and wrong runs are
+those of `front_ends.py`, each method's over the frames that it posed. Processor time is the fairer speed: COLMAP
+matches and maps with one thread, as `reconstruct` has it, while odometry's last steps use two.
 """
 
 import argparse
@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from front_ends import errors_of, processor_seconds, run, store
-from pipeline.config import Config
+from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frames import Frames
 from pipeline.isolation import run_isolated
 from pipeline.progress import SilentProgress
@@ -33,8 +33,9 @@ from pipeline.workspace import Workspace
 from reconstruction.trajectory import read_tum
 from record import environment, spread, write
 
-METHODS = ("odometry", "sfm", "global", "incremental")
+METHODS = ("odometry", "odometry-fast", "sfm", "global", "incremental")
 COLMAP = ("global", "incremental")
+ODOMETRY = {"odometry": OdometrySettings(), "odometry-fast": OdometrySettings(keyframe_motion=FAST_KEYFRAME_MOTION)}
 
 
 class Matched:
@@ -89,7 +90,7 @@ def table(runs: list[dict[str, Any]]) -> None:
         for method in METHODS:
             mine = [r for r in runs if (r["sequence"], r["method"]) == (sequence, method)]
             if mine:
-                print(f"{sequence:16} {method:12} " + _row(mine))
+                print(f"{sequence:16} {method:13} " + _row(mine))
 
 
 def _row(runs: list[dict[str, Any]]) -> str:
@@ -112,7 +113,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--methods", nargs="+", choices=("odometry", "colmap"), default=("odometry", "colmap"))
+    parser.add_argument("--methods", nargs="+", choices=(*ODOMETRY, "colmap"), default=(*ODOMETRY, "colmap"))
     parser.add_argument("--json", type=Path, required=True)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
@@ -124,8 +125,10 @@ def main() -> None:
             for folder in arguments.folders:
                 _, truth = read_tum(folder / "trajectory.txt")
                 fresh: dict[str, dict[str, Any]] = {}
-                if "odometry" in arguments.methods and (folder.name, seed, "odometry") not in done:
-                    fresh["odometry"] = run(folder, Config(front_end="odometry", seed=seed), truth)
+                for method, settings in ODOMETRY.items():
+                    if method in arguments.methods and (folder.name, seed, method) not in done:
+                        config = Config(front_end="odometry", seed=seed, odometry=settings)
+                        fresh[method] = run(folder, config, truth)
                 if "colmap" in arguments.methods and (folder.name, seed, "sfm") not in done:
                     if folder.name not in matches:
                         matches[folder.name] = Matched(folder, Path(scratch))

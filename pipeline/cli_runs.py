@@ -19,6 +19,7 @@ Start = Annotated[float | None, typer.Option(min=0, help="s; leave out what come
 End = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes after")]
 Stride = Annotated[int | None, typer.Option(min=1, help="use every n-th frame")]
 ConfigFile = Annotated[Path | None, typer.Option(help="YAML file of settings; options given beside it win")]
+Fast = Annotated[bool, typer.Option("--fast", help="half the time: fewer keyframes, a surface with less detail")]
 Seed = Annotated[int | None, typer.Option(help="of every random step")]
 Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]
@@ -39,6 +40,7 @@ def reconstruct(
     end: End = None,
     stride: Stride = None,
     config: ConfigFile = None,
+    fast: Fast = False,
     chunks: Annotated[int | None, typer.Option(min=1, help="track the video in so many parts at once")] = None,
     ray: Annotated[
         str | None, typer.Option(help="Ray cluster that tracks the chunks, or local; needs [cluster]")
@@ -69,7 +71,7 @@ def reconstruct(
         lumen_mm=lumen_mm,
         scale_file=scale,
         frames={"start_s": start, "end_s": end, "stride": stride},
-        odometry={"chunks": chunks, "ray": ray},
+        odometry=paced(fast) | {"chunks": chunks, "ray": ray},
         seed=seed,
         device=device,
     )
@@ -118,6 +120,7 @@ def batch(
     end: End = None,
     stride: Stride = None,
     config: ConfigFile = None,
+    fast: Fast = False,
     seed: Seed = None,
     device: Device = None,
     overwrite: Annotated[
@@ -135,10 +138,10 @@ def batch(
     given: dict[str, Any] = {"camera": camera, "front_end": front_end, "model": model, "lumen_mm": lumen_mm}
     given |= {"seed": seed, "device": device}
     frames = {"start_s": start, "end_s": end, "stride": stride}
-    given |= files_in_full(load_config(config, frames=frames, **given))
-    settings = load_config(config, frames=frames, **given)
+    given |= files_in_full(load_config(config, frames=frames, odometry=paced(fast), **given))
+    settings = load_config(config, frames=frames, odometry=paced(fast), **given)
     given |= {"start": start, "end": end, "stride": stride}
-    words = options_of(given | {"config": None if config is None else str(config.resolve())})
+    words = options_of(given | {"config": None if config is None else str(config.resolve())}) + fast * ["--fast"]
     workers = jobs or max(1, (os.cpu_count() or 2) // 2)
     pool = process_pool(workers) if ray is None else ray_pool(ray, workers)
     try:
@@ -151,6 +154,13 @@ def batch(
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if failed:
         raise HaustraError(f"{failed} of {len(outcomes)} videos failed; the same command tries them again")
+
+
+def paced(fast: bool) -> dict[str, Any]:
+    """Odometry's settings of `--fast`."""
+    from pipeline.config import FAST_KEYFRAME_MOTION
+
+    return {"keyframe_motion": FAST_KEYFRAME_MOTION if fast else None}
 
 
 def files_in_full(settings: "Config") -> dict[str, str]:

@@ -129,7 +129,7 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     (submap,) = result.submaps
     assert submap.frames.tolist() == list(range(72))
     assert trajectory_errors(submap.world_from_camera, true).ate_rmse < 0.1
-    jobs = jobs_of(frames.index, CAMERA, cut(72, 3), 1, 0, workspace)
+    jobs = jobs_of(frames.index, CAMERA, cut(72, 3), Config(), workspace)
 
     def refuse(waiting):
         raise AssertionError("all chunks are there")
@@ -181,8 +181,9 @@ def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
 def test_settings_that_contradict_one_another_are_refused():
     with pytest.raises(HaustraError, match="ray tracks chunks"):
         load_config(None, odometry={"ray": "local"})
-    with pytest.raises(HaustraError, match="chunks are tracked by odometry"):
-        load_config(None, front_end="sfm", odometry={"chunks": 2})
+    for setting in ({"chunks": 2}, {"keyframe_motion": 0.05}):
+        with pytest.raises(HaustraError, match="odometry has"):
+            load_config(None, front_end="sfm", odometry=setting)
     asked = [load_config(None, odometry={"chunks": 2, "ray": ray}) for ray in (None, "local")]
     assert asked[0].is_same_work(asked[1]), "a run may go on elsewhere"
     assert not asked[0].is_same_work(load_config(None, odometry={"chunks": 3}))
@@ -190,7 +191,7 @@ def test_settings_that_contradict_one_another_are_refused():
 
 def test_the_others_end_where_one_chunk_fails(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:20])
-    jobs = jobs_of(np.append(frames.index, 100), CAMERA, [range(20, 21), range(20)], 1, 0, workspace)
+    jobs = jobs_of(np.append(frames.index, 100), CAMERA, [range(20, 21), range(20)], Config(), workspace)
     with pytest.raises(HaustraError, match="chunk 0 failed"):
         track_chunks(jobs, RAYS, local_run(2), SilentProgress())
     assert (scratch(workspace) / "1.json").exists()
@@ -198,7 +199,7 @@ def test_the_others_end_where_one_chunk_fails(tmp_path):
 
 def test_an_interrupt_ends_every_process_and_what_is_done_stays(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:20])
-    jobs = jobs_of(frames.index, CAMERA, [range(20), range(20)], 1, 0, workspace)
+    jobs = jobs_of(frames.index, CAMERA, [range(20), range(20)], Config(), workspace)
     running = local_run(1)(jobs)
     while not (scratch(workspace) / "0.json").exists():
         scratch(workspace).mkdir(exist_ok=True)
@@ -211,7 +212,7 @@ def test_an_interrupt_ends_every_process_and_what_is_done_stays(tmp_path):
 
 def test_a_chunk_that_fails_names_its_log(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:5])
-    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], 1, 0, workspace)  # frames that are not there
+    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], Config(), workspace)  # frames that are not there
     with pytest.raises(HaustraError, match=r"chunk 0 failed .*0\.log"):
         track_chunks([job], RAYS, local_run(1), SilentProgress())
     assert "missing" in (scratch(workspace) / "0.log").read_text()

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from pipeline import batch, cli, rerun_export, run
-from pipeline.config import load_config
+from pipeline.config import FAST_KEYFRAME_MOTION, OdometrySettings, load_config
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.errors import HaustraError
 
@@ -46,6 +46,17 @@ def test_a_part_of_the_video_is_asked_for_by_options(monkeypatch, tmp_path, runs
     assert (frames.start_s, frames.end_s, frames.stride) == (1.0, 2.5, 3)
 
 
+def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs, capsys):
+    path = tmp_path / "settings.yaml"
+    path.write_text("odometry: {keyframe_motion: 0.03}\n")
+    for words in ((), ("--fast",), ("--config", path), ("--config", path, "--fast")):
+        assert command(monkeypatch, "a.mp4", "-o", tmp_path, "-q", *words) == 0
+    motions = [config.odometry.keyframe_motion for _, config in runs]
+    assert motions == [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION, 0.03, FAST_KEYFRAME_MOTION]
+    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--fast", "--front-end", "sfm") == 1
+    assert "(--fast); odometry has" in capsys.readouterr().err
+
+
 def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys):
     assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--start", 3, "--end", 2) == 1
     assert capsys.readouterr().err == "error: setting 'frames': Value error, end_s must be after start_s\n"
@@ -55,7 +66,8 @@ def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys)
 def test_a_batch_hands_the_part_to_every_video(monkeypatch, tmp_path, runs):
     """The words with which each video's own process is started give the settings that the batch compares runs with."""
     given = []
-    words = ["haustra", "batch", "a.mp4", "-o", str(tmp_path), "--start", "1", "--stride", "2", "--jobs", "1", "-q"]
+    words = ["haustra", "batch", "a.mp4", "-o", str(tmp_path), "--start", "1", "--stride", "2", "--fast"]
+    words += ["--jobs", "1", "-q"]
     monkeypatch.setattr(batch, "run_batch", lambda _, __, words, settings, *___: given.append((words, settings)) or [])
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as stop:
@@ -63,6 +75,7 @@ def test_a_batch_hands_the_part_to_every_video(monkeypatch, tmp_path, runs):
     assert not stop.value.code
     words, settings = given[0]
     assert (settings.frames.start_s, settings.frames.end_s, settings.frames.stride) == (1.0, None, 2)
+    assert settings.odometry.keyframe_motion == FAST_KEYFRAME_MOTION
     assert command(monkeypatch, "a.mp4", "-o", tmp_path, "-q", *words) == 0
     assert runs[0][1] == settings
 

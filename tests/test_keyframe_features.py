@@ -1,7 +1,5 @@
 """Features of keyframes: found once, by whoever asks first, and the same as asked for directly."""
 
-import os
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,7 +9,6 @@ from test_odometry import CAMERA, MASK, camera_at, render, run
 
 from pipeline.camera import Camera
 from pipeline.errors import HaustraError
-from pipeline.odometry import keyframe_features
 from pipeline.odometry.keyframe_features import KeyframeFeatures
 from pipeline.odometry.places import CONTRAST, place_of, sift
 from pipeline.odometry.rays import RayTable
@@ -112,28 +109,3 @@ def test_features_lie_where_the_lens_has_rays():
     right = whole.pixels[:, 0] >= 90
     assert 0 < right.sum() < len(right)
     np.testing.assert_array_equal(cut.pixels, whole.pixels[right])
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="threads have priorities of their own on Linux only")
-@pytest.mark.parametrize("refused", [False, True])
-def test_the_thread_gives_way_where_it_may(monkeypatch, refused):
-    """Whoever asks keeps his own priority; where the system refuses, the features are found all the same."""
-
-    def refuse(*_):
-        raise PermissionError
-
-    if refused:
-        monkeypatch.setattr(keyframe_features.os, "setpriority", refuse)
-    mine = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
-    priorities = {}
-
-    def read(frame):
-        priorities[frame] = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
-        return np.zeros((64, 64, 3), np.uint8), np.full((64, 64), 255, np.uint8)
-
-    with KeyframeFeatures(read) as features:
-        features.begin(0)
-        while 0 not in priorities:
-            pass
-        features(0), features(1)
-    assert priorities == {0: mine if refused else keyframe_features.LOWEST_PRIORITY, 1: mine}

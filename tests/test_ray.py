@@ -9,7 +9,7 @@ from test_odometry import CAMERA, stored
 
 from conftest import textured_frames, write_video
 from pipeline.batch import run_batch
-from pipeline.config import load_config
+from pipeline.config import Config, load_config
 from pipeline.errors import HaustraError
 from pipeline.odometry.chunks import jobs_of, local_run, ray_run, scratch, track_chunks
 from pipeline.odometry.outcome import to_submap
@@ -46,7 +46,7 @@ def test_chunks_on_a_local_cluster_are_those_of_processes(tmp_path):
     for name, run in (("ray", ray_run("local")), ("here", local_run(2))):
         (tmp_path / name).mkdir()
         workspace, frames = stored(tmp_path / name, IMAGES[:30])
-        jobs = jobs_of(frames.index, CAMERA, [range(18), range(8, 30)], 1, 0, workspace)
+        jobs = jobs_of(frames.index, CAMERA, [range(18), range(8, 30)], Config(), workspace)
         maps, seams = track_chunks(jobs, RAYS, run, SilentProgress())
         assert seams.chunks == 2
         assert len(list(scratch(workspace).glob("*.npz"))) == 2
@@ -59,6 +59,6 @@ def test_chunks_on_a_local_cluster_are_those_of_processes(tmp_path):
 def test_a_chunk_that_fails_on_the_cluster_is_one_sentence(tmp_path):
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'haustra[cluster]'")
     workspace, frames = stored(tmp_path, IMAGES[:5])
-    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], 1, 0, workspace)
+    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], Config(), workspace)
     with pytest.raises(HaustraError, match=r"chunk 0 failed: .*missing or damaged"):
         track_chunks([job], RAYS, ray_run("local"), SilentProgress())

@@ -22,7 +22,8 @@ def track(job: dict[str, Any]) -> int:
     """Track the frames of `job` (see `chunks.jobs_of`), leave the maps at its output; how many frames it had."""
     cv2.setNumThreads(1)
     read = frame_reader(Workspace(Path(job["run"])))
-    odometry = Odometry(RayTable(Camera.from_dict(job["camera"])), job["seed"], job["stride"])
+    rays = RayTable(Camera.from_dict(job["camera"]))
+    odometry = Odometry(rays, job["seed"], job["stride"], job["keyframe_motion"])
     with threadpool_limits(1, "blas"):
         for done, frame in enumerate(job["frames"], start=1):
             rgb, mask = read(frame)

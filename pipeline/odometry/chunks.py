@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pipeline import ray_cluster
 from pipeline.camera import Camera
+from pipeline.config import Config
 from pipeline.errors import HaustraError
 from pipeline.isolation import Children, tied_command
 from pipeline.odometry.local_map import LocalMap
@@ -53,11 +54,12 @@ def cut(count: int, chunks: int) -> list[range]:
 
 
 def jobs_of(
-    index: NDArray[np.int64], camera: Camera, chunks: list[range], stride: int, seed: int, workspace: Workspace
+    index: NDArray[np.int64], camera: Camera, chunks: list[range], config: Config, workspace: Workspace
 ) -> list[Job]:
     """What each chunk's process needs to know."""
     folder = scratch(workspace).resolve()
-    about = {"run": str(workspace.root.resolve()), "camera": camera.to_dict(), "stride": stride, "seed": seed}
+    about: Job = {"run": str(workspace.root.resolve()), "camera": camera.to_dict(), "stride": config.frames.stride}
+    about |= {"seed": config.seed, "keyframe_motion": config.odometry.keyframe_motion}
     return [
         about | {"number": number, "frames": index[rows].tolist(), "output": str(folder / f"{number}.npz")}
         for number, rows in enumerate(chunks)

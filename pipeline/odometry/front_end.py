@@ -81,15 +81,16 @@ def _tracked(
     frames: Frames, config: Config, features: KeyframeFeatures, workspace: Workspace, progress: Progress
 ) -> tuple[list[LocalMap], Seams | None]:
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
-    rays, stride = RayTable(frames.camera), config.frames.stride
-    pieces = cut(len(frames.index), config.odometry.chunks)
-    if config.odometry.chunks > 1 and len(pieces) == 1:
+    rays, settings = RayTable(frames.camera), config.odometry
+    pieces = cut(len(frames.index), settings.chunks)
+    if settings.chunks > 1 and len(pieces) == 1:
         progress.say(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")
     if len(pieces) > 1:
-        run = local_run(processors()) if config.odometry.ray is None else ray_run(config.odometry.ray)
-        jobs = jobs_of(frames.index, frames.camera, pieces, stride, config.seed, workspace)
+        run = local_run(processors()) if settings.ray is None else ray_run(settings.ray)
+        jobs = jobs_of(frames.index, frames.camera, pieces, config, workspace)
         return track_chunks(jobs, rays, run, progress)
-    odometry, read = Odometry(rays, config.seed, stride), frame_reader(workspace)
+    odometry = Odometry(rays, config.seed, config.frames.stride, settings.keyframe_motion)
+    read = frame_reader(workspace)
 
     def look(index: int) -> tuple[int, NDArray[np.uint8], View]:
         rgb, mask = read(index)

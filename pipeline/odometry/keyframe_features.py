@@ -4,9 +4,6 @@ Finding them takes as long as tracking a frame, and needs nothing of the map, so
 tracking goes on. 150 bytes a feature are kept, half of what a keyframe's tracks take.
 """
 
-import contextlib
-import os
-import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,23 +15,21 @@ from numpy.typing import NDArray
 
 from pipeline.odometry.places import CONTRAST, Features, sift
 
-LOWEST_PRIORITY = 19
-
 ReadFrame = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # frame -> rgb (H,W,3), mask (H,W)
 
 
 class KeyframeFeatures:
     """Call it with the number of a frame. What `read` raises is raised by the call.
 
-    One thread finds what was begun, and gives way to tracking where both want a processor; who asks for what that
-    thread has not come to yet finds it himself, as many at once as ask.
+    One thread finds what was begun, so that tracking keeps a processor for itself; who asks for what that thread has
+    not come to yet finds it himself, as many at once as ask.
     """
 
     def __init__(self, read: ReadFrame) -> None:
         self._read = read
         self._found: dict[int, Future[Features]] = {}
         self._guard = threading.Lock()
-        self._thread = ThreadPoolExecutor(1, "features", _give_way)  # OpenCV lets go of the interpreter
+        self._thread = ThreadPoolExecutor(1, "features")  # OpenCV lets go of the interpreter
 
     def __enter__(self) -> Self:
         return self
@@ -70,11 +65,3 @@ class KeyframeFeatures:
         except BaseException as error:
             future.set_exception(error)
             raise
-
-
-def _give_way() -> None:
-    """The calling thread runs when no other wants the processor, where the system knows priorities of threads."""
-    if sys.platform != "linux":
-        return
-    with contextlib.suppress(OSError):  # refused in some sandboxes: then it takes its turn like any other
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config import OdometrySettings
 from pipeline.odometry.features import View, make_view
 from pipeline.odometry.local_map import LocalMap
 from pipeline.odometry.rays import RayTable
@@ -20,6 +21,7 @@ MAX_JUMP = 15  # frames without a picture after which the old map is not asked a
 PROBATION = 4  # keyframes within which the lamp can disown a new map
 DARK_NEAR = 0.0  # rank correlation of distance and brightness above which it does
 MIN_KEYFRAMES = 3  # of a map that is kept
+KEYFRAME_MOTION = OdometrySettings().keyframe_motion
 
 State = Literal["starting", "tracking", "lost"]
 
@@ -27,8 +29,8 @@ State = Literal["starting", "tracking", "lost"]
 class Odometry:
     """Feed it frames in order, then ask for the maps."""
 
-    def __init__(self, rays: RayTable, seed: int, stride: int = 1) -> None:
-        self.rays, self.stride = rays, stride
+    def __init__(self, rays: RayTable, seed: int, stride: int = 1, keyframe_motion: float = KEYFRAME_MOTION) -> None:
+        self.rays, self.stride, self.keyframe_motion = rays, stride, keyframe_motion
         self.rng = np.random.default_rng(seed)
         self.maps: list[LocalMap] = []  # closed ones
         self.tracker: Tracker | None = None
@@ -73,7 +75,8 @@ class Odometry:
         made = self.start.feed(frame, view, rgb)
         if made is not None:
             self._close()
-            self.tracker = Tracker(made, self.start.tracks, view, frame, self.rng, self.stride)
+            tracks, motion = self.start.tracks, self.keyframe_motion
+            self.tracker = Tracker(made, tracks, view, frame, self.rng, motion, self.stride)
             self.start, self.missed = None, 0
         return self.state
 

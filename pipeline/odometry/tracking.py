@@ -23,7 +23,6 @@ MIN_FOUND_SHARE = 0.15  # of the points that should be in view
 MAX_STEP = 0.5  # median depths between two frames
 MAX_TURN = np.radians(25.0)  # between two frames
 MAX_GAP = 3  # frames over which the motion is carried on
-KEYFRAME_MOTION_SHARE = 0.012  # of the width
 KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
 ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
 MIN_VOTERS = 15
@@ -32,7 +31,9 @@ Outcome = Literal["tracked", "keyframe", "lost"]
 
 
 class Tracker:
-    """Poses frames in `map`; `tracks` must be those from which the map's last keyframe was made."""
+    """Poses frames in `map`; `tracks` must be those from which the map's last keyframe was made.
+
+    keyframe_motion: share of the width that tracks move by, in the median, until the next keyframe."""
 
     def __init__(
         self,
@@ -41,9 +42,10 @@ class Tracker:
         view: View,
         frame: int,
         rng: np.random.Generator,
+        keyframe_motion: float,
         stride: int = 1,
     ) -> None:
-        self.map, self.tracks, self.rng = local_map, tracks, rng
+        self.map, self.tracks, self.rng, self.keyframe_motion = local_map, tracks, rng, keyframe_motion
         self.pose = local_map.keyframes[-1].pose
         self.frame = frame
         self.velocity = self._initial_velocity(stride)
@@ -132,7 +134,7 @@ class Tracker:
 
     def _needs_keyframe(self, width: int) -> bool:
         tracks = self.tracks
-        return tracks.motion_px() > KEYFRAME_MOTION_SHARE * width or tracks.found_share() < KEYFRAME_FOUND_SHARE
+        return tracks.motion_px() > self.keyframe_motion * width or tracks.found_share() < KEYFRAME_FOUND_SHARE
 
     def _make_keyframe(self, frame: int, view: View) -> None:
         """The frame enters the map, which is adjusted around it if that is due, and tracking goes on from its image."""
