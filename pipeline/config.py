@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError,
 
 from pipeline.errors import HaustraError
 
-FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: half the time, a path nearly as good, a surface with less detail
+FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/front_end.md
 
 
 class Settings(BaseModel):
