@@ -25,6 +25,7 @@ MAX_TURN = np.radians(25.0)  # between two frames
 MAX_GAP = 3  # frames over which the motion is carried on
 KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
 ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
+ADJUST_AFTER_GUESS = 1  # with a guessed lens, which bends the map: what is left bent longer is lost more often
 MIN_VOTERS = 15
 
 Outcome = Literal["tracked", "keyframe", "lost"]
@@ -49,6 +50,7 @@ class Tracker:
         self.pose = local_map.keyframes[-1].pose
         self.frame = frame
         self.velocity = self._initial_velocity(stride)
+        self.adjust_after = ADJUST_AFTER if local_map.rays.camera.trusted else ADJUST_AFTER_GUESS
         self.unadjusted = 0  # frames since the last adjustment
         self.light: list[float] = []  # rank correlation of distance and brightness at each keyframe
         self._anchor(view)
@@ -141,7 +143,7 @@ class Tracker:
         tracks = self.tracks
         self.map.add_keyframe(frame, self.pose, tracks.ids[tracks.found], tracks.now[tracks.found])
         self.map.triangulate_new()
-        if self.unadjusted >= ADJUST_AFTER or len(self.map.keyframes) <= WINDOW:
+        if self.unadjusted >= self.adjust_after or len(self.map.keyframes) <= WINDOW:
             self.map.adjust()
             self.unadjusted = 0
         self.map.forget_unused()
