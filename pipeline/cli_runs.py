@@ -19,7 +19,7 @@ Start = Annotated[float | None, typer.Option(min=0, help="s; leave out what come
 End = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes after")]
 Stride = Annotated[int | None, typer.Option(min=1, help="use every n-th frame")]
 ConfigFile = Annotated[Path | None, typer.Option(help="YAML file of settings; options given beside it win")]
-Fast = Annotated[bool, typer.Option("--fast", help="fewer keyframes: two thirds of the time, less detail")]
+Fast = Annotated[bool, typer.Option("--fast", help="fewer keyframes: a third less time, and less detail")]
 Seed = Annotated[int | None, typer.Option(help="of every random step")]
 Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]
@@ -43,11 +43,13 @@ def reconstruct(
     fast: Fast = False,
     chunks: Annotated[int | None, typer.Option(min=1, help="track the video in so many parts at once")] = None,
     ray: Annotated[
-        str | None, typer.Option(help="Ray cluster that tracks the chunks, or local; needs [cluster]")
+        str | None, typer.Option(help="Ray cluster that tracks the chunks, or local; needs the extra: cluster")
     ] = None,
     seed: Seed = None,
     device: Device = None,
-    rerun: Annotated[bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs [rerun]")] = False,
+    rerun: Annotated[
+        bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs the extra: rerun")
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
     quiet: Quiet = False,

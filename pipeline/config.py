@@ -5,7 +5,7 @@ Lengths in the image are shares of the working width, so that they hold at any r
 """
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
@@ -145,16 +145,26 @@ class Config(Settings):
     @model_validator(mode="after")
     def _asks_odometry(self) -> "Config":
         if self.front_end == "sfm" and self.odometry != OdometrySettings():
-            raise ValueError("sfm has no chunks and no keyframe_motion (--fast); odometry has")
+            raise ValueError("the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto")
         return self
 
     def is_same_work(self, other: "Config") -> bool:
         """Whether a run with these settings gives what one with the others does, wherever it is computed."""
-        return _without_place(self) == _without_place(other)
+        return not self.differences(other)
+
+    def differences(self, other: "Config") -> list[str]:
+        """Settings that make other work of it, as `section.name: this one's value, now the other's`."""
+        mine, others = _flat(self.model_dump()), _flat(other.model_dump())
+        changed = [name for name, value in mine.items() if value != others[name] and name != "odometry.ray"]
+        return [f"{name}: {mine[name]}, now {others[name]}" for name in changed]
 
 
-def _without_place(config: Config) -> Config:
-    return config.model_copy(update={"odometry": config.odometry.model_copy(update={"ray": None})})
+def _flat(values: dict[str, Any], section: str = "") -> dict[str, Any]:
+    """Names with their sections before them."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found |= _flat(value, f"{section}{name}.") if isinstance(value, dict) else {section + name: value}
+    return found
 
 
 def load_config(path: Path | None, **overrides: object) -> Config:
@@ -184,4 +194,7 @@ def validate_config(values: dict[str, object]) -> Config:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise HaustraError(f"setting '{where}': {first['msg']}") from error
+        if first["type"] == "extra_forbidden":
+            raise HaustraError(f"there is no setting '{where}'") from error
+        said = first["msg"].removeprefix("Value error, ")
+        raise HaustraError(f"setting '{where}': {said}" if where else said) from error

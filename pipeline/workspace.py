@@ -173,8 +173,9 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
     if "source" in changed:
         raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
-    if not workspace.config.is_same_work(config):
-        raise HaustraError(f"{root} was run with other settings; repeat them, or use --overwrite")
+    other = workspace.config.differences(config)
+    if other:
+        raise HaustraError(f"{root} was run with other settings ({other[0]}); repeat them, or use --overwrite")
     if changed:
         raise HaustraError(f"{root} was run with another {changed[0]}; its contents have changed since")
 

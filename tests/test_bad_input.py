@@ -147,7 +147,7 @@ def test_resume_of_another_video(run, tmp_path):
 def test_resume_with_other_settings(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(1))
     run("a.mp4", "-o", "out")
-    assert_one_sentence(run("a.mp4", "-o", "out", "--resume", "--seed", "4"), "other settings")
+    assert_one_sentence(run("a.mp4", "-o", "out", "--resume", "--seed", "4"), "other settings (seed: 0, now 4)")
 
 
 def test_resume_of_nothing(run, tmp_path):

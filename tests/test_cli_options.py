@@ -46,6 +46,14 @@ def test_a_part_of_the_video_is_asked_for_by_options(monkeypatch, tmp_path, runs
     assert (frames.start_s, frames.end_s, frames.stride) == (1.0, 2.5, 3)
 
 
+def test_a_setting_that_is_not_there_is_named(tmp_path):
+    path = tmp_path / "settings.yaml"
+    for text, name in (("odometry: {keyframe_motoin: 1}", "odometry.keyframe_motoin"), ("fast: true", "fast")):
+        path.write_text(text)
+        with pytest.raises(HaustraError, match=f"there is no setting '{name}'"):
+            load_config(path)
+
+
 def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs, capsys):
     path = tmp_path / "settings.yaml"
     path.write_text("odometry: {keyframe_motion: 0.03}\n")
@@ -54,12 +62,13 @@ def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypa
     motions = [config.odometry.keyframe_motion for _, config in runs]
     assert motions == [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION, 0.03, FAST_KEYFRAME_MOTION]
     assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--fast", "--front-end", "sfm") == 1
-    assert "(--fast); odometry has" in capsys.readouterr().err
+    told = "error: the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto\n"
+    assert capsys.readouterr().err == told
 
 
 def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys):
     assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--start", 3, "--end", 2) == 1
-    assert capsys.readouterr().err == "error: setting 'frames': Value error, end_s must be after start_s\n"
+    assert capsys.readouterr().err == "error: setting 'frames': end_s must be after start_s\n"
     assert runs == []
 
 
