@@ -231,7 +231,7 @@ def tiny_command(folder, *more):
 
 KILLED_WHEN = {
     "frames are being read": lambda folder: any((folder / "images").glob("*.jpg")),
-    "features are being matched": lambda folder: (folder / "features.db").exists(),
+    "the camera is being found": lambda folder: (folder / "features.db").exists() or (folder / "log/odometry").exists(),
     "depth is being completed": lambda folder: len(list((folder / "depth").glob("0*.png"))) >= 2,
     "the surface is being fused": lambda folder: "depth" in open_workspace(folder).record["stages"],
     "the report is being written": lambda folder: "surface" in open_workspace(folder).record["stages"],
@@ -239,19 +239,21 @@ KILLED_WHEN = {
 
 
 @pytest.mark.slow
-def test_killed_at_every_stage_it_ends_the_same(tmp_path):
+@pytest.mark.parametrize("front_end", ["odometry", "sfm"])
+def test_killed_at_every_stage_it_ends_the_same(tmp_path, front_end):
     """kill -9 five times in the life of one run: at each the next stage is just under way."""
     undisturbed, folder = tmp_path / "undisturbed", tmp_path / "run"
-    subprocess.run(tiny_command(undisturbed), check=True)
+    asked = ("--front-end", front_end)
+    subprocess.run(tiny_command(undisturbed, *asked), check=True)
     resume: tuple[str, ...] = ()
     for stage, reached in KILLED_WHEN.items():
-        process = subprocess.Popen(tiny_command(folder, *resume), start_new_session=True)
+        process = subprocess.Popen(tiny_command(folder, *asked, *resume), start_new_session=True)
         wait_for(lambda: process.poll() is not None or ((folder / "run.yaml").exists() and reached(folder)), 300)  # noqa: B023
         assert process.poll() is None, f"it ended before {stage}"
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
         resume = ("--resume",)
-    subprocess.run(tiny_command(folder, "--resume"), check=True)
+    subprocess.run(tiny_command(folder, *asked, "--resume"), check=True)
     for name in ("trajectory.tum", "mesh.ply", "sparse/0/points3D.bin"):
         assert (folder / name).read_bytes() == (undisturbed / name).read_bytes(), f"{name} depends on the kills"
     assert not Path(folder / "metrics.json.partial").exists()
