@@ -27,11 +27,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.camera import guess_camera
+from pipeline.camera import Camera, guess_camera
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
 from pipeline.errors import HaustraError
 from pipeline.frames import Frames, read_frames
+from pipeline.odometry.keyframe_features import ReadFrame
+from pipeline.odometry.local_map import LocalMap
+from pipeline.odometry.odometry import Odometry
+from pipeline.odometry.rays import RayTable
 from pipeline.progress import SilentProgress
 from pipeline.structure import solve_structure
 from pipeline.submap import Submap
@@ -57,6 +62,15 @@ class Hearing(SilentProgress):
 def store(folder: Path, config: Config, root: Path) -> tuple[Frames, Workspace]:
     workspace = create_workspace(root, folder, config, overwrite=True)
     return read_frames(Source(folder), config, workspace, SilentProgress()), workspace
+
+
+def tracked_maps(camera: Camera, read: ReadFrame, index: NDArray[np.int64]) -> list[LocalMap]:
+    """The maps of these frames as odometry's tracking leaves them."""
+    odometry = Odometry(RayTable(camera), 0)
+    for frame in index.tolist():
+        rgb, mask = read(frame)
+        odometry.feed(frame, rgb, odometry.view(rgb, mask))
+    return odometry.finish()
 
 
 def processor_seconds() -> float:

@@ -20,17 +20,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from front_ends import store
+from front_ends import store, tracked_maps
 from pipeline.config import Config
 from pipeline.frames import Frames
 from pipeline.odometry.front_end import adjust_maps, frame_reader, join_maps
 from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
 from pipeline.odometry.links import Shown, find_links, joint_similarity, sure_links
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.places import FindFeatures, find_places
-from pipeline.odometry.rays import RayTable
 from pipeline.odometry.similarity import scale_of
 from pipeline.progress import SilentProgress
 from reconstruction.trajectory import align_poses, read_tum, trajectory_errors
@@ -57,13 +55,20 @@ def film_of(folder: Path, scratch: Path) -> Film:
 
 def tracked(film: Film, part: np.ndarray) -> list[Held]:
     """The maps of some of the frames, adjusted, most keyframes first."""
-    odometry = Odometry(RayTable(film.frames.camera), 0)
-    for index in part.tolist():
-        rgb, mask = film.read(index)
-        odometry.feed(index, rgb, odometry.view(rgb, mask))
-    maps = odometry.finish()
+    maps = tracked_maps(film.frames.camera, film.read, part)
     held = zip(maps, adjust_maps(maps, film.features, SilentProgress()), strict=True)
     return sorted((h for h in held if to_submap(h[0], h[0].rays.camera.params)), key=lambda h: -len(h[0].keyframes))
+
+
+def parts_without(film: Film, gap: int) -> tuple[np.ndarray, np.ndarray]:
+    """The film's frames before and after the `gap` ones in its middle."""
+    index = film.frames.index
+    return index[: (len(index) - gap) // 2], index[(len(index) + gap) // 2 :]
+
+
+def scale_error_percent(second_from_first: np.ndarray, truth_from: list[np.ndarray]) -> float:
+    """Of a similarity between two maps, by where the truth has either."""
+    return 100 * (scale_of(second_from_first) / (scale_of(truth_from[0]) / scale_of(truth_from[1])) - 1)
 
 
 def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
@@ -81,8 +86,7 @@ def offered(first: LocalMap, second: LocalMap, finders: tuple[FindFeatures, Find
 
 def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap] | None]:
     """What becomes of the film without `gap` frames in its middle; the largest map on either side."""
-    index = film.frames.index
-    before, after = index[: (len(index) - gap) // 2], index[(len(index) + gap) // 2 :]
+    before, after = parts_without(film, gap)
     way = np.linalg.norm(np.diff(film.truth[before[-1] : after[0] + 1, :3, 3], axis=0), axis=1).sum()
     maps = tracked(film, before), tracked(film, after)
     result: dict[str, Any] = {"film": film.name, "gap": gap, "way_mm": float(way), "maps": [len(m) for m in maps]}
@@ -93,8 +97,7 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
     result["way_depths"] = float(way / (first.median_depth(first.keyframes[-1]) * scale_of(to_truth[0])))
     found = offered(first, second, (film.features, film.features))
     if found is not None:
-        right = scale_of(to_truth[0]) / scale_of(to_truth[1])
-        result["scale_error_percent"] = 100 * (scale_of(found) / right - 1)
+        result["scale_error_percent"] = scale_error_percent(found, to_truth)
     return result | joined(film, copy.deepcopy(maps[0] + maps[1])), (first, second)
 
 

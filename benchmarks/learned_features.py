@@ -24,19 +24,16 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from joins import Film, film_of, offered, tracked, truth_from_map
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from front_ends import errors_of
+from front_ends import errors_of, tracked_maps
+from joins import Film, film_of, offered, parts_without, scale_error_percent, tracked, truth_from_map
 from pipeline.odometry import guided, places
 from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.outcome import to_submap
 from pipeline.odometry.places import CONTRAST, FEATURES, Features, sift
-from pipeline.odometry.rays import RayTable
 from pipeline.odometry.refit import refit
-from pipeline.odometry.similarity import scale_of
 from record import write
 
 Find = Callable[[NDArray[np.uint8], NDArray[np.uint8]], Features]  # picture (H,W,3) and mask (H,W)
@@ -157,15 +154,6 @@ class Finder:
         return self.found[frame]
 
 
-def whole(film: Film) -> LocalMap:
-    """The largest map of the film as tracking leaves it."""
-    odometry = Odometry(RayTable(film.frames.camera), 0)
-    for index in film.frames.index.tolist():
-        rgb, mask = film.read(index)
-        odometry.feed(index, rgb, odometry.view(rgb, mask))
-    return max(odometry.finish(), key=lambda m: len(m.keyframes))
-
-
 def path(local_map: LocalMap, film: Film) -> dict[str, Any]:
     """Errors of the frames that the map poses."""
     submap = to_submap(local_map, local_map.rays.camera.params)
@@ -176,7 +164,8 @@ def path(local_map: LocalMap, film: Film) -> dict[str, Any]:
 
 def compare_paths(film: Film, kinds: dict[str, Find]) -> list[dict[str, Any]]:
     """The largest map as it was tracked, and adjusted to features of each kind."""
-    local_map = whole(film)
+    maps = tracked_maps(film.frames.camera, film.read, film.frames.index)
+    local_map = max(maps, key=lambda m: len(m.keyframes))
     rows = [{"film": film.name, "kind": "as tracked"} | path(local_map, film)]
     for kind, find in kinds.items():
         adjusted, finder = copy.deepcopy(local_map), Finder(film, find)
@@ -192,17 +181,15 @@ def compare_paths(film: Film, kinds: dict[str, Find]) -> list[dict[str, Any]]:
 
 def compare_joins(film: Film, gap: int, kinds: dict[str, Find]) -> tuple[list[dict[str, Any]], list[LocalMap]]:
     """Whether the halves of a cut film are joined by features of each kind; the halves."""
-    index = film.frames.index
-    parts = index[: (len(index) - gap) // 2], index[(len(index) + gap) // 2 :]
-    maps = [tracked(film, part) for part in parts]
+    maps = [tracked(film, part) for part in parts_without(film, gap)]
     if not all(maps):
         return [], []
     halves, rows = [held[0][0] for held in maps], []
-    one, other = (scale_of(truth_from_map(half, film.truth)) for half in halves)
+    to_truth = [truth_from_map(half, film.truth) for half in halves]
     for kind, find in kinds.items():
         finder = Finder(film, find)
         found = offered(halves[0], halves[1], (finder, finder))
-        error = None if found is None else 100 * (scale_of(found) / (one / other) - 1)
+        error = None if found is None else scale_error_percent(found, to_truth)
         rows.append({"film": film.name, "kind": kind, "gap": gap, "scale_error_percent": error})
         print(f"{film.name:16} {kind:11} {gap:3} frames out: ", end="")
         print("apart" if error is None else f"joined, scale {error:+.1f} %", flush=True)

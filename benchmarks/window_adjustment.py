@@ -30,7 +30,7 @@ import pycolmap
 from gtsam.symbol_shorthand import L, X
 from threadpoolctl import threadpool_limits
 
-from front_ends import store
+from front_ends import store, tracked_maps
 from pipeline.camera import Camera
 from pipeline.config import Config
 from pipeline.odometry import local_map
@@ -38,8 +38,6 @@ from pipeline.odometry.bundle import Bundle, adjust
 from pipeline.odometry.front_end import frame_reader
 from pipeline.odometry.kernels import robust_cost
 from pipeline.odometry.local_map import LOSS_PX, WINDOW_ITERATIONS
-from pipeline.odometry.odometry import Odometry
-from pipeline.odometry.rays import RayTable
 from record import spread, write
 
 CONVERGED, MOST = 1e-3, 20
@@ -81,11 +79,8 @@ def windows_of(folder: Path, every: int, scratch: Path) -> tuple[Camera, list[Bu
         return adjust(bundle, *others)
 
     local_map.adjust = recorded  # type: ignore[attr-defined]
-    odometry, read = Odometry(RayTable(frames.camera), 0), frame_reader(workspace)
     try:
-        for index in frames.index.tolist():
-            rgb, mask = read(index)
-            odometry.feed(index, rgb, odometry.view(rgb, mask))
+        tracked_maps(frames.camera, frame_reader(workspace), frames.index)
     finally:
         local_map.adjust = adjust  # type: ignore[attr-defined]
     return frames.camera, [w for w in met if w.fixed.sum() > 1 and not w.fixed.all()][::every]

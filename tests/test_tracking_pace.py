@@ -31,17 +31,23 @@ def tracked(frames, step, camera=CAMERA, **settings):
     return local_map
 
 
+@pytest.fixture
+def adjusted(monkeypatch):
+    """The keyframes at which a window was adjusted."""
+    seen, real = [], LocalMap.adjust
+    monkeypatch.setattr(LocalMap, "adjust", lambda m, *a, **k: (seen.append(m.keyframes[-1].frame), real(m, *a, **k)))
+    return seen
+
+
 EVERY_OTHER = [*range(16), *range(17, 60, 2)]
 
 
-@pytest.mark.parametrize(("step", "frames"), [(1.2, range(34)), (0.12, range(80)), (0.6, EVERY_OTHER)])
-def test_windows_are_adjusted_at_keyframes_at_least_three_frames_apart(monkeypatch, step, frames):
+@pytest.mark.parametrize(
+    ("step", "frames", "least_skipped"), [(1.2, range(34), 1 / 2), (0.12, range(80), None), (0.6, EVERY_OTHER, 1 / 3)]
+)
+def test_windows_are_adjusted_at_keyframes_at_least_three_frames_apart(adjusted, step, frames, least_skipped):
     """At 1.2 mm a frame most are keyframes, at 0.12 not one of three; the first window is adjusted at each. Frames that
     were left out count."""
-    adjusted, real = [], LocalMap.adjust
-    monkeypatch.setattr(
-        LocalMap, "adjust", lambda m, *a, **k: (adjusted.append(m.keyframes[-1].frame), real(m, *a, **k))
-    )
     keyframes = [keyframe.frame for keyframe in tracked(frames, step).keyframes]
     first, later = keyframes[:WINDOW], keyframes[WINDOW:]
     assert set(first[-4:]) < set(adjusted)
@@ -51,15 +57,11 @@ def test_windows_are_adjusted_at_keyframes_at_least_three_frames_apart(monkeypat
         assert (frame in adjusted) == due
         last = frame if due else last
     skipped = len(set(later) - set(adjusted))
-    assert (skipped > len(later) / 3 > 3) if step > 0.5 else (skipped < len(later) / 2)
+    assert (skipped > len(later) * least_skipped > 3) if least_skipped else (skipped < len(later) / 2)
 
 
-def test_with_a_guessed_lens_windows_are_adjusted_at_each_keyframe(monkeypatch):
+def test_with_a_guessed_lens_windows_are_adjusted_at_each_keyframe(adjusted):
     """Left bent longer, maps were lost more often and not joined again."""
-    adjusted, real = [], LocalMap.adjust
-    monkeypatch.setattr(
-        LocalMap, "adjust", lambda m, *a, **k: (adjusted.append(m.keyframes[-1].frame), real(m, *a, **k))
-    )
     local_map = tracked(range(24), 1.2, replace(CAMERA, trusted=False))
     frames = [keyframe.frame for keyframe in local_map.keyframes]
     assert set(frames[WINDOW:]) < set(adjusted)

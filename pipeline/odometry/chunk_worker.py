@@ -5,11 +5,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import cv2
-from threadpoolctl import threadpool_limits
-
 from pipeline.camera import Camera
-from pipeline.odometry.front_end import frame_reader
+from pipeline.odometry.front_end import frame_reader, one_thread_a_call
 from pipeline.odometry.map_file import save_maps
 from pipeline.odometry.odometry import Odometry
 from pipeline.odometry.rays import RayTable
@@ -20,11 +17,10 @@ STEP = 10  # frames between two words on how far it is
 
 def track(job: dict[str, Any]) -> int:
     """Track the frames of `job` (see `chunks.jobs_of`), leave the maps at its output; how many frames it had."""
-    cv2.setNumThreads(1)
     read = frame_reader(Workspace(Path(job["run"])))
     rays = RayTable(Camera.from_dict(job["camera"]))
     odometry = Odometry(rays, job["seed"], job["stride"], job["keyframe_motion"])
-    with threadpool_limits(1, "blas"):
+    with one_thread_a_call():
         for done, frame in enumerate(job["frames"], start=1):
             rgb, mask = read(frame)
             odometry.feed(frame, rgb, odometry.view(rgb, mask))

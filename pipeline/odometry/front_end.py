@@ -51,7 +51,7 @@ class Tracked:
 
 def track_frames(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
-    with _one_thread_a_call(), KeyframeFeatures(frame_reader(workspace)) as features:
+    with one_thread_a_call(), KeyframeFeatures(frame_reader(workspace)) as features:
         started = time.perf_counter()
         maps, seams = _tracked(frames, config, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
@@ -65,7 +65,7 @@ def track_frames(frames: Frames, config: Config, workspace: Workspace, progress:
 
 
 @contextlib.contextmanager
-def _one_thread_a_call() -> Iterator[None]:
+def one_thread_a_call() -> Iterator[None]:
     """OpenCV and BLAS keep to the thread that calls them: pictures and matrices are small, and the second processor has
     keyframes' features to find. With two threads each, a film took up to twice the processor time, and longer."""
     before = cv2.getNumThreads()
