@@ -105,6 +105,7 @@ def close_wall(
     centroid = vertices[faces].mean(axis=1)
     arc, angle, off = line.locate(centroid)
     inside = (arc >= low) & (arc <= high) & (off < FARTHEST * radius)
+    inside &= SurfaceMesh.from_triangles(vertices, faces).face_areas > 0  # a region of nothing else has no middle
     vertices, faces, arc, angle = vertices, faces[inside], arc[inside], angle[inside]
     unseen = _beyond_the_frontier(part, centroid[inside], fringe, STRAY * radius)
     kept = _pieces_with_wall(faces, unseen)

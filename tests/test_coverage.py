@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.coverage import Judgement
 from pipeline.page import coverage_section
+from reconstruction import closure
 from reconstruction.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_picture import draw_coverage
@@ -115,6 +116,21 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
     # degrees of its axis, so there it is the nearest of all.
     expected = 62.5 - RADIUS if shape == "cylinder" else end
     assert np.linspace(10, end, 30)[region.frame] == pytest.approx(expected, abs=3)
+
+
+def test_a_needle_of_the_closing_without_area_is_no_region(holed, monkeypatch):
+    """Poisson's surface has such triangles; one that stands off the wall was once a region, and its middle 0 / 0."""
+    poisson = closure._poisson
+
+    def with_needle(mesh, cell):
+        vertices, faces = poisson(mesh, cell)
+        foot = int(np.linalg.norm(vertices - vertices[faces].mean(axis=(0, 1)), axis=1).argmin())
+        tip = vertices[foot] * (0.5, 0.5, 1)  # half way to the lumen's middle
+        return np.vstack([vertices, tip]), np.vstack([faces, [foot, foot, len(vertices)]])
+
+    monkeypatch.setattr(closure, "_poisson", with_needle)
+    coverage = measure_coverage(holed[0], cameras(straight))
+    assert (len(coverage.regions), coverage.share) == (len(holed[1].regions), pytest.approx(holed[1].share))
 
 
 def test_the_pocket_behind_a_fold_is_a_missed_region():
