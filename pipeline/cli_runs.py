@@ -85,9 +85,12 @@ def reconstruct(
         output = output or Path("demo_run")
         print(run_demo(output, settings, **again))
     else:
+        assert source is not None
+        from pipeline.video import Source
+
+        Source(source)  # a mistyped name is answered before the heavy packages are loaded
         from pipeline.run import reconstruct as run
 
-        assert source is not None
         output = output or Path(f"{source.resolve().stem}_run")
         run(source, output, settings, **again)
     if rerun:

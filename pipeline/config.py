@@ -16,14 +16,14 @@ FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/front_end.md
 
 
 class Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class FrameSettings(Settings):
     """Decoding and judging frames."""
 
-    start_s: float = Field(0.0, ge=0, allow_inf_nan=False, description="s; frames before it are left out")
-    end_s: float | None = Field(None, allow_inf_nan=False, description="s; frames from it on are left out")
+    start_s: float = Field(0.0, ge=0, description="s; frames before it are left out")
+    end_s: float | None = Field(None, description="s; frames from it on are left out")
     stride: int = Field(1, ge=1, description="use every n-th frame")
     long_side: int = Field(480, ge=96, description="px; SIFT's precision gains little beyond, its time doubles")
     min_brightness: float = Field(8.0, description="grey levels; a darker median frame is black")

@@ -120,9 +120,10 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
 
 def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
     """The record comes before anything else, and says so while an earlier run is being removed: whenever this is
-    stopped, the folder is a run that can be gone on with or overwritten."""
+    stopped, the folder is a run that can be gone on with or overwritten. A run that finished no stage, as one of a
+    video that was refused, is in nobody's way."""
     replaced = workspace.record_path.exists()
-    if replaced and not overwrite:
+    if replaced and not overwrite and not _has_finished_nothing(workspace.root):
         raise HaustraError(
             f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
         )
@@ -136,6 +137,13 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     workspace.save()
     _clear_if_begun(workspace)
     workspace.log.mkdir(exist_ok=True)
+
+
+def _has_finished_nothing(root: Path) -> bool:
+    try:
+        return not open_workspace(root).record["stages"]
+    except HaustraError:  # a damaged record: what it knew cannot be told
+        return False
 
 
 def open_workspace(root: Path) -> Workspace:

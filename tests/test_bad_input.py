@@ -133,6 +133,10 @@ def test_output_holds_a_run(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(1))
     assert run("a.mp4", "-o", "out")[0] == 1
     assert (tmp_path / "out" / "run.yaml").exists()
+    # It finished nothing, so the corrected command need not be told to overwrite it.
+    assert_one_sentence(run("a.mp4", "-o", "out"), "only 1 of 1 frames")
+    record = (tmp_path / "out" / "run.yaml").read_text()
+    (tmp_path / "out" / "run.yaml").write_text(record.replace("stages: {}", "stages: {frames: {}}"))
     assert_one_sentence(run("a.mp4", "-o", "out"), "already holds a run; add --resume")
     assert_one_sentence(run("a.mp4", "-o", "out", "--overwrite"), "only 1 of 1 frames")
 

@@ -63,7 +63,8 @@ def test_a_refused_run_leaves_the_folder_unlocked(tmp_path):
     video = tmp_path / "a.mp4"
     video.write_bytes(b"any bytes")
     folder = tmp_path / "run"
-    create_workspace(folder, video, load_config(None), overwrite=False).lock.release()
+    with create_workspace(folder, video, load_config(None), overwrite=False) as workspace:
+        workspace.finish("frames")
     with pytest.raises(HaustraError, match="already holds a run"):
         create_workspace(folder, video, load_config(None), overwrite=False)
     with pytest.raises(HaustraError, match="other settings"):
