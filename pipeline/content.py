@@ -1,10 +1,10 @@
 """Where a frame shows tissue: the lit disc or octagon of the endoscope, less the lamp's mirror images.
 
 The area is found once per video from the (nearly) brightest value that each pixel takes over many frames, since a
-dark lumen moves and the black border does not. Text burned into the border is a separate patch and falls away.
+dark lumen moves and the black border does not. What the processor burned in, beside the picture or over it, is cut out.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import HaustraError
+from pipeline.overlay import find_overlay
 
 BORDER_LEVEL = 24  # grey levels; video black is 16, JPEG ringing adds a few
 MIN_CONTENT = 0.05  # share of the frame; less is a lit label, not a picture
@@ -25,7 +26,7 @@ class ContentArea:
     box: tuple[int, int, int, int]
 
 
-def find_content(frames: Iterable[NDArray[np.uint8]]) -> ContentArea:
+def find_content(frames: Sequence[NDArray[np.uint8]]) -> ContentArea:
     """Content area of frames (H,W,3) uint8 RGB; raises `HaustraError` when all of them are black."""
     values = np.array([cv2.blur(np.maximum.reduce(cv2.split(rgb)), (5, 5)) for rgb in frames])
     if len(values) == 0:
@@ -33,12 +34,13 @@ def find_content(frames: Iterable[NDArray[np.uint8]]) -> ContentArea:
     # The third brightest of many: a title card or two must not light the border.
     rank = min(2, len(values) // 4)
     brightest = np.partition(values, len(values) - 1 - rank, axis=0)[len(values) - 1 - rank]
-    lit = (brightest > BORDER_LEVEL).astype(np.uint8)
+    overlay = find_overlay(frames)  # text beside the picture would draw its hull over the border
+    lit = ((brightest > BORDER_LEVEL) & ~overlay).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(lit)
     if count < 2 or stats[1:, cv2.CC_STAT_AREA].max() < MIN_CONTENT * lit.size:
         raise HaustraError("the video is black: no part of the frame is ever lit")
     largest = (labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()).astype(np.uint8)
-    return _area_of(_tidy(largest))
+    return _area_of(np.where(overlay, 0, _tidy(largest)).astype(np.uint8))
 
 
 def _tidy(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
