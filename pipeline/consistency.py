@@ -29,13 +29,17 @@ class ConsistencyCheck:
         return agreement(self._view(place), others, self.settings.tolerance)
 
     def confidence(self, place: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The keyframe's confidence lowered where it is contradicted, 0 below the least that is fused; None where the
-        frame as a whole is contradicted."""
+        """The keyframe's confidence times what the votes leave of it; 0 where either alone is below the least that is
+        fused; None where the frame as a whole is contradicted.
+
+        Their product is no limit: wall that a frame is half sure of would go for one contradiction of many votes.
+        """
         votes = self(place)
         if votes.is_outvoted(self.settings.max_contradicted):
             return None
-        lowered = confidence * votes.weight(self.settings.severity)
-        return np.where(lowered < self.min_confidence, np.float32(0), lowered)
+        left = votes.weight(self.settings.severity)
+        kept = (confidence >= self.min_confidence) & (left >= self.min_confidence)
+        return np.where(kept, confidence * left, np.float32(0))
 
     def _load(self, place: int) -> DepthView:
         depth, confidence, world_from_camera = self.part.depth(int(self.part.rows[place]))

@@ -225,3 +225,18 @@ def test_what_is_voted_down_below_the_least_confidence_is_not_fused_at_all() -> 
     assert kept is not None
     inner = kept[35:45, 35:45]  # at the patch's rim the others' own edge windows abstain
     assert (inner == 0).mean() > 0.9
+
+
+def test_what_one_frame_alone_speaks_against_is_fused_though_the_frame_is_but_half_sure() -> None:
+    """One vote against and none for leave a seventh, which is enough; a pixel that is itself too unsure is not."""
+    frames = views(3)
+    frames[2] = DepthView(0.6 * frames[2].depth, INTRINSICS, frames[2].world_from_camera)
+    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(steps=(2,)), 0.1)  # type: ignore[arg-type]
+    votes, unsure = check(0), np.full((SIZE, SIZE), 0.5, np.float32)
+    unsure[:48] = 0.09
+    against = (votes.contradictions == 1) & (votes.supports == 0)
+    kept = check.confidence(0, unsure)
+    assert kept is not None
+    assert against[48:].mean() > 0.2
+    np.testing.assert_allclose(kept[48:][against[48:]], 0.5 / 7, rtol=1e-5)
+    assert not kept[:48].any()
