@@ -5,7 +5,7 @@ dark lumen moves and the black border does not. What the processor burned in, be
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from pipeline.overlay import find_overlay
 
 BORDER_LEVEL = 24  # grey levels; video black is 16, JPEG ringing adds a few
 MIN_CONTENT = 0.05  # share of the frame; less is a lit label, not a picture
+LEAST_PART = 0.01  # of the picture: smaller ones, cut off by text, are leftovers of its letters
 
 
 @dataclass(frozen=True)
@@ -34,32 +35,49 @@ def find_content(frames: Sequence[NDArray[np.uint8]]) -> ContentArea:
     # The third brightest of many: a title card or two must not light the border.
     rank = min(2, len(values) // 4)
     brightest = np.partition(values, len(values) - 1 - rank, axis=0)[len(values) - 1 - rank]
-    overlay = find_overlay(frames)  # text beside the picture would draw its hull over the border
-    lit = ((brightest > BORDER_LEVEL) & ~overlay).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(lit)
-    if count < 2 or stats[1:, cv2.CC_STAT_AREA].max() < MIN_CONTENT * lit.size:
+    lit = (brightest > BORDER_LEVEL).astype(np.uint8)
+    largest = _pieces(lit, MIN_CONTENT * lit.size)[:1]
+    if not largest:
         raise HaustraError("the video is black: no part of the frame is ever lit")
-    largest = (labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()).astype(np.uint8)
-    return _area_of(np.where(overlay, 0, _tidy(largest)).astype(np.uint8))
+    overlay = find_overlay(frames)
+    # Text beside the picture would draw the hull over the border; text across it parts the picture in two.
+    parts = _pieces(np.where(overlay, 0, largest[0]), LEAST_PART * np.count_nonzero(largest[0]))
+    area = _area_of(_tidy(parts or largest))
+    return replace(area, mask=np.where(overlay, 0, area.mask).astype(np.uint8))
 
 
-def _tidy(lit: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Cut thin attachments, fill to the convex hull, step inside the blurred rim."""
-    height, width = lit.shape
+def _pieces(lit: NDArray[np.uint8], least: float) -> list[NDArray[np.uint8]]:
+    """Connected parts (H,W) of at least so many pixels, the largest first."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
+    sizes = stats[1:, cv2.CC_STAT_AREA]
+    return [(labels == 1 + k).astype(np.uint8) for k in np.argsort(-sizes, kind="stable") if sizes[k] >= least]
+
+
+def _tidy(parts: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Cut thin attachments, fill to the convex hull of all parts, step inside the blurred rim."""
+    height, width = parts[0].shape
     size = max(3, round(0.02 * min(height, width)) | 1)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    padded = cv2.copyMakeBorder(lit, size, size, size, size, cv2.BORDER_REPLICATE)
-    opened = cv2.morphologyEx(padded, cv2.MORPH_OPEN, kernel)[size:-size, size:-size]
-    contours, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if not contours:
-        return lit * 255
-    hull = cv2.convexHull(max(contours, key=cv2.contourArea))
-    filled = cv2.fillConvexPoly(np.zeros_like(lit), hull, 255)
+    outlines = [outline for part in parts for outline in _outline(part, kernel)]
+    if not outlines:
+        return parts[0] * 255
+    hull = cv2.convexHull(np.concatenate(outlines))
+    filled = cv2.fillConvexPoly(np.zeros_like(parts[0]), hull, 255)
     if (filled > 0).mean() > 0.98:
-        return np.full_like(lit, 255)
+        return np.full_like(parts[0], 255)
     # Many endoscopes draw a bright rim, fixed to the image: its features would say that nothing moves. Eroding pads
     # with "lit", so that an edge that is the frame's own edge stays.
     return cv2.erode(filled, kernel, iterations=2)
+
+
+def _outline(part: NDArray[np.uint8], kernel: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
+    """The longest outline of what is wider than the kernel; none where nothing is."""
+    height, width = part.shape
+    size = len(kernel)
+    padded = cv2.copyMakeBorder(part, size, size, size, size, cv2.BORDER_REPLICATE)
+    opened = cv2.morphologyEx(padded, cv2.MORPH_OPEN, kernel)[size : size + height, size : size + width]
+    contours, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [max(contours, key=cv2.contourArea)] if contours else []
 
 
 def _area_of(mask: NDArray[np.uint8]) -> ContentArea:

@@ -1,8 +1,10 @@
 """Text and marks that a processor burns into the picture: fixed to the image, they would say that nothing moves.
 
 Burned in is what shows fine detail of high contrast in nearly every frame, and in the median of all frames too: tissue
-moves on, so that its detail averages out; digits that change keep strokes in common. Corners that a tracker finds there
-stand still, and where the tissue fades from view, as in a red-out, they are all that is left to follow.
+moves on, so that its detail averages out; digits that change keep some strokes in common. Corners that a tracker finds
+there stand still, and where the tissue fades from view, as in a red-out, they are all that is left to follow.
+
+A line of text is found, a lone letter or the outline of a box is not. An instrument that never moves is taken for text.
 """
 
 from collections.abc import Sequence
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FEWEST_FRAMES = 6  # among which something moves
-LOOKED_AT = 640  # px, longer side: strokes of a letter that can be read are wider than a pixel there
+LOOKED_AT = 640  # px, longer side
 # Shares of the picture's shorter side:
 STROKE = 0.03  # a median over this leaves no letter standing
 REACH = 0.01  # detail this near counts, as one digit's strokes are not another's
@@ -20,11 +22,11 @@ LETTER = 0.04  # a line of text and its gaps
 LINE = 0.1  # from a letter's place to the next: what is fainter there belongs to the same line
 MARGIN = 0.01  # around what was found: compression rings there
 LIT = 24  # grey levels; the border is darker
-CONTRAST = 30  # grey levels of any channel; vessels have less
-ALWAYS = 0.9  # share of the frames
+CONTRAST = 30  # grey levels of any channel; most vessels have less
+ALWAYS = 0.75  # share of the frames; the rest may be title cards
 DENSE = 0.3  # share of a letter's square that its strokes fill; the edge of the lit disc fills a tenth
-MOST = 0.2  # share of the picture
-LEAST_CHANGE = 6  # grey levels, of half of what is lit: in a view that stays, nothing is told from tissue
+MOST = 0.25  # share of what is lit; more is no text
+LEAST_CHANGE = 0.03  # of the brightness, of half of what is lit: in a view that stays, nothing is told from tissue
 
 
 def find_overlay(frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
@@ -45,16 +47,22 @@ def find_overlay(frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
     letters = always & still & (strokes > DENSE)
     near = cv2.dilate(letters.astype(np.uint8), _disc(LINE * side)) > 0
     found = cv2.dilate((letters | (always & still & near)).astype(np.uint8), _disc(letter / 2 + MARGIN * side))
-    if found.mean() > MOST or not _moves(small, found == 0):
+    if not _stands_out(small, found > 0):
         return nothing
     return cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0
 
 
-def _moves(frames: Sequence[NDArray[np.uint8]], where: NDArray[np.bool_]) -> bool:
-    """Whether the lit part of the picture changes over the frames, between their tenth and ninetieth percentiles."""
-    low, middle, high = np.percentile([frame[..., 1] for frame in frames], (10, 50, 90), axis=0)
-    lit = where & (middle > LIT)
-    return bool(lit.any()) and float(np.median((high - low)[lit])) >= LEAST_CHANGE
+def _stands_out(frames: Sequence[NDArray[np.uint8]], found: NDArray[np.bool_]) -> bool:
+    """Whether little of the lit picture was found, and the rest changes over the frames, between their tenth and
+    ninetieth percentiles; neither noise nor a lamp that flickers is a change."""
+    green = np.array([cv2.blur(frame[..., 1], (5, 5)) for frame in frames], np.float32)
+    lit = np.median(green, axis=0) > LIT
+    rest = lit & ~found
+    if not rest.any() or (found & lit).sum() > MOST * lit.sum():
+        return False
+    seen = green[:, rest]
+    low, high = np.percentile(seen / np.maximum(seen.mean(axis=1, keepdims=True), 1), (10, 90), axis=0)
+    return float(np.median(high - low)) >= LEAST_CHANGE
 
 
 def _fine_detail(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
