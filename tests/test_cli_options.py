@@ -12,7 +12,7 @@ from pipeline.errors import HaustraError
 
 @pytest.fixture
 def runs(monkeypatch):
-    """(output, config) of each run that the command line starts, instead of the run."""
+    """(output, config) of each run that the command line starts, instead of the run; of a video that is there."""
     started = []
     monkeypatch.setattr(run, "reconstruct", lambda _, output, config, **__: started.append((output, config)))
     return started
@@ -41,7 +41,7 @@ def test_a_section_that_is_no_mapping_stays_one_sentence(tmp_path):
 
 
 def test_a_part_of_the_video_is_asked_for_by_options(monkeypatch, tmp_path, runs):
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--start", 1, "--end", 2.5, "--stride", 3, "-q") == 0
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--start", 1, "--end", 2.5, "--stride", 3, "-q") == 0
     frames = runs[0][1].frames
     assert (frames.start_s, frames.end_s, frames.stride) == (1.0, 2.5, 3)
 
@@ -54,20 +54,28 @@ def test_a_setting_that_is_not_there_is_named(tmp_path):
             load_config(path)
 
 
+@pytest.mark.parametrize("value", [".nan", ".inf"])
+def test_a_setting_is_a_finite_number(tmp_path, value):
+    path = tmp_path / "settings.yaml"
+    path.write_text(f"fusion: {{max_depth_ratio: {value}}}\n")
+    with pytest.raises(HaustraError, match=r"setting 'fusion.max_depth_ratio': .* finite number"):
+        load_config(path)
+
+
 def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs, capsys):
     path = tmp_path / "settings.yaml"
     path.write_text("odometry: {keyframe_motion: 0.03}\n")
     for words in ((), ("--fast",), ("--config", path), ("--config", path, "--fast")):
-        assert command(monkeypatch, "a.mp4", "-o", tmp_path, "-q", *words) == 0
+        assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
     motions = [config.odometry.keyframe_motion for _, config in runs]
     assert motions == [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION, 0.03, FAST_KEYFRAME_MOTION]
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--fast", "--front-end", "sfm") == 1
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--fast", "--front-end", "sfm") == 1
     told = "error: the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto\n"
     assert capsys.readouterr().err == told
 
 
 def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys):
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--start", 3, "--end", 2) == 1
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--start", 3, "--end", 2) == 1
     assert capsys.readouterr().err == "error: setting 'frames': end_s must be after start_s\n"
     assert runs == []
 
@@ -85,14 +93,14 @@ def test_a_batch_hands_the_part_to_every_video(monkeypatch, tmp_path, runs):
     words, settings = given[0]
     assert (settings.frames.start_s, settings.frames.end_s, settings.frames.stride) == (1.0, None, 2)
     assert settings.odometry.keyframe_motion == FAST_KEYFRAME_MOTION
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "-q", *words) == 0
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
     assert runs[0][1] == settings
 
 
 @pytest.mark.parametrize("option", ["--start", "--end"])
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_a_time_must_be_a_number(monkeypatch, tmp_path, runs, option, value):
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, option, value) != 0
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, option, value) != 0
     assert runs == []
 
 
@@ -106,14 +114,14 @@ def test_a_part_beyond_the_end_is_one_sentence(tmp_path):
 def test_a_recording_is_written_into_the_run_folder(monkeypatch, tmp_path, runs, capsys):
     monkeypatch.setattr(rerun_export, "check_rerun", lambda: None)
     monkeypatch.setattr(rerun_export, "export_rerun", lambda made, target: target)
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--rerun") == 0
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun") == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "run.rrd")
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--rerun", "-q") == 0
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun", "-q") == 0
     assert capsys.readouterr().out == ""
 
 
 def test_a_missing_recorder_is_told_before_the_work(monkeypatch, tmp_path, runs, capsys):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert command(monkeypatch, "a.mp4", "-o", tmp_path, "--rerun") == 1
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun") == 1
     assert "pip install 'haustra[rerun]'" in capsys.readouterr().err
     assert runs == []
