@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import HaustraError
-from pipeline.overlay import find_overlay
+from pipeline.overlay import BORDER_LEVEL, find_overlay
 
-BORDER_LEVEL = 24  # grey levels; video black is 16, JPEG ringing adds a few
 MIN_CONTENT = 0.05  # share of the frame; less is a lit label, not a picture
 LEAST_PART = 0.01  # of the picture: smaller ones, cut off by text, are leftovers of its letters
 
@@ -48,7 +47,7 @@ def find_content(frames: Sequence[NDArray[np.uint8]]) -> ContentArea:
 
 def _pieces(lit: NDArray[np.uint8], least: float) -> list[NDArray[np.uint8]]:
     """Connected parts (H,W) of at least so many pixels, the largest first."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(lit)
     sizes = stats[1:, cv2.CC_STAT_AREA]
     return [(labels == 1 + k).astype(np.uint8) for k in np.argsort(-sizes, kind="stable") if sizes[k] >= least]
 

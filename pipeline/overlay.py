@@ -21,7 +21,7 @@ REACH = 0.01  # detail this near counts, as one digit's strokes are not another'
 LETTER = 0.04  # a line of text and its gaps
 LINE = 0.1  # from a letter's place to the next: what is fainter there belongs to the same line
 MARGIN = 0.01  # around what was found: compression rings there
-LIT = 24  # grey levels; the border is darker
+BORDER_LEVEL = 24  # grey levels; video black is 16, JPEG ringing adds a few
 CONTRAST = 30  # grey levels of any channel; most vessels have less
 ALWAYS = 0.75  # share of the frames; the rest may be title cards
 DENSE = 0.3  # share of a letter's square that its strokes fill; the edge of the lit disc fills a tenth
@@ -42,11 +42,10 @@ def find_overlay(frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
     reach, letter = _disc(REACH * side), 2 * round(LETTER * side / 2) + 1
     details = [_fine_detail(frame) for frame in small]
     always = np.mean([cv2.dilate(detail, reach) for detail in details], axis=0) >= ALWAYS
-    still = cv2.dilate(_fine_detail(np.median(small, axis=0).astype(np.uint8)), reach) > 0
+    still = always & (cv2.dilate(_fine_detail(np.median(small, axis=0).astype(np.uint8)), reach) > 0)
     strokes = cv2.boxFilter(np.mean(details, axis=0, dtype=np.float32), -1, (letter, letter))
-    letters = always & still & (strokes > DENSE)
-    near = cv2.dilate(letters.astype(np.uint8), _disc(LINE * side)) > 0
-    found = cv2.dilate((letters | (always & still & near)).astype(np.uint8), _disc(letter / 2 + MARGIN * side))
+    near_letters = cv2.dilate((still & (strokes > DENSE)).astype(np.uint8), _disc(LINE * side)) > 0
+    found = cv2.dilate((still & near_letters).astype(np.uint8), _disc(letter / 2 + MARGIN * side))
     if not _stands_out(small, found > 0):
         return nothing
     return cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0
@@ -56,7 +55,7 @@ def _stands_out(frames: Sequence[NDArray[np.uint8]], found: NDArray[np.bool_]) -
     """Whether little of the lit picture was found, and the rest changes over the frames, between their tenth and
     ninetieth percentiles; neither noise nor a lamp that flickers is a change."""
     green = np.array([cv2.blur(frame[..., 1], (5, 5)) for frame in frames], np.float32)
-    lit = np.median(green, axis=0) > LIT
+    lit = np.median(green, axis=0) > BORDER_LEVEL
     rest = lit & ~found
     if not rest.any() or (found & lit).sum() > MOST * lit.sum():
         return False

@@ -93,11 +93,17 @@ def smooth(count):
     return cv2.blur(textured_frames(1, SIDE + 12 * count, 4)[0], (25, 25))
 
 
+def with_busy_place(canvas, rng):
+    """The canvas with 40 x 60 px in it as busy as letters."""
+    canvas = canvas.copy()
+    canvas[100:140, 160:220] = rng.integers(0, 2, (20, 30, 1), dtype=np.uint8).repeat(2, 0).repeat(2, 1) * 180
+    return canvas
+
+
 def test_in_a_view_that_stays_nothing_is_told_from_tissue():
     """Neither by noise, nor by a lamp that flickers; and too few frames tell nothing either."""
     rng = np.random.default_rng(0)
-    view = smooth(1)[:, :SIDE].copy()
-    view[100:140, 160:220] = rng.integers(0, 2, (20, 30, 1), dtype=np.uint8).repeat(2, 0).repeat(2, 1) * 180
+    view = with_busy_place(smooth(1)[:, :SIDE], rng)
     noisy = [np.clip(view * rng.uniform(0.95, 1.05) + rng.normal(0, 3, view.shape), 0, 255) for _ in range(24)]
     assert not find_overlay([view] * 24).any()
     assert not find_overlay([frame.astype(np.uint8) for frame in noisy]).any()
@@ -124,8 +130,7 @@ def test_what_is_always_busy_but_never_the_same_is_no_text():
 
 
 def test_what_a_camera_looks_at_for_half_of_a_clip_is_no_text():
-    canvas, rng = smooth(24), np.random.default_rng(1)
-    canvas[100:140, 160:220] = rng.integers(0, 2, (20, 30, 1), dtype=np.uint8).repeat(2, 0).repeat(2, 1) * 180
+    canvas = with_busy_place(smooth(24), np.random.default_rng(1))
     places = [0 if k < 14 else 12 * k for k in range(24)]
     assert not find_overlay([np.ascontiguousarray(canvas[:SIDE, x : x + SIDE]) for x in places]).any()
 
