@@ -5,15 +5,20 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
+def masked_mean(values: Tensor, valid: Tensor) -> Tensor:
+    """Mean of `values` where `valid`; 0 where nothing is. Picking them out first would take a tenth of a step."""
+    return torch.where(valid, values, torch.zeros_like(values)).sum() / valid.sum().clamp_min(1)
+
+
 def masked_l1(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
     """Mean absolute error over valid pixels (the paper's loss); inputs (B,1,H,W), valid boolean."""
-    return (prediction - target).abs()[valid].mean()
+    return masked_mean((prediction - target).abs(), valid)
 
 
 def laplace_nll(prediction: Tensor, log_scale: Tensor, target: Tensor, valid: Tensor) -> Tensor:
     """Negative log likelihood of a Laplace distribution, |e| / b + log b; trains the predicted error b."""
     error = (prediction - target).abs()
-    return (error * torch.exp(-log_scale) + log_scale)[valid].mean()
+    return masked_mean(error * torch.exp(-log_scale) + log_scale, valid)
 
 
 def gradient_matching(prediction: Tensor, target: Tensor, valid: Tensor, scales: int = 4) -> Tensor:
