@@ -23,6 +23,7 @@ class Calibration:
     predicted: list[float]  # median predicted relative error in each decile
     actual: list[float]  # median actual relative error in each decile
     spearman: float  # of predicted and actual error over all pixels
+    spearman_if_exact: float  # what it would be if errors were Laplace with exactly the predicted scales
     within_one: float  # share of pixels whose error is below the predicted one (Laplace: 63 % if calibrated)
     pixels: int
 
@@ -46,11 +47,13 @@ def calibrate(pairs: Iterable[tuple[Array, Array]]) -> Calibration:
     if len(predicted) < DECILES:
         raise CompletionError(f"calibration needs at least {DECILES} pixels, got {len(predicted)}")
     order = np.argsort(predicted, kind="stable")
+    ideal = predicted * np.random.default_rng(0).exponential(size=len(predicted))
     groups = np.array_split(order, DECILES)
     return Calibration(
         predicted=[float(np.median(predicted[group])) for group in groups],
         actual=[float(np.median(actual[group])) for group in groups],
         spearman=float(spearmanr(predicted, actual).statistic),
+        spearman_if_exact=float(spearmanr(predicted, ideal).statistic),
         within_one=float(np.mean(actual < predicted)),
         pixels=len(predicted),
     )

@@ -115,7 +115,7 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
     figure, axis = plt.subplots(figsize=(5, 5), layout="constrained")
     for name, found in calibrations.items():
         predicted, actual = 100 * np.array(found.predicted), 100 * np.array(found.actual)
-        axis.plot(predicted, actual, marker="o", label=f"{name}: Spearman {found.spearman:.2f}, {found.pixels} px")
+        axis.plot(predicted, actual, marker="o", label=_calibration_label(name, found))
     low, high = axis.get_xlim()
     line = np.geomspace(max(low, 0.05), high, 50)
     axis.plot(line, np.log(2) * line, "k--", linewidth=1, label="Laplace, calibrated: median error = ln 2 x predicted")
@@ -123,6 +123,11 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
     axis.grid(True, which="both", alpha=0.3)
     axis.legend(fontsize=7)
     return _saved(figure, path)
+
+
+def _calibration_label(name: str, found: Calibration) -> str:
+    exact = f"exact Laplace scales: {found.spearman_if_exact:.2f}"
+    return f"{name}: Spearman {found.spearman:.2f} ({exact}), {found.pixels} px"
 
 
 def _pyplot() -> Any:

@@ -83,7 +83,12 @@ def test_calibration_of_a_perfect_and_of_a_useless_confidence() -> None:
     assert perfect.within_one == pytest.approx(1 - math.exp(-1), abs=0.01)
     np.testing.assert_allclose(np.array(perfect.actual) / perfect.predicted, math.log(2), rtol=0.15)
     assert perfect.spearman > 0.5
-    assert abs(calibrate([(predicted, rng.permutation(actual))]).spearman) < 0.03
+    assert perfect.spearman_if_exact == pytest.approx(perfect.spearman, abs=0.02)
+    useless = calibrate([(predicted, rng.permutation(actual))])
+    assert abs(useless.spearman) < 0.03
+    assert useless.spearman_if_exact == pytest.approx(perfect.spearman_if_exact)
+    even = calibrate([(np.exp(rng.normal(-3, 0.1, 20_000)), actual)])
+    assert even.spearman_if_exact < 0.15  # errors that are expected to be alike cannot be ranked
 
 
 def test_what_cannot_be_judged_is_said() -> None:
