@@ -163,6 +163,17 @@ def is_same(job: Job, config: Config) -> bool:
         return False
 
 
+def how_to_go_on(videos: list[Path], output: Path, config: Config) -> str:
+    """What to do about failures: nothing tries a video again whose folder holds a run of something else."""
+    others = sum(has_run(job) and not is_same(job, config) for job in plan_jobs(videos, output))
+    if not others:
+        return "the same command tries them again"
+    return (
+        f"{others} because of a run of another video or with other settings in the folder, which --overwrite replaces; "
+        "the same command tries the others again"
+    )
+
+
 def kept_outcome(job: Job, config: Config) -> Outcome | None:
     """Of a run that is whole; None where there is none of this video with these settings, and so there is work."""
     if not is_same(job, config) or not open_workspace(job.folder).is_done("report"):

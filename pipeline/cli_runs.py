@@ -134,7 +134,7 @@ def batch(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but the table")] = False,
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
-    from pipeline.batch import process_pool, run_batch
+    from pipeline.batch import how_to_go_on, process_pool, run_batch
     from pipeline.batch_ray import ray_pool
     from pipeline.batch_table import print_table
     from pipeline.config import load_config
@@ -158,7 +158,7 @@ def batch(
     print_table(outcomes)
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if failed:
-        raise HaustraError(f"{failed} of {len(outcomes)} videos failed; the same command tries them again")
+        raise HaustraError(f"{failed} of {len(outcomes)} videos failed; {how_to_go_on(videos, output, settings)}")
 
 
 def paced(fast: bool) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import pytest
 
 from conftest import write_video
 from pipeline import batch, cli, cli_runs, run_inputs
-from pipeline.batch import Children, Job, kept_outcome, plan_jobs, process_pool, run_batch
+from pipeline.batch import Children, Job, how_to_go_on, kept_outcome, plan_jobs, process_pool, run_batch
 from pipeline.batch_table import Outcome, finished_outcome, print_table, write_table
 from pipeline.config import load_config
 from pipeline.progress import SilentProgress, TerminalProgress
@@ -226,6 +226,8 @@ def test_overwrite_replaces_what_is_of_other_settings_or_another_video_alone(vid
 
     every = {"b": "", "new": "", "stopped": "--resume"}
     assert how(False) == every | dict.fromkeys(("other", "replaced", "damaged"), "--resume")
+    assert how_to_go_on(given, out, config).startswith("3 because of a run of another video or with other settings")
+    assert how_to_go_on([tmp_path / "stopped.mp4", videos[2]], out, config) == "the same command tries them again"
     assert how(True) == every | dict.fromkeys(("other", "replaced", "damaged"), "--overwrite")
 
 
