@@ -2,10 +2,10 @@
 
     python benchmarks/completion_speed.py --runs 20 --json completion_speed.json
 
-One 320x320 frame, 100 points, every core; then the default model over image sizes and over points. Rivals have random
-weights, which cost the same; theirs is the network alone, the default's is the whole of `DepthCompleter` (exposure,
-normalisation, confidence), and beside it the same network by onnxruntime. Each run measures all of them once, in a new
-order.
+One 320x320 frame, 100 points, every core; then the default model over image sizes, points, looks and working sizes.
+Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole of
+`DepthCompleter` (exposure, normalisation, confidence). "network alone" is that of "1 look at 320 px" by onnxruntime
+and, where it is installed, by OpenVINO in both precisions. Each run measures all of them once, in a new order.
 """
 
 import argparse
@@ -20,7 +20,7 @@ import torch
 
 from completion import DepthCompleter
 from completion.classical import CLASSICAL
-from completion.infer import load_scale_free
+from completion.infer import WORKING_SIDE, load_scale_free
 from completion.models import build_model
 from completion.onnx_export import export_onnx
 from completion.sampling import normalise_log
@@ -56,17 +56,44 @@ def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> C
     return call
 
 
-def by_onnxruntime(rgb: np.ndarray, sparse: np.ndarray) -> Callable[[], object]:
-    """The default network alone, float32, as onnxruntime runs its exported graph."""
-    import onnxruntime
+Graph = dict[str, np.ndarray]
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = export_onnx(load_scale_free("mscsa"), Path(folder) / "m.onnx", rgb.shape[0])
-        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+
+def exported(rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
+    """The default network's graph for a picture of this size, and what goes in."""
+    path = export_onnx(load_scale_free("mscsa"), folder / "m.onnx", rgb.shape[0])
     trust = (sparse > 0).astype(np.float32)[None, None]
     log_sparse = normalise_log(torch.from_numpy(sparse)[None, None])[0].numpy()
-    inputs = {"rgb": rgb.transpose(2, 0, 1)[None].astype(np.float32) / 255, "log_sparse": log_sparse, "trust": trust}
+    return path, {
+        "rgb": rgb.transpose(2, 0, 1)[None].astype(np.float32) / 255,
+        "log_sparse": log_sparse,
+        "trust": trust,
+    }
+
+
+def by_onnxruntime(path: Path, inputs: Graph) -> Callable[[], object]:
+    """Float32: it has no other on a CPU."""
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     return lambda: session.run(None, inputs)
+
+
+def by_openvino(path: Path, inputs: Graph) -> dict[str, Callable[[], object]]:
+    """Per precision; empty where OpenVINO is not installed."""
+    try:
+        import openvino
+    except ImportError:
+        return {}
+    core, calls = openvino.Core(), {}
+    model = core.read_model(path)
+    model.reshape({name: list(array.shape) for name, array in inputs.items()})
+    for precision in ("f32", "bf16"):
+        hints = {"INFERENCE_PRECISION_HINT": precision, "PERFORMANCE_HINT": "LATENCY"}
+        hints["INFERENCE_NUM_THREADS"] = torch.get_num_threads()
+        request = core.compile_model(model, "CPU", hints).create_infer_request()
+        calls[f"network alone at 320 px, OpenVINO {precision}"] = partial(request.infer, inputs)
+    return calls
 
 
 def contenders() -> dict[str, Callable[[], object]]:
@@ -77,7 +104,14 @@ def contenders() -> dict[str, Callable[[], object]]:
         calls[f"mscsa, {size} px"] = partial(completer, *scene(size, 100))
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
-    calls["mscsa, network alone, onnxruntime"] = by_onnxruntime(rgb, sparse)
+    network = load_scale_free("mscsa")
+    for looks, side in ((1, WORKING_SIDE), (3, WORKING_SIDE), (1, 192), (1, 320), (2, 320)):
+        other = DepthCompleter(network, working_side=side, looks=looks)
+        calls[f"mscsa, {looks} look{'s' * (looks > 1)} at {side} px"] = partial(other, rgb, sparse)
+    with tempfile.TemporaryDirectory() as folder:
+        path, inputs = exported(rgb, sparse, Path(folder))
+        calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
+        calls |= by_openvino(path, inputs)
     calls["linear"] = lambda: CLASSICAL["linear"](sparse)
     for name in RIVALS:
         for size in ("small", "paper"):
@@ -103,7 +137,7 @@ def main() -> None:
             times[name].append(1000 * (time.perf_counter() - start))
     for name, values in times.items():
         shown = spread(values)
-        print(f"{name:36} {shown['median']:7.1f} ms [{shown['min']:.1f}, {shown['max']:.1f}] ({arguments.runs} runs)")
+        print(f"{name:44} {shown['median']:7.1f} ms [{shown['min']:.1f}, {shown['max']:.1f}] ({arguments.runs} runs)")
     figures = {name: spread(values) for name, values in times.items()}
     first = next(iter(times))
     ratio = float(np.median(np.array(times["linear"]) / np.array(times[first])))

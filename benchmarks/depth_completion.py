@@ -15,6 +15,7 @@ import numpy as np
 
 from completion import DepthCompleter
 from completion.classical import linear
+from completion.infer import load_scale_free
 from completion.metrics import depth_errors
 from completion.readers import read_evaluation_frames
 from completion.sparsify import get_sampler
@@ -31,10 +32,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--model", default="mscsa")
+    parser.add_argument(
+        "--looks", type=int, help="how often each frame is completed; the model's own number if not given"
+    )
     parser.add_argument("--stride", type=int, default=4, help="every n-th frame of a long sequence")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    completer = DepthCompleter.load(arguments.model)
+    completer = DepthCompleter(load_scale_free(arguments.model), looks=arguments.looks)
     rows = []
     for folder in arguments.folders:
         frames = list(read_evaluation_frames(folder))
@@ -54,7 +58,7 @@ def main() -> None:
                 "  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()),
                 flush=True,
             )
-    write(arguments.json, {"rows": rows})
+    write(arguments.json, {"looks": completer.looks, "working_side": completer.working_side, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -1,30 +1,27 @@
 """`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
 
 import contextlib
-import copy
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from completion.checkpoint import load_network
 from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
-from completion.network import DoubleConv
+from completion.feedback import look_again
+from completion.look_norm import fold_batch_norm
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet
 from completion.shipped import resolve_weights
 
-# The shipped weights were trained on images of 192 and 320 px, and on few as bright as SimCol3D's: pictures are brought
-# to what they know. With few points the smaller size is better, since it brings them nearer to each other; with many
-# the larger keeps detail. Chosen on rendered sequences: 100 points, abs.REL 2.1-2.9 % at 192 px and 2.2-3.3 % at 320;
-# 1,500 points, F-score of the mesh at 1 mm 82-88 % and 84-90 %; 500 points, no difference.
-WORKING_SIDE = 320  # px, longer side
-SIDE_FOR_FEW, FEW_POINTS = 192, 250
+# The shipped weights were trained on images of 192 to 320 px, and on few as bright as SimCol3D's: pictures are brought
+# to what they know.
+WORKING_SIDE = 256  # px, longer side
+LOOKS = 2
+EDGE = 1.2  # ratio of neighbouring depths from which a larger picture keeps their edge instead of a slope between them
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 GAIN_RANGE = (0.5, 2.0)
 
@@ -41,14 +38,23 @@ class DepthCompleter:
         network: ScaleFreeMSCSANet,
         device: str = "auto",
         precision: str = "auto",
-        working_side: int | None = None,
+        working_side: int = WORKING_SIDE,
+        looks: int | None = None,
     ) -> None:
-        """`working_side`: px, to which larger pictures are reduced; None chooses it by the number of points."""
-        self.device = choose_device(device)
-        self.working_side = working_side
-        self.network = fold_batch_norm(copy.deepcopy(network).eval()).to(self.device, memory_format=torch.channels_last)
+        """`working_side`: px, to which larger pictures are reduced. `looks`: how often the network completes a frame,
+        each time with its last estimate as further points (`completion.feedback`), and time grows with it; None: as
+        often as it was trained for, at most `LOOKS` times."""
         if precision not in ("auto", "bf16", "fp32"):
             raise CompletionError(f"precision is auto, bf16 or fp32, not {precision!r}")
+        self.looks = min(LOOKS, network.config.looks) if looks is None else looks
+        if self.looks < 1 or working_side < 1:
+            raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
+        self.device = choose_device(device)
+        self.working_side = working_side
+        self.network, self.later = (
+            fold_batch_norm(network, again).to(self.device, memory_format=torch.channels_last)
+            for again in (False, True)
+        )
         self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
 
     @classmethod
@@ -85,26 +91,22 @@ class DepthCompleter:
         if sparse_error is not None:
             trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
         points = np.count_nonzero(sparse, axis=(1, 2))
-        sides = np.array([self.working_side or (SIDE_FOR_FEW if n < FEW_POINTS else WORKING_SIDE) for n in points])
-        depth, error = np.zeros((2, *sparse.shape), np.float32)
-        for side in np.unique(sides):
-            here = sides == side
-            depth[here], error[here] = self._at_side(int(side), rgb[here], sparse[here], trust[here])
+        depth, error = self._reduced_and_back(rgb, sparse, trust)
         known = points[:, None, None] > 0
         return depth * known, confidence_from_error(error) * known
 
-    def _at_side(
-        self, side: int, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
+    def _reduced_and_back(
+        self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W), made at a reduced size if the pictures' longer side exceeds `side`."""
+        """Depth and relative error (B,H,W), made at a reduced size if the pictures' longer side exceeds it."""
         height, width = sparse.shape[1:]
-        factor = min(1.0, side / max(height, width))
+        factor = min(1.0, self.working_side / max(height, width))
         frames = [_reduced(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
         depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
         if factor == 1:
             return depth, error
-        depth, error = (np.stack([cv2.resize(a, (width, height)) for a in maps]) for maps in (depth, error))
-        return depth, error
+        enlarged = [_enlarged(d, e, (width, height)) for d, e in zip(depth, error, strict=True)]
+        return np.stack([d for d, _ in enlarged]), np.stack([e for _, e in enlarged])
 
     def _predict(
         self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
@@ -114,7 +116,7 @@ class DepthCompleter:
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode(), self._autocast():
             log_sparse, median = normalise_log(points)
-            log_depth, log_error = self.network(image, log_sparse, weights)
+            log_depth, log_error = look_again(self.network, self.later, image, log_sparse, weights, self.looks)
             depth = torch.exp(log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(log_error)[:, 0].cpu().numpy()
 
@@ -160,6 +162,18 @@ def _reduced(
     return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), small_sparse, small_trust
 
 
+def _enlarged(
+    depth: NDArray[np.float32], error: NDArray[np.float32], size: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Depth and error at `size` (width, height): bilinear, but never a depth between the two sides of an edge, where
+    there is no surface."""
+    around = np.ones((3, 3), np.uint8)
+    edge = cv2.dilate(depth, around) > EDGE * cv2.erode(depth, around)
+    edge = cv2.resize(edge.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    nearest = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return np.where(edge, nearest, cv2.resize(depth, size)), cv2.resize(error, size)
+
+
 def choose_device(device: str) -> torch.device:
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -176,16 +190,6 @@ def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
     for name, array in (("sparse depth", sparse), ("sparse error", error)):
         if array is not None and array.shape != rgb.shape[:3]:
             raise CompletionError(f"the {name} must have the image's size {rgb.shape[1:3]}, not {array.shape[1:]}")
-
-
-def fold_batch_norm(network: ScaleFreeMSCSANet) -> ScaleFreeMSCSANet:
-    """Fold each batch normalisation into the convolution before it: the same function, a fifth faster."""
-    for block in network.modules():
-        if isinstance(block, DoubleConv) and isinstance(block[1], nn.BatchNorm2d):
-            for index in (0, 3):
-                block[index] = fuse_conv_bn_eval(block[index], block[index + 1])
-                block[index + 1] = nn.Identity()
-    return network
 
 
 def _has_fast_bfloat16(device: torch.device) -> bool:

@@ -6,13 +6,13 @@ Inputs and outputs are those of `ScaleFreeMSCSANet.forward`, for a batch of any 
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 
 import torch
 
 from completion.errors import CompletionError
-from completion.infer import fold_batch_norm
+from completion.feedback import GRID_STEP
+from completion.look_norm import fold_batch_norm
 from completion.scale_free import STRIDE, ScaleFreeMSCSANet
 
 INPUTS, OUTPUTS = ("rgb", "log_sparse", "trust"), ("log_depth", "log_error")
@@ -22,12 +22,17 @@ DESCRIPTION = (
     "log(depth / median), 0 where there is no point; median: of the frame's sparse depths, the lower of the middle "
     "two. trust: (B,1,H,W), 0 where there is no point, 1 at points, or e0^2 / (e0^2 + e^2) with e0 = 0.03 where a "
     "point's relative error e is known. Depth = median * exp(log_depth); exp(log_error) is the relative error that is "
-    "expected."
+    "expected. To look again, run the graph exported for that with further points: at every "
+    f"{GRID_STEP}th row and column from {GRID_STEP // 2} on where trust is 0, log_sparse = log_depth, and trust as "
+    "above with e = exp(log_error)."
 )
 
 
-def export_onnx(network: ScaleFreeMSCSANet, path: Path, side: int) -> Path:
-    """Write a graph for square images of `side` px; CompletionError without the onnx packages or for another side."""
+def export_onnx(network: ScaleFreeMSCSANet, path: Path, side: int, again: bool = False) -> Path:
+    """Write a graph for square images of `side` px; CompletionError without the onnx packages or for another side.
+
+    `again`: the graph of looks after the first, the same network with other statistics of its normalisation.
+    """
     if side <= 0 or side % STRIDE:
         raise CompletionError(f"the image side must be a multiple of {STRIDE} px, not {side}")
     try:
@@ -37,7 +42,7 @@ def export_onnx(network: ScaleFreeMSCSANet, path: Path, side: int) -> Path:
         raise CompletionError("exporting to ONNX needs further packages: pip install 'haustra[onnx]'") from None
     example = (torch.rand(2, 3, side, side), torch.zeros(2, 1, side, side), torch.zeros(2, 1, side, side))
     program = torch.onnx.export(
-        fold_batch_norm(copy.deepcopy(network).eval()),
+        fold_batch_norm(network, again),
         example,
         input_names=list(INPUTS),
         output_names=list(OUTPUTS),

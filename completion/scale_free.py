@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from completion.attention import StructureAwareness
 from completion.errors import CompletionError
+from completion.look_norm import give_looks, set_look
 from completion.nconv import MultiScaleConfidence
 from completion.network import UNet
 from completion.padding import pad_to_multiple
@@ -25,15 +26,17 @@ LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative er
 
 @dataclass(frozen=True)
 class ScaleFreeConfig:
-    """Size of `ScaleFreeMSCSANet` and the switch of its last stage."""
+    """Size of `ScaleFreeMSCSANet`, the switch of its last stage, and how it was trained to be used."""
 
     width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
     msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
     anchor: bool = True
+    looks: int = 1  # most looks that it was trained for, see completion.feedback; no part of the network itself
 
     def __post_init__(self) -> None:
-        if not 1 <= self.msc_levels <= 4 or self.width < 1:
-            raise CompletionError(f"width must be positive and msc_levels 1 to 4, got {self.width}, {self.msc_levels}")
+        if not 1 <= self.msc_levels <= 4 or self.width < 1 or self.looks < 1:
+            sizes = f"{self.width}, {self.looks} and {self.msc_levels}"
+            raise CompletionError(f"width and looks must be positive and msc_levels 1 to 4, got {sizes}")
 
     def to_dict(self) -> dict[str, object]:
         return asdict(self)
@@ -53,11 +56,14 @@ class ScaleFreeMSCSANet(nn.Module):
         attention = StructureAwareness(similarity="mean", learned_gain=True)
         widths = tuple(factor * self.config.width for factor in (1, 2, 4, 6, 6))
         self.unet = UNet(4 * 4 + 4, 4 * 2 + 1, widths, attention)
+        give_looks(self.unet)
         self.anchor = Anchor(self.config.msc_levels) if self.config.anchor else None
 
-    def forward(self, rgb: Tensor, log_sparse: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, again: bool = False) -> tuple[Tensor, Tensor]:
         """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
-        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32."""
+        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32. `again`: its own estimate is
+        among the points (`completion.feedback`)."""
+        set_look(self.unet, again)
         height, width = rgb.shape[2:]
         # A black margin would read as infinitely far: the picture's edge is repeated instead.
         rgb = pad_to_multiple(rgb.float(), STRIDE, repeat_edge=True)

@@ -5,16 +5,20 @@ Both take a batch of images and true depths in millimetres, draw the points, and
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
+from completion.feedback import look_again, with_own_points
 from completion.losses import completion_loss, masked_l1
 from completion.models import build_model
 from completion.sampling import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
 from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.train_config import TrainConfig
+
+GRID_STEPS = (6, 17)  # px, from and below: of the grids of own points that training draws
 
 
 class Task(Protocol):
@@ -36,7 +40,8 @@ class ScaleFreeTask:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self.network: nn.Module = ScaleFreeMSCSANet(ScaleFreeConfig(width=config.width, anchor=config.anchor))
+        size = ScaleFreeConfig(width=config.width, anchor=config.anchor, looks=config.looks)
+        self.network: nn.Module = ScaleFreeMSCSANet(size)
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
@@ -44,18 +49,33 @@ class ScaleFreeTask:
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
         target = torch.log(depth.clamp_min(1e-3) / median).clamp(-3.9, 3.9)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            log_depth, log_error = self.network(rgb, log_sparse, trust)
+            seen, seen_trust = self._earlier_looks(rgb, log_sparse, trust, generator)
+            log_depth, log_error = self.network(rgb, seen, seen_trust, again=seen is not log_sparse)
         return completion_loss(log_depth, log_error, target, valid)
+
+    def _earlier_looks(
+        self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """The points as a look after none to `looks` - 1 others finds them; those others are not trained through."""
+        seen, seen_trust = log_sparse, trust
+        for _ in range(int(torch.randint(self.config.looks, (), generator=generator))):
+            with torch.no_grad():
+                log_depth, log_error = self.network(rgb, seen, seen_trust, again=seen is not log_sparse)
+            step = int(torch.randint(*GRID_STEPS, (), generator=generator))
+            first = int(torch.randint(step, (), generator=generator))
+            seen, seen_trust = with_own_points(log_sparse, trust, log_depth, log_error, step, first)
+        return seen, seen_trust
 
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From 100 SfM-like points."""
+        """From 100 SfM-like points, in `looks` looks."""
         pattern = SfmPattern(min_points=100, max_points=100, hole_share=0.0)
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            return torch.exp(network(rgb, log_sparse, trust)[0]) * median
+            later = partial(network, again=True)
+            return torch.exp(look_again(network, later, rgb, log_sparse, trust, self.config.looks)[0]) * median
 
 
 class PaperTask:

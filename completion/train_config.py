@@ -21,6 +21,7 @@ class TrainConfig(BaseModel):
     size: Literal["paper", "small"] = "paper"  # of the networks of completion.models
     width: int = Field(32, gt=0)  # of the scale-free one
     anchor: bool = True  # its last stage
+    looks: int = Field(3, gt=0)  # at most; of the scale-free one, see completion.feedback
     init: Path | None = None  # weights to begin with instead of random ones
     seed: int = Field(0, ge=0)
     steps: int = Field(12000, gt=0)

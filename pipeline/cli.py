@@ -163,6 +163,7 @@ def train(
     steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
     batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
+    looks: Annotated[int | None, typer.Option(help="most looks at a frame, of ours; 1: no feedback")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="greatest")] = None,
     seed: Annotated[int | None, typer.Option(help="of weights, order and points")] = None,
     threads: Annotated[int | None, typer.Option(help="of the CPU")] = None,
@@ -174,7 +175,7 @@ def train(
     from pipeline.progress import TerminalProgress
 
     given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
-    given |= {"learning_rate": learning_rate, "threads": threads, "device": device}
+    given |= {"looks": looks, "learning_rate": learning_rate, "threads": threads, "device": device}
     config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:
@@ -185,13 +186,14 @@ def train(
 def onnx(
     out: Annotated[Path, typer.Argument(help="model.onnx")],
     model: Annotated[str, typer.Option(help="mscsa, or a weight file of ours for SfM points")] = "mscsa",
-    side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 320,
+    side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 256,
+    again: Annotated[bool, typer.Option("--again", help="for looks after the first, as the file's text says")] = False,
 ) -> None:
     """Write a completion network for programs without torch."""
     from completion.infer import load_scale_free
     from completion.onnx_export import export_onnx
 
-    print(export_onnx(load_scale_free(model), out, side))
+    print(export_onnx(load_scale_free(model), out, side, again))
 
 
 def run_cleanly(command: Callable[[], Any]) -> int:

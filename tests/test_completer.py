@@ -80,18 +80,6 @@ def test_beyond_the_edge_of_an_odd_sized_picture_lies_its_last_row_not_black(fra
             torch.testing.assert_close(got, whole[..., :90, :100])
 
 
-def test_the_size_worked_at_follows_the_number_of_points_in_each_frame(completer):
-    rng = np.random.default_rng(0)
-    rgb = rng.integers(20, 230, (2, 400, 320, 3), dtype=np.uint8)
-    sparse = np.zeros((2, 400, 320), np.float32)
-    for index, points in enumerate((100, 1000)):
-        sparse[index].flat[rng.choice(400 * 320, points, replace=False)] = rng.uniform(10, 50, points)
-    mixed = completer.batch(rgb, sparse)[0]
-    for index, side in enumerate((192, 320)):
-        fixed = DepthCompleter(load_scale_free("mscsa"), precision="fp32", working_side=side)
-        np.testing.assert_allclose(mixed[index], fixed(rgb[index], sparse[index])[0], rtol=1e-3)
-
-
 def test_what_cannot_be_completed_is_one_sentence(completer, frames):
     rgb, sparse, error = frames
     with pytest.raises(CompletionError, match="sparse error must have"):
@@ -99,7 +87,9 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
     with pytest.raises(CompletionError, match="no picture"):
         completer.batch(rgb[:0], sparse[:0])
     with pytest.raises(CompletionError, match="auto, bf16 or fp32"):
-        DepthCompleter(completer.network, precision="bfloat16")
+        DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
+    with pytest.raises(CompletionError, match="folded for one look already"):
+        DepthCompleter(completer.network)
 
 
 @settings(max_examples=25, deadline=None)
@@ -138,11 +128,12 @@ def test_attention_features_are_what_goes_in_and_comes_out(name):
         torch.testing.assert_close(network.unet.attention(before[None])[0], after)
 
 
-def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames):
+@pytest.mark.parametrize("again", [False, True])
+def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
     import onnx
     import onnxruntime
 
-    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64)
+    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, again)
     assert onnx.load(path).doc_string == DESCRIPTION
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     network = load_scale_free("mscsa")
@@ -153,7 +144,7 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames):
     for count in (1, 3):
         inputs = {"rgb": rgb[:count], "log_sparse": log_sparse[:count], "trust": trust[:count]}
         with torch.inference_mode():
-            expected = network(*inputs.values())
+            expected = network(*inputs.values(), again=again)
         got = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
         for a, b in zip(got, expected, strict=True):
             np.testing.assert_allclose(a, b.numpy(), atol=1e-4)
