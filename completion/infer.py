@@ -18,9 +18,11 @@ from completion.scale_free import ScaleFreeMSCSANet
 from completion.shipped import resolve_weights
 
 # The shipped weights were trained on images of 192 to 320 px, and on few as bright as SimCol3D's: pictures are brought
-# to what they know.
-WORKING_SIDE = 256  # px, longer side
-LOOKS = 2
+# to what they know. With few points and one look a smaller size is better, since it brings them nearer to each other;
+# a second look does that better. Chosen on rendered frames of 480 px (docs/completion.md).
+WORKING_SIDE = 320  # px, longer side
+SIDE_FOR_FEW, FEW_POINTS = 256, 250
+LOOKS = 2  # a third would gain 1 to 3 % where points are few, and cost as much time again
 EDGE = 1.2  # ratio of neighbouring depths from which a larger picture keeps their edge instead of a slope between them
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 GAIN_RANGE = (0.5, 2.0)
@@ -38,16 +40,18 @@ class DepthCompleter:
         network: ScaleFreeMSCSANet,
         device: str = "auto",
         precision: str = "auto",
-        working_side: int = WORKING_SIDE,
+        working_side: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """`working_side`: px, to which larger pictures are reduced. `looks`: how often the network completes a frame,
-        each time with its last estimate as further points (`completion.feedback`), and time grows with it; None: as
-        often as it was trained for, at most `LOOKS` times."""
+        """`working_side`: px, to which larger pictures are reduced; None chooses it by looks and points.
+
+        `looks`: how often the network completes a frame, each time with its last estimate as further points
+        (`completion.feedback`), and time grows with it; None: as often as it was trained for, at most `LOOKS` times.
+        """
         if precision not in ("auto", "bf16", "fp32"):
             raise CompletionError(f"precision is auto, bf16 or fp32, not {precision!r}")
         self.looks = min(LOOKS, network.config.looks) if looks is None else looks
-        if self.looks < 1 or working_side < 1:
+        if self.looks < 1 or (working_side is not None and working_side < 1):
             raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
         self.device = choose_device(device)
         self.working_side = working_side
@@ -91,16 +95,23 @@ class DepthCompleter:
         if sparse_error is not None:
             trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
         points = np.count_nonzero(sparse, axis=(1, 2))
-        depth, error = self._reduced_and_back(rgb, sparse, trust)
+        sides = np.array([self.working_side or self._side_for(int(count)) for count in points])
+        depth, error = np.zeros((2, *sparse.shape), np.float32)
+        for side in np.unique(sides):
+            here = sides == side
+            depth[here], error[here] = self._at_side(int(side), rgb[here], sparse[here], trust[here])
         known = points[:, None, None] > 0
         return depth * known, confidence_from_error(error) * known
 
-    def _reduced_and_back(
-        self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
+    def _side_for(self, points: int) -> int:
+        return SIDE_FOR_FEW if self.looks == 1 and points < FEW_POINTS else WORKING_SIDE
+
+    def _at_side(
+        self, side: int, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W), made at a reduced size if the pictures' longer side exceeds it."""
+        """Depth and relative error (B,H,W), made at a reduced size if the pictures' longer side exceeds `side`."""
         height, width = sparse.shape[1:]
-        factor = min(1.0, self.working_side / max(height, width))
+        factor = min(1.0, side / max(height, width))
         frames = [_reduced(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
         depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
         if factor == 1:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 from completion.errors import CompletionError
 
-MODELS = {"mscsa": "mscsa.safetensors"}
+# The first is what `reconstruct` uses; the second errs less at each pixel where the points' errors are not known, and
+# its meshes are no better (docs/completion.md).
+MODELS = {"mscsa": "mscsa.safetensors", "mscsa-twice": "mscsa-twice.safetensors"}
 
 
 def resolve_weights(model: str | Path) -> Path:

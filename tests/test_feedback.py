@@ -143,6 +143,20 @@ def test_two_looks_of_the_completer_are_not_one_and_neither_touches_the_scale():
         DepthCompleter(network, looks=0)
 
 
+def test_the_size_worked_at_follows_the_number_of_points_where_there_is_one_look():
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(20, 230, (2, 400, 320, 3), dtype=np.uint8)
+    sparse = np.zeros((2, 400, 320), np.float32)
+    for index, points in enumerate((100, 1000)):
+        sparse[index].flat[rng.choice(400 * 320, points, replace=False)] = rng.uniform(10, 50, points)
+    network = load_scale_free("mscsa")
+    for looks, sides in ((1, (256, 320)), (2, (320, 320))):
+        mixed = DepthCompleter(network, precision="fp32", looks=looks).batch(rgb, sparse)[0]
+        for index, side in enumerate(sides):
+            fixed = DepthCompleter(network, precision="fp32", working_side=side, looks=looks)
+            np.testing.assert_allclose(mixed[index], fixed(rgb[index], sparse[index])[0], rtol=1e-3)
+
+
 def test_a_larger_picture_is_completed_at_the_working_size():
     rng = np.random.default_rng(0)
     rgb = rng.integers(20, 230, (400, 320, 3), dtype=np.uint8)

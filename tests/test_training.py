@@ -150,9 +150,11 @@ def test_wrong_weight_files_are_one_sentence(tmp_path):
         DepthCompleter.load(path)
 
 
-def test_the_shipped_weights_load_and_beat_the_median():
-    """On a rendered-like ramp the shipped model is far better than a constant."""
-    completer = DepthCompleter.load("mscsa")
+@pytest.mark.parametrize(("model", "looks"), [("mscsa", 1), ("mscsa-twice", 2)])
+def test_the_shipped_weights_load_and_beat_the_median(model, looks):
+    """On a rendered-like ramp a shipped model is far better than a constant."""
+    completer = DepthCompleter.load(model)
+    assert completer.looks == looks
     rows, columns = np.mgrid[:128, :128]
     truth = (15 + 0.3 * columns + 0.1 * rows).astype(np.float32)
     rgb = np.clip(4e4 / truth**2, 0, 255)[..., None].repeat(3, 2).astype(np.uint8)
