@@ -112,6 +112,7 @@ def contenders() -> dict[str, Callable[[], object]]:
         path, inputs = exported(rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
         calls |= by_openvino(path, inputs)
+    calls["mscsa-twice, 100 points"] = partial(DepthCompleter.load("mscsa-twice"), rgb, sparse)
     calls["linear"] = lambda: CLASSICAL["linear"](sparse)
     for name in RIVALS:
         for size in ("small", "paper"):
