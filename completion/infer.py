@@ -21,7 +21,7 @@ from completion.shipped import resolve_weights
 # to what they know. With few points and one look a smaller size is better, since it brings them nearer to each other;
 # a second look does that better. Chosen on rendered frames of 480 px (docs/completion.md).
 WORKING_SIDE = 320  # px, longer side
-SIDE_FOR_FEW, FEW_POINTS = 256, 250
+SIDE_FOR_FEW, FEW_POINTS = 224, 250
 LOOKS = 2  # a third would gain 1 to 3 % where points are few, and cost as much time again
 EDGE = 1.2  # ratio of neighbouring depths from which a larger picture keeps their edge instead of a slope between them
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
