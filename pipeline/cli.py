@@ -186,7 +186,7 @@ def train(
 def onnx(
     out: Annotated[Path, typer.Argument(help="model.onnx")],
     model: Annotated[str, typer.Option(help="mscsa, or a weight file of ours for SfM points")] = "mscsa",
-    side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 256,
+    side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 320,
     again: Annotated[bool, typer.Option("--again", help="for looks after the first, as the file's text says")] = False,
 ) -> None:
     """Write a completion network for programs without torch."""
