@@ -72,7 +72,7 @@ def run_batch(
     outcomes = {job.folder: outcome for job in jobs if (outcome := kept_outcome(job, config)) is not None}
     waiting = [job for job in jobs if job.folder not in outcomes]
     if overwrite:
-        waiting = [replace(job, overwrite=has_run(job) and not is_same(job, config)) for job in waiting]
+        waiting = [replace(job, overwrite=holds_another(job, config)) for job in waiting]
 
     def rows() -> list[Outcome]:
         return [outcomes.get(job.folder) or unfinished_outcome(job) for job in jobs]
@@ -163,9 +163,14 @@ def is_same(job: Job, config: Config) -> bool:
         return False
 
 
+def holds_another(job: Job, config: Config) -> bool:
+    """Whether its folder holds a run, but none to go on with."""
+    return has_run(job) and not is_same(job, config)
+
+
 def how_to_go_on(videos: list[Path], output: Path, config: Config) -> str:
     """What to do about failures: nothing tries a video again whose folder holds a run of something else."""
-    others = sum(has_run(job) and not is_same(job, config) for job in plan_jobs(videos, output))
+    others = sum(holds_another(job, config) for job in plan_jobs(videos, output))
     if not others:
         return "the same command tries them again"
     return (
