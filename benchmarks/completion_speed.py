@@ -20,10 +20,11 @@ import torch
 
 from completion import DepthCompleter
 from completion.classical import CLASSICAL
-from completion.infer import WORKING_SIDE, load_scale_free
+from completion.infer import SIDE_FOR_FEW, load_scale_free
 from completion.models import build_model
 from completion.onnx_export import export_onnx
 from completion.sampling import normalise_log
+from completion.scale_free import ScaleFreeMSCSANet
 from record import spread, write
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
@@ -59,9 +60,9 @@ def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> C
 Graph = dict[str, np.ndarray]
 
 
-def exported(rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
-    """The default network's graph for a picture of this size, and what goes in."""
-    path = export_onnx(load_scale_free("mscsa"), folder / "m.onnx", rgb.shape[0])
+def exported(network: ScaleFreeMSCSANet, rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
+    """A network's graph for a picture of this size, and what goes in."""
+    path = export_onnx(network, folder / "m.onnx", rgb.shape[0])
     trust = (sparse > 0).astype(np.float32)[None, None]
     log_sparse = normalise_log(torch.from_numpy(sparse)[None, None])[0].numpy()
     return path, {
@@ -105,11 +106,11 @@ def contenders() -> dict[str, Callable[[], object]]:
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
     network = load_scale_free("mscsa")
-    for looks, side in ((1, WORKING_SIDE), (3, WORKING_SIDE), (1, 192), (1, 320), (2, 320)):
+    for looks, side in ((1, 192), (1, SIDE_FOR_FEW), (1, 256), (1, 320), (2, 320), (3, 320)):
         other = DepthCompleter(network, working_side=side, looks=looks)
         calls[f"mscsa, {looks} look{'s' * (looks > 1)} at {side} px"] = partial(other, rgb, sparse)
     with tempfile.TemporaryDirectory() as folder:
-        path, inputs = exported(rgb, sparse, Path(folder))
+        path, inputs = exported(network, rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
         calls |= by_openvino(path, inputs)
     calls["mscsa-twice, 100 points"] = partial(DepthCompleter.load("mscsa-twice"), rgb, sparse)
