@@ -133,10 +133,10 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
     import onnx
     import onnxruntime
 
-    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, again)
+    path = export_onnx(load_scale_free("mscsa-twice"), tmp_path / "m.onnx", 64, again)
     assert onnx.load(path).doc_string == DESCRIPTION
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    network = load_scale_free("mscsa")
+    network = load_scale_free("mscsa-twice")
     rgb = torch.from_numpy(frames[0][:, :64, :64]).permute(0, 3, 1, 2).float() / 255
     sparse = torch.from_numpy(frames[1][:, None, :64, :64])
     trust = (sparse > 0).float()

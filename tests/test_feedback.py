@@ -33,7 +33,11 @@ def some_points(seed, height=64, width=96, points=60):
 @pytest.fixture(scope="module")
 def network():
     torch.manual_seed(0)
-    return ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).eval()
+    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).eval()
+    for name, buffer in network.named_buffers():
+        if name.endswith("again_mean"):
+            buffer.normal_()  # else a later look could not be told from a first one
+    return network
 
 
 @settings(max_examples=30, deadline=None)
@@ -131,14 +135,29 @@ def test_training_draws_how_many_looks_came_before_and_does_not_train_through_th
     assert len(counts) > 3  # grids differ
 
 
+def test_the_look_that_is_judged_trains_every_parameter_whatever_came_before():
+    """The earlier looks run without gradients in the same autocast, which keeps converted weights."""
+    torch.manual_seed(0)
+    task = ScaleFreeTask(make_config(shards=("none",), out="none", width=4))
+    rgb, _, _ = some_points(5)
+    depth = 20 + 10 * torch.rand(1, 1, 64, 96)
+    for seed in range(4):
+        task.network.zero_grad()
+        task.loss(rgb, depth, None, torch.Generator().manual_seed(seed)).backward()
+        assert all(parameter.grad is not None for parameter in task.network.parameters())
+
+
 def test_two_looks_of_the_completer_are_not_one_and_neither_touches_the_scale():
     rng = np.random.default_rng(0)
     rgb = rng.integers(20, 230, (96, 96, 3), dtype=np.uint8)
     sparse = np.where(rng.random((96, 96)) < 0.02, rng.uniform(20, 40, (96, 96)), 0).astype(np.float32)
-    network = load_scale_free("mscsa")
+    network = load_scale_free("mscsa-twice")
     once, twice = (DepthCompleter(network, precision="fp32", looks=looks) for looks in (1, 2))
     assert np.abs(np.log(once(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     np.testing.assert_allclose(twice(rgb, 7 * sparse)[0], 7 * twice(rgb, sparse)[0], rtol=1e-4)
+    both_first = DepthCompleter(network, precision="fp32", looks=2)
+    both_first.later = both_first.network
+    assert np.abs(np.log(both_first(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     with pytest.raises(CompletionError, match="at least 1"):
         DepthCompleter(network, looks=0)
 
