@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from completion.checkpoint import load_network
 from completion.confidence import confidence_from_error
@@ -22,8 +23,8 @@ from completion.shipped import resolve_weights
 # a second look does that better. Chosen on rendered frames of 480 px (docs/completion.md).
 WORKING_SIDE = 320  # px, longer side
 SIDE_FOR_FEW, FEW_POINTS = 224, 250
-LOOKS = 2  # a third would gain 1 to 3 % where points are few, and cost as much time again
-EDGE = 1.2  # ratio of neighbouring depths from which a larger picture keeps their edge instead of a slope between them
+LOOKS = 2  # a third gains at most 3 % and costs as much time again
+EDGE = 1.2  # ratio of depths within 3x3 pixels from which a larger picture keeps an edge there instead of a slope
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 GAIN_RANGE = (0.5, 2.0)
 
@@ -55,11 +56,12 @@ class DepthCompleter:
             raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
         self.device = choose_device(device)
         self.working_side = working_side
-        self.network, self.later = (
-            fold_batch_norm(network, again).to(self.device, memory_format=torch.channels_last)
-            for again in (False, True)
-        )
+        self.network = self._folded(network, again=False)
+        self.later = self._folded(network, again=True) if self.looks > 1 else self.network
         self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
+
+    def _folded(self, network: ScaleFreeMSCSANet, again: bool) -> nn.Module:
+        return fold_batch_norm(network, again).to(self.device, memory_format=torch.channels_last)
 
     @classmethod
     def load(cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto") -> "DepthCompleter":

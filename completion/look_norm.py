@@ -1,7 +1,7 @@
 """Batch normalisation for a network that looks again: what it finds then has other means and variances.
 
-With one set of running statistics for both, the first look expects half as much error again as it makes, and later ones
-two thirds of it (docs/completion.md).
+With one set of running statistics for both, the first look expects more error than it makes and later ones less: 77 and
+45 % of the errors are below the predicted one, where 63 would be right (docs/completion.md).
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ class LookBatchNorm2d(nn.BatchNorm2d):
     def forward(self, x: Tensor) -> Tensor:
         if not self.again:
             return super().forward(x)
-        momentum = 0.0 if self.momentum is None else self.momentum
-        parameters = (self.weight, self.bias, self.training, momentum, self.eps)
+        parameters = (self.weight, self.bias, self.training, self.momentum, self.eps)
         return F.batch_norm(x, self.again_mean, self.again_var, *parameters)  # type: ignore[arg-type]
 
     def of_look(self, again: bool) -> nn.BatchNorm2d:
