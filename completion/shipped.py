@@ -5,8 +5,8 @@ from pathlib import Path
 
 from completion.errors import CompletionError
 
-# The first is what `reconstruct` uses; the second errs less at each pixel where the points' errors are not known, and
-# its meshes are no better (docs/completion.md).
+# The first is what `reconstruct` uses; the second errs less in the mean where the points' errors are not known, but its
+# meshes are mostly worse (docs/completion.md).
 MODELS = {"mscsa": "mscsa.safetensors", "mscsa-twice": "mscsa-twice.safetensors"}
 
 
