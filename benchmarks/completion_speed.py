@@ -4,7 +4,7 @@
 
 One 320x320 frame, 100 points, every core; then the default model over image sizes, points, looks and working sizes.
 Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole of
-`DepthCompleter` (exposure, normalisation, confidence). "network alone" is that of "1 look at 320 px" by onnxruntime
+`DepthCompleter` (exposure, normalisation, confidence). "network alone" is that of one look at 320 px by onnxruntime
 and, where it is installed, by OpenVINO in both precisions. Each run measures all of them once, in a new order.
 """
 
@@ -20,11 +20,12 @@ import torch
 
 from completion import DepthCompleter
 from completion.classical import CLASSICAL
-from completion.infer import SIDE_FOR_FEW, load_scale_free
+from completion.infer import load_scale_free
 from completion.models import build_model
 from completion.onnx_export import export_onnx
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet
+from completion.working_size import SIDE_FOR_MANY
 from record import spread, write
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
@@ -106,14 +107,13 @@ def contenders() -> dict[str, Callable[[], object]]:
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
     network = load_scale_free("mscsa")
-    for looks, side in ((1, 192), (1, SIDE_FOR_FEW), (1, 256), (1, 320), (2, 320), (3, 320)):
+    for looks, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
         other = DepthCompleter(network, working_side=side, looks=looks)
         calls[f"mscsa, {looks} look{'s' * (looks > 1)} at {side} px"] = partial(other, rgb, sparse)
     with tempfile.TemporaryDirectory() as folder:
         path, inputs = exported(network, rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
         calls |= by_openvino(path, inputs)
-    calls["mscsa-twice, 100 points"] = partial(DepthCompleter.load("mscsa-twice"), rgb, sparse)
     calls["linear"] = lambda: CLASSICAL["linear"](sparse)
     for name in RIVALS:
         for size in ("small", "paper"):

@@ -74,9 +74,14 @@ def load_network(path: Path) -> Network:
     try:
         network.load_state_dict({n: t.float() if t.is_floating_point() else t for n, t in tensors.items()})
     except RuntimeError as error:
-        first = str(error).splitlines()[0]
-        raise CompletionError(f"the weights in {path} do not fit {metadata['network']}: {first}") from error
+        raise CompletionError(f"the weights in {path} do not fit {metadata['network']}: {reason(error)}") from error
     return network.eval()
+
+
+def reason(error: RuntimeError) -> str:
+    """The first thing that torch found wrong with a state, below its headline."""
+    lines = str(error).splitlines()
+    return lines[min(1, len(lines) - 1)].strip()
 
 
 def _build(metadata: dict[str, Any], path: Path) -> Network:

@@ -1,50 +1,57 @@
-"""A network's own estimate, given back to it as further points: with them it looks again.
+"""A network's own estimate, given back to it: with it the network looks again.
 
 Where points are few, the first look must carry each of them far and still draw every fold. The second finds the depth
-roughly right all over, trusted as far as the first expected to err, and is left with the detail.
+roughly right all over and is left with the detail. It gets the estimate twice: whole, beside the picture, and on a grid
+among the points, trusted as far as the first look expected to err, so that normalised convolution starts from it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
 
-Look = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
-GRID_STEP = 9  # px between own points: some 800 in a picture of 256 px
+
+class Estimate(NamedTuple):
+    """What a look makes of a frame: log(depth / median of the points) and log of its expected error, (B,1,H,W)."""
+
+    log_depth: Tensor
+    log_error: Tensor
 
 
-def with_own_points(
-    log_sparse: Tensor,
-    trust: Tensor,
-    log_depth: Tensor,
-    log_error: Tensor,
-    step: int = GRID_STEP,
-    first: int | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Points, trust, estimate and its log error, all (B,1,H,W) -> points and trust with the estimate on a grid.
+class Grid(NamedTuple):
+    """Every `step`-th row and column from `first` on."""
 
-    The grid takes every `step`-th pixel from `first` (half a step) on in both directions. Measured points stay as they
-    are; own ones are trusted as measured ones of that error would be.
+    step: int
+    first: int
+
+
+Look = Callable[[Tensor, Tensor, Tensor, Estimate | None], Estimate]
+GRID = Grid(9, 4)  # of own points, px: some 800 in a picture of 256 px
+
+
+def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Grid = GRID) -> tuple[Tensor, Tensor]:
+    """Points and trust (B,1,H,W) -> both with the last look's estimate on a grid among them.
+
+    Measured points stay as they are; own ones are trusted as measured ones of that error would be.
     """
-    first = step // 2 if first is None else first
-    grid = torch.zeros_like(trust, dtype=torch.bool)
-    grid[..., first::step, first::step] = True
-    grid &= trust <= 0
-    return torch.where(grid, log_depth, log_sparse), torch.where(grid, confidence_from_error(log_error.exp()), trust)
+    rows, columns = (torch.arange(side, device=trust.device) for side in trust.shape[2:])
+    on_row, on_column = (((x - grid.first) % grid.step == 0) & (x >= grid.first) for x in (rows, columns))
+    own = on_row[:, None] & on_column[None] & (trust <= 0)
+    own_trust = confidence_from_error(last.log_error.exp())
+    return torch.where(own, last.log_depth, log_sparse), torch.where(own, own_trust, trust)
 
 
-def look_again(
-    first: Look, later: Look, rgb: Tensor, log_sparse: Tensor, trust: Tensor, looks: int
-) -> tuple[Tensor, Tensor]:
-    """`looks` looks, at least one: each after the first has the last one's estimate among its points.
+def look_again(first: Look, later: Look, rgb: Tensor, log_sparse: Tensor, trust: Tensor, looks: int) -> Estimate:
+    """`looks` looks, at least one, each after the first with the last one's estimate.
 
-    `first`, `later`: a `ScaleFreeMSCSANet`, and with `again`, or such networks folded for it.
+    `first`, `later`: a `ScaleFreeMSCSANet`, or that network folded for the one and the other.
     """
-    log_depth, log_error = first(rgb, log_sparse, trust)
+    estimate = first(rgb, log_sparse, trust, None)
     for _ in range(looks - 1):
-        log_depth, log_error = later(rgb, *with_own_points(log_sparse, trust, log_depth, log_error))
-    return log_depth, log_error
+        estimate = later(rgb, log_sparse, trust, estimate)
+    return estimate

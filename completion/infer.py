@@ -16,15 +16,11 @@ from completion.feedback import look_again
 from completion.look_norm import fold_batch_norm
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet
-from completion.shipped import resolve_weights
+from completion.shipped import check_looks, resolve_weights
+from completion.working_size import resized, resized_back, working_factor
 
-# The shipped weights were trained on images of 192 to 320 px, and on few as bright as SimCol3D's: pictures are brought
-# to what they know. With few points and one look a smaller size is better, since it brings them nearer to each other;
-# a second look does that better. Chosen on rendered frames of 480 px (docs/completion.md).
-WORKING_SIDE = 320  # px, longer side
-SIDE_FOR_FEW, FEW_POINTS = 224, 250
 LOOKS = 2  # a third gains at most 3 % and costs as much time again
-EDGE = 1.2  # ratio of depths within 3x3 pixels from which a larger picture keeps an edge there instead of a slope
+# Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 GAIN_RANGE = (0.5, 2.0)
 
@@ -44,9 +40,10 @@ class DepthCompleter:
         working_side: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """`working_side`: px, to which larger pictures are reduced; None chooses it by looks and points.
+        """`working_side`: px, longer side that every picture is brought to, however small it is; None chooses by looks
+        and points (`completion.working_size`).
 
-        `looks`: how often the network completes a frame, each time with its last estimate as further points
+        `looks`: how often the network completes a frame, each time with its last estimate
         (`completion.feedback`), and time grows with it; None: as often as it was trained for, at most `LOOKS` times.
         """
         if precision not in ("auto", "bf16", "fp32"):
@@ -54,6 +51,7 @@ class DepthCompleter:
         self.looks = min(LOOKS, network.config.looks) if looks is None else looks
         if self.looks < 1 or (working_side is not None and working_side < 1):
             raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
+        check_looks(self.looks, network.config.looks)
         self.device = choose_device(device)
         self.working_side = working_side
         self.network = self._folded(network, again=False)
@@ -64,9 +62,11 @@ class DepthCompleter:
         return fold_batch_norm(network, again).to(self.device, memory_format=torch.channels_last)
 
     @classmethod
-    def load(cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto") -> "DepthCompleter":
+    def load(
+        cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto", looks: int | None = None
+    ) -> "DepthCompleter":
         """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
-        return cls(load_scale_free(model), device, precision)
+        return cls(load_scale_free(model), device, precision, looks=looks)
 
     def __call__(
         self,
@@ -97,29 +97,28 @@ class DepthCompleter:
         if sparse_error is not None:
             trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
         points = np.count_nonzero(sparse, axis=(1, 2))
-        sides = np.array([self.working_side or self._side_for(int(count)) for count in points])
+        factors = np.array([self._factor(sparse.shape[1:], int(count)) for count in points])
         depth, error = np.zeros((2, *sparse.shape), np.float32)
-        for side in np.unique(sides):
-            here = sides == side
-            depth[here], error[here] = self._at_side(int(side), rgb[here], sparse[here], trust[here])
+        for factor in np.unique(factors):
+            here = factors == factor
+            depth[here], error[here] = self._resized(float(factor), rgb[here], sparse[here], trust[here])
         known = points[:, None, None] > 0
         return depth * known, confidence_from_error(error) * known
 
-    def _side_for(self, points: int) -> int:
-        return SIDE_FOR_FEW if self.looks == 1 and points < FEW_POINTS else WORKING_SIDE
+    def _factor(self, shape: tuple[int, ...], points: int) -> float:
+        if self.working_side is not None:
+            return self.working_side / max(shape)
+        return working_factor(max(shape), points, self.looks)
 
-    def _at_side(
-        self, side: int, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
+    def _resized(
+        self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W), made at a reduced size if the pictures' longer side exceeds `side`."""
-        height, width = sparse.shape[1:]
-        factor = min(1.0, side / max(height, width))
-        frames = [_reduced(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
+        """Depth and relative error (B,H,W), made at `factor` times the pictures' size."""
+        frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
         depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
-        if factor == 1:
-            return depth, error
-        enlarged = [_enlarged(d, e, (width, height)) for d, e in zip(depth, error, strict=True)]
-        return np.stack([d for d, _ in enlarged]), np.stack([e for _, e in enlarged])
+        size = (sparse.shape[2], sparse.shape[1])
+        back = [resized_back(d, e, size) for d, e in zip(depth, error, strict=True)]
+        return np.stack([d for d, _ in back]), np.stack([e for _, e in back])
 
     def _predict(
         self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
@@ -129,9 +128,9 @@ class DepthCompleter:
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode(), self._autocast():
             log_sparse, median = normalise_log(points)
-            log_depth, log_error = look_again(self.network, self.later, image, log_sparse, weights, self.looks)
-            depth = torch.exp(log_depth) * median
-        return depth[:, 0].cpu().numpy(), torch.exp(log_error)[:, 0].cpu().numpy()
+            estimate = look_again(self.network, self.later, image, log_sparse, weights, self.looks)
+            depth = torch.exp(estimate.log_depth) * median
+        return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
 
     def _autocast(self) -> contextlib.AbstractContextManager:
         if not self.half:
@@ -155,36 +154,6 @@ def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return rgb
     gain = np.clip(TYPICAL_BRIGHTNESS / brightest[lit].mean(), *GAIN_RANGE)
     return cv2.convertScaleAbs(rgb, alpha=float(gain))
-
-
-def _reduced(
-    rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32], factor: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
-    """Image and points at `factor` times the size; where points then share a pixel, the surest stays."""
-    if factor == 1:
-        return rgb, sparse, trust
-    size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
-    rows, columns = np.nonzero(sparse)
-    order = np.argsort(trust[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    new_rows = ((rows + 0.5) * size[1] / rgb.shape[0]).astype(int)
-    new_columns = ((columns + 0.5) * size[0] / rgb.shape[1]).astype(int)
-    small_sparse, small_trust = np.zeros((2, size[1], size[0]), dtype=np.float32)
-    small_sparse[new_rows, new_columns] = sparse[rows, columns]
-    small_trust[new_rows, new_columns] = trust[rows, columns]
-    return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), small_sparse, small_trust
-
-
-def _enlarged(
-    depth: NDArray[np.float32], error: NDArray[np.float32], size: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Depth and error at `size` (width, height): bilinear, but never a depth between the two sides of an edge, where
-    there is no surface."""
-    around = np.ones((3, 3), np.uint8)
-    edge = cv2.dilate(depth, around) > EDGE * cv2.erode(depth, around)
-    edge = cv2.resize(edge.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
-    nearest = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    return np.where(edge, nearest, cv2.resize(depth, size)), cv2.resize(error, size)
 
 
 def choose_device(device: str) -> torch.device:

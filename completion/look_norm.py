@@ -7,7 +7,6 @@ With one set of running statistics for both, the first look expects more error t
 from __future__ import annotations
 
 import copy
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -44,13 +43,6 @@ class LookBatchNorm2d(nn.BatchNorm2d):
             getattr(plain, f"running_{name}").copy_(getattr(self, source))
         return plain.eval()
 
-    def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *rest: Any) -> None:
-        """Weights from before there were two: what they know of the first look is the best guess for later ones."""
-        for name in STATISTICS:
-            if f"{prefix}running_{name}" in state:
-                state.setdefault(f"{prefix}again_{name}", state[f"{prefix}running_{name}"].clone())
-        super()._load_from_state_dict(state, prefix, *rest)
-
 
 def give_looks(network: nn.Module) -> None:
     """Replace the normalisations of every `DoubleConv` by such."""
@@ -71,12 +63,15 @@ def fold_batch_norm(network: nn.Module, again: bool = False) -> nn.Module:
     """A copy for evaluation with each normalisation folded into the convolution before it, for the first look or later
     ones: the same function, a fifth faster."""
     network = copy.deepcopy(network).eval()
+    if again and not any(isinstance(module, LookBatchNorm2d) for module in network.modules()):
+        raise CompletionError("this network was trained to look once: it has nothing of later looks to fold")
     for block in network.modules():
         if isinstance(block, DoubleConv):
             for index in (0, 3):
                 norm = block[index + 1]
-                if not isinstance(norm, LookBatchNorm2d):
+                if not isinstance(norm, nn.BatchNorm2d):
                     raise CompletionError("the network is folded for one look already; give one as it was loaded")
-                block[index] = fuse_conv_bn_eval(block[index], norm.of_look(again))  # type: ignore[arg-type]
+                plain = norm.of_look(again) if isinstance(norm, LookBatchNorm2d) else norm
+                block[index] = fuse_conv_bn_eval(block[index], plain)  # type: ignore[arg-type]
                 block[index + 1] = nn.Identity()
     return network

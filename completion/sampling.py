@@ -71,6 +71,9 @@ class SfmPattern:
     min_known_noise: float = 0.003  # log-uniform from here where it is: an adjusted map knows its points to 1 %
     max_outliers: float = 0.08  # share of points with a wrong depth, uniform from 0
     known_error_share: float = 0.5  # frames whose points differ in noise and are trusted accordingly
+    max_doubt: float = (
+        1.2  # of a known error, log-normal about it: a tenth of real points err by over 2.2 to 3 of theirs
+    )
 
     def __post_init__(self) -> None:
         if not 0 < self.min_points <= self.max_points:
@@ -106,7 +109,8 @@ def sample_like_sfm(
     known = draw(0, 1) < pattern.known_error_share
     of_known = pattern.min_known_noise * (pattern.max_noise / pattern.min_known_noise) ** draw(0, 1)
     error = torch.where(known, of_known * torch.exp(normal()), draw(0, pattern.max_noise))
-    noisy = depth * torch.exp(error * normal())
+    doubt = torch.where(known, draw(0, pattern.max_doubt), 0) * normal()
+    noisy = depth * torch.exp((error * torch.exp(doubt)).clamp_max(1) * normal())
     wrong = _uniform_score(depth, generator) < draw(0, pattern.max_outliers)
     factor = torch.exp(0.7 * normal())
     sparse = torch.where(wrong, noisy * factor, noisy) * picked

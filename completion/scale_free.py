@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from completion.attention import StructureAwareness
 from completion.errors import CompletionError
+from completion.feedback import GRID, Estimate, Grid, with_own_points
 from completion.look_norm import give_looks, set_look
 from completion.nconv import MultiScaleConfidence
 from completion.network import UNet
@@ -22,6 +23,7 @@ from completion.padding import pad_to_multiple
 STRIDE = 32  # half resolution, then four halvings of the U-Net and of both confidence pyramids
 LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
 LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
+INPUTS, OWN_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: of every look, and those of later looks
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class ScaleFreeConfig:
     width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
     msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
     anchor: bool = True
-    looks: int = 1  # most looks that it was trained for, see completion.feedback; no part of the network itself
+    looks: int = 1  # most looks that it was trained for, see completion.feedback; more than one adds input channels
 
     def __post_init__(self) -> None:
         if not 1 <= self.msc_levels <= 4 or self.width < 1 or self.looks < 1:
@@ -47,6 +49,9 @@ class ScaleFreeMSCSANet(nn.Module):
 
     log depth = MSC's dense estimate + the U-Net's residual + what the points still say against their sum. The second
     output is log b, the scale of a Laplace distribution over the log-depth error, so b reads as a relative error.
+
+    Trained for several looks it takes its last estimate too. MSC then starts from that; the U-Net is told which points
+    were measured; and only those correct the sum.
     """
 
     def __init__(self, config: ScaleFreeConfig | None = None) -> None:
@@ -55,36 +60,63 @@ class ScaleFreeMSCSANet(nn.Module):
         self.msc = MultiScaleConfidence(self.config.msc_levels)
         attention = StructureAwareness(similarity="mean", learned_gain=True)
         widths = tuple(factor * self.config.width for factor in (1, 2, 4, 6, 6))
-        self.unet = UNet(4 * 4 + 4, 4 * 2 + 1, widths, attention)
-        give_looks(self.unet)
+        inputs = INPUTS + (OWN_INPUTS if self.config.looks > 1 else 0)
+        self.unet = UNet(inputs, 4 * 2 + 1, widths, attention)
+        if self.config.looks > 1:
+            give_looks(self.unet)
         self.anchor = Anchor(self.config.msc_levels) if self.config.anchor else None
 
-    def forward(self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, again: bool = False) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: Grid = GRID
+    ) -> Estimate:
         """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
-        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32. `again`: its own estimate is
-        among the points (`completion.feedback`)."""
-        set_look(self.unet, again)
+        in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32.
+
+        `last`: what the look before made of the same; `grid`: where that joins the points. CompletionError if the
+        network was not trained for it.
+        """
+        if last is not None and self.config.looks == 1:
+            raise CompletionError("this network was trained to look once, and cannot take an estimate of its own")
+        set_look(self.unet, last is not None)
         height, width = rgb.shape[2:]
         # A black margin would read as infinitely far: the picture's edge is repeated instead.
         rgb = pad_to_multiple(rgb.float(), STRIDE, repeat_edge=True)
-        log_sparse, trust = (pad_to_multiple(x.float(), STRIDE) for x in (log_sparse, trust))
+        measured = log_sparse.float(), trust.float()
+        points = measured if last is None else with_own_points(*measured, last, grid)  # none of them in the margin
+        log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in measured)
+        if last is not None:
+            last = Estimate(*(pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last))
         with torch.autocast(rgb.device.type, enabled=False):
-            points, weights = halve_points(log_sparse, trust)
-            spread, confidence = self.msc(points, weights)
-            # MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]. Not log(c + 1e-8): the ONNX
-            # exporter drops an addend that small, and where no point reaches, c is exactly zero.
-            log_confidence = torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
-            # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
-            log_brightness = torch.log(rgb.amax(dim=1, keepdim=True) + 1 / 255)
-            image = F.pixel_unshuffle(torch.cat([rgb - 0.5, log_brightness], dim=1), 2)
-        out = self.unet(torch.cat([image, spread, log_confidence, points, weights], dim=1)).float()
+            spread, channels = self._msc_and_inputs(
+                rgb, halve_points(*(pad_to_multiple(x, STRIDE) for x in points)), last, halve_points(log_sparse, trust)
+            )
+        out = self.unet(channels).float()
         residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
         log_depth = double(spread) + residual
         log_error = log_error.clamp(*LOG_ERROR_RANGE)
         if self.anchor is not None:
             log_depth = log_depth + self.anchor(log_depth, log_error, log_sparse, trust, out[:, 8:])
         log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
-        return log_depth[..., :height, :width], log_error[..., :height, :width]
+        return Estimate(log_depth[..., :height, :width], log_error[..., :height, :width])
+
+    def _msc_and_inputs(
+        self, rgb: Tensor, points: tuple[Tensor, Tensor], last: Estimate | None, measured: tuple[Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor]:
+        """MSC's estimate from `points` (own ones too), (B,1,H/2,W/2), and the U-Net's input at that size."""
+        spread, confidence = self.msc(*points)
+        # MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]. Not log(c + 1e-8): the ONNX
+        # exporter drops an addend that small, and where no point reaches, c is exactly zero.
+        log_confidence = torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
+        # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
+        log_brightness = torch.log(rgb.amax(dim=1, keepdim=True) + 1 / 255)
+        image = F.pixel_unshuffle(torch.cat([rgb - 0.5, log_brightness], dim=1), 2)
+        channels = [image, spread, log_confidence, *points]
+        if last is not None:
+            off = F.pixel_unshuffle(last.log_depth - double(spread), 2)
+            channels += [off, F.avg_pool2d(last.log_error, 2) / -LOG_ERROR_RANGE[0], *measured]
+        elif self.config.looks > 1:  # the cost of convolving zeros is a hundredth
+            channels.append(torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1))
+        return spread, torch.cat(channels, dim=1)
 
 
 class Anchor(nn.Module):

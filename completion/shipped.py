@@ -5,9 +5,7 @@ from pathlib import Path
 
 from completion.errors import CompletionError
 
-# The first is what `reconstruct` uses; the second errs less in the mean where the points' errors are not known, but its
-# meshes are mostly worse (docs/completion.md).
-MODELS = {"mscsa": "mscsa.safetensors", "mscsa-twice": "mscsa-twice.safetensors"}
+MODELS = {"mscsa": "mscsa.safetensors"}
 
 
 def resolve_weights(model: str | Path) -> Path:
@@ -19,8 +17,17 @@ def resolve_weights(model: str | Path) -> Path:
     raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(MODELS)}")
 
 
-def check_weights(model: str | Path) -> None:
-    """Refuse a model that cannot be loaded before any work is done; reads the file's header only."""
+def check_weights(model: str | Path, looks: int | None = None) -> None:
+    """Refuse a model that cannot be loaded, or cannot look so often, before any work is done; reads the file's header
+    only."""
     from completion.checkpoint import read_metadata
 
-    read_metadata(resolve_weights(model))
+    about = read_metadata(resolve_weights(model))
+    if looks is not None:
+        check_looks(looks, about.get("config", {}).get("looks", 1))
+
+
+def check_looks(looks: int, trained: int) -> None:
+    """Refuse more looks than a model was trained for."""
+    if looks > trained:
+        raise CompletionError(f"the model was trained for {trained} looks at most, and {looks} are asked for")

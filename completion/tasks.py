@@ -5,13 +5,12 @@ Both take a batch of images and true depths in millimetres, draw the points, and
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
-from completion.feedback import look_again, with_own_points
+from completion.feedback import Estimate, Grid, look_again
 from completion.losses import completion_loss, masked_l1
 from completion.models import build_model
 from completion.sampling import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
@@ -49,22 +48,20 @@ class ScaleFreeTask:
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
         target = torch.log(depth.clamp_min(1e-3) / median).clamp(-3.9, 3.9)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            seen, seen_trust = self._earlier_looks(rgb, log_sparse, trust, generator)
-            log_depth, log_error = self.network(rgb, seen, seen_trust, again=seen is not log_sparse)
+            last, grid = self._earlier_looks(rgb, log_sparse, trust, generator)
+            log_depth, log_error = self.network(rgb, log_sparse, trust, last, grid)
         return completion_loss(log_depth, log_error, target, valid)
 
     def _earlier_looks(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """The points as a look after none to `looks` - 1 others finds them; those others are not trained through."""
-        seen, seen_trust = log_sparse, trust
-        for _ in range(int(torch.randint(self.config.looks, (), generator=generator))):
+    ) -> tuple[Estimate | None, Grid]:
+        """The estimate after 0 to `looks` - 1 looks (None after 0), without gradients, and the grid of the next."""
+        last = None
+        earlier = int(torch.randint(self.config.looks, (), generator=generator))
+        for _ in range(earlier):
             with torch.no_grad():
-                log_depth, log_error = self.network(rgb, seen, seen_trust, again=seen is not log_sparse)
-            step = int(torch.randint(*GRID_STEPS, (), generator=generator))
-            first = int(torch.randint(step, (), generator=generator))
-            seen, seen_trust = with_own_points(log_sparse, trust, log_depth, log_error, step, first)
-        return seen, seen_trust
+                last = self.network(rgb, log_sparse, trust, last, _draw_grid(generator))
+        return last, _draw_grid(generator)
 
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
@@ -74,8 +71,13 @@ class ScaleFreeTask:
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            later = partial(network, again=True)
-            return torch.exp(look_again(network, later, rgb, log_sparse, trust, self.config.looks)[0]) * median
+            estimate = look_again(network, network, rgb, log_sparse, trust, self.config.looks)
+            return torch.exp(estimate.log_depth) * median
+
+
+def _draw_grid(generator: torch.Generator) -> Grid:
+    step = int(torch.randint(*GRID_STEPS, (), generator=generator))
+    return Grid(step, int(torch.randint(step, (), generator=generator)))
 
 
 class PaperTask:

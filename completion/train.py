@@ -26,6 +26,7 @@ from completion.checkpoint import (
     flatten_optimizer,
     load_network,
     load_tensors,
+    reason,
     restore_optimizer,
     save_network,
     save_tensors,
@@ -94,7 +95,7 @@ def _start_from(path: Path, network: nn.Module) -> None:
     try:
         network.load_state_dict(given.state_dict())
     except RuntimeError as error:
-        raise CompletionError(f"the weights in {path} do not fit: {str(error).splitlines()[0]}") from error
+        raise CompletionError(f"the weights in {path} do not fit: {reason(error)}") from error
 
 
 def learning_rate(step: int, config: TrainConfig) -> float:

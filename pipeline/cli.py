@@ -165,6 +165,7 @@ def train(
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
     looks: Annotated[int | None, typer.Option(help="most looks at a frame, of ours; 1: no feedback")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="greatest")] = None,
+    warm_up: Annotated[int | None, typer.Option(help="steps until then")] = None,
     seed: Annotated[int | None, typer.Option(help="of weights, order and points")] = None,
     threads: Annotated[int | None, typer.Option(help="of the CPU")] = None,
     device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
@@ -175,7 +176,7 @@ def train(
     from pipeline.progress import TerminalProgress
 
     given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
-    given |= {"looks": looks, "learning_rate": learning_rate, "threads": threads, "device": device}
+    given |= {"looks": looks, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads, "device": device}
     config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:

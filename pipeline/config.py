@@ -86,6 +86,7 @@ class DepthSettings(Settings):
 
     keyframe_motion: float = Field(0.02, gt=0, description="share of the width that shared points move by")
     min_points: int = Field(12, ge=1, description="fewer sparse points do not fix a frame's depth")
+    looks: PositiveInt | None = Field(None, description="of the model at each frame, no more than it knows; None: 2")
     max_fov_deg: float = Field(120.0, description="deg; a pinhole image wider than this is mostly stretched border")
 
 

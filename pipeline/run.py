@@ -35,7 +35,7 @@ def reconstruct(
     config, progress = config or Config(), progress or SilentProgress()
     video = Source(Path(source))
     check_choice(config.camera, video.path)
-    check_weights(config.model)
+    check_weights(config.model, config.depth.looks)
     if config.scale_file is not None:
         check_scale_file(Path(config.scale_file))
     if resume:

@@ -11,8 +11,8 @@ from completion.attention import attention_features
 from completion.errors import CompletionError
 from completion.infer import load_scale_free
 from completion.models import build_model
-from completion.onnx_export import DESCRIPTION, export_onnx
-from completion.scale_free import halve_points
+from completion.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
+from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
 from pipeline.sparse_depth import SparseDepth
 
 # Median relative difference of depth between bfloat16 and float32, of the shipped weights on a rendered-like frame.
@@ -133,10 +133,10 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
     import onnx
     import onnxruntime
 
-    path = export_onnx(load_scale_free("mscsa-twice"), tmp_path / "m.onnx", 64, again)
-    assert onnx.load(path).doc_string == DESCRIPTION
+    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, again)
+    assert onnx.load(path).doc_string == DESCRIPTION + AGAIN
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    network = load_scale_free("mscsa-twice")
+    network = load_scale_free("mscsa")
     rgb = torch.from_numpy(frames[0][:, :64, :64]).permute(0, 3, 1, 2).float() / 255
     sparse = torch.from_numpy(frames[1][:, None, :64, :64])
     trust = (sparse > 0).float()
@@ -144,7 +144,10 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
     for count in (1, 3):
         inputs = {"rgb": rgb[:count], "log_sparse": log_sparse[:count], "trust": trust[:count]}
         with torch.inference_mode():
-            expected = network(*inputs.values(), again=again)
+            expected = network(*inputs.values())
+            if again:
+                inputs |= dict(zip(LAST, expected, strict=True))
+                expected = network(rgb[:count], log_sparse[:count], trust[:count], expected)
         got = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
         for a, b in zip(got, expected, strict=True):
             np.testing.assert_allclose(a, b.numpy(), atol=1e-4)
@@ -153,6 +156,8 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
 def test_onnx_refuses_what_it_cannot_do(tmp_path):
     with pytest.raises(CompletionError, match="multiple of 32"):
         export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 100)
+    with pytest.raises(CompletionError, match="look once"):
+        export_onnx(ScaleFreeMSCSANet(ScaleFreeConfig(width=4)), tmp_path / "m.onnx", 64, again=True)
 
 
 def test_the_shipped_header_says_what_was_trained():

@@ -1,6 +1,4 @@
-"""A second look: which points it gets, what it may not touch, and how a reduced picture's depth is enlarged again."""
-
-from functools import partial
+"""A second look: what it gets of the first, and what it may not touch."""
 
 import numpy as np
 import pytest
@@ -11,8 +9,8 @@ from hypothesis import strategies as st
 from completion import DepthCompleter
 from completion.confidence import error_from_confidence
 from completion.errors import CompletionError
-from completion.feedback import look_again, with_own_points
-from completion.infer import _enlarged, load_scale_free
+from completion.feedback import Estimate, Grid, look_again, with_own_points
+from completion.infer import load_scale_free
 from completion.look_norm import fold_batch_norm
 from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.tasks import ScaleFreeTask
@@ -33,7 +31,7 @@ def some_points(seed, height=64, width=96, points=60):
 @pytest.fixture(scope="module")
 def network():
     torch.manual_seed(0)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).eval()
+    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, looks=3)).eval()
     for name, buffer in network.named_buffers():
         if name.endswith("again_mean"):
             buffer.normal_()  # else a later look could not be told from a first one
@@ -47,8 +45,9 @@ def test_own_points_are_the_estimate_on_a_grid_and_measured_ones_stay(seed, step
     _, log_sparse, trust = (x.numpy()[0, 0] for x in some_points(seed))
     rng = np.random.default_rng(seed)
     estimate, log_error = rng.normal(size=(2, 64, 96)).astype(np.float32)
-    tensors = (torch.from_numpy(x)[None, None] for x in (log_sparse, trust, estimate, log_error))
-    got, got_trust = (x.numpy()[0, 0] for x in with_own_points(*tensors, step, first))
+    points, weights, *last = (torch.from_numpy(x)[None, None] for x in (log_sparse, trust, estimate, log_error))
+    got = with_own_points(points, weights, Estimate(*last), Grid(step, first))
+    got, got_trust = (x.numpy()[0, 0] for x in got)
     for row in range(64):
         for column in range(96):
             on_grid = row % step == first and column % step == first
@@ -60,15 +59,77 @@ def test_own_points_are_the_estimate_on_a_grid_and_measured_ones_stay(seed, step
                 np.testing.assert_allclose(error_from_confidence(got_trust[here]), np.exp(log_error[here]), rtol=0.01)
 
 
-def test_each_look_takes_the_measured_points_and_only_the_last_estimate(network):
-    rgb, log_sparse, trust = some_points(1)
+def test_each_look_takes_the_measured_points_and_only_the_last_estimate():
+    asked = []
+
+    def stub(name):
+        return lambda *inputs: asked.append((name, *inputs)) or f"estimate {len(asked)}"
+
+    assert look_again(stub("first"), stub("later"), "rgb", "points", "trust", 3) == "estimate 3"
+    given = ("rgb", "points", "trust")
+    assert asked == [("first", *given, None), ("later", *given, "estimate 1"), ("later", *given, "estimate 2")]
+
+
+def test_a_later_look_is_told_the_whole_estimate_and_which_points_were_measured(network):
+    """Channels of the U-Net's input at half resolution, against what they mean."""
+    rgb, log_sparse, trust = some_points(7)
+    rng = np.random.default_rng(7)
+    last = Estimate(*(torch.from_numpy(x) for x in rng.normal(size=(2, 1, 1, 64, 96)).astype(np.float32)))
+    seen = []
+    hook = network.unet.register_forward_pre_hook(lambda module, given: seen.append(given[0]))
     with torch.inference_mode():
-        seen, later = [network(rgb, log_sparse, trust)], partial(network, again=True)
-        for _ in range(2):
-            seen.append(later(rgb, *with_own_points(log_sparse, trust, *seen[-1])))
-        for looks, by_hand in enumerate(seen, start=1):
-            for got, expected in zip(look_again(network, later, rgb, log_sparse, trust, looks), by_hand, strict=True):
-                torch.testing.assert_close(got, expected)
+        network(rgb, log_sparse, trust)
+        network(rgb, log_sparse, trust, last)
+    hook.remove()
+    first, later = seen
+    assert (first[:, 20:] == 0).all()
+    assert torch.equal(first[:, :16], later[:, :16])  # the picture
+    spread = torch.nn.functional.interpolate(later[:, 16:17], scale_factor=2, mode="bilinear")
+    told = torch.nn.functional.pixel_shuffle(later[:, 20:24], 2) + spread
+    torch.testing.assert_close(told, last.log_depth)
+    blocks = last.log_error.numpy().reshape(32, 2, 48, 2).mean((1, 3))
+    np.testing.assert_allclose(later[0, 24], blocks / 6, rtol=1e-4, atol=1e-6)
+    assert torch.equal(first[:, 18:20], later[:, 25:27])  # the measured points alone
+    assert (later[:, 19:20] > 0).sum() > 2 * (later[:, 26:27] > 0).sum()  # own ones are among all points
+
+
+def test_the_margin_of_an_odd_size_has_no_points_of_its_own(network):
+    rgb, log_sparse, trust = (x[..., :60, :70] for x in some_points(10))
+    last = Estimate(torch.randn(1, 1, 60, 70), torch.full((1, 1, 60, 70), -4.0))
+    heard = []
+    hook = network.msc.register_forward_pre_hook(lambda module, given: heard.append(given))
+    with torch.inference_mode():
+        made = network(rgb, log_sparse, trust, last)
+    hook.remove()
+    assert made.log_depth.shape == (1, 1, 60, 70)
+    points = heard[0][1][0, 0] > 0
+    assert points.shape == (32, 48)
+    assert points[:30, :35].sum() > 40
+    assert not points[30:].any()
+    assert not points[:, 35:].any()
+
+
+def test_only_measured_points_correct_the_sum(network):
+    rgb, log_sparse, trust = some_points(8)
+    last = Estimate(torch.randn(1, 1, 64, 96), torch.full((1, 1, 64, 96), -4.0))
+    heard = []
+    hook = network.anchor.register_forward_pre_hook(lambda module, given: heard.append(given[2:4]))
+    with torch.inference_mode():
+        network(rgb, log_sparse, trust, last)
+    hook.remove()
+    assert torch.equal(heard[0][0], log_sparse)
+    assert torch.equal(heard[0][1], trust)
+
+
+def test_a_network_trained_to_look_once_takes_no_estimate():
+    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).eval()
+    rgb, log_sparse, trust = some_points(9)
+    with torch.inference_mode():
+        estimate = network(rgb, log_sparse, trust)
+        with pytest.raises(CompletionError, match="look once"):
+            network(rgb, log_sparse, trust, estimate)
+    with pytest.raises(CompletionError, match="trained for 1 looks at most"):
+        DepthCompleter(network, looks=2)
 
 
 def statistics(network):
@@ -79,12 +140,13 @@ def statistics(network):
 
 def test_each_look_learns_and_uses_statistics_of_its_own():
     torch.manual_seed(0)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).train()
+    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, looks=2)).train()
     features = []
     network.unet.encoder[0][0].register_forward_hook(lambda *call: features.append(call[2].detach()))
+    last = Estimate(torch.randn(1, 1, 64, 96), torch.full((1, 1, 64, 96), -2.0))
     for again in (False, True):
         before = statistics(network)
-        network(*some_points(3 + again), again=again)
+        network(*some_points(3 + again), last if again else None)
         after = statistics(network)
         assert all(torch.equal(t, after[not again][n]) for n, t in before[not again].items())
         assert not any(torch.equal(t, after[again][n]) for n, t in before[again].items())
@@ -95,44 +157,46 @@ def test_each_look_learns_and_uses_statistics_of_its_own():
         ):
             torch.testing.assert_close(learnt, expected)
     network.eval()
-    inputs = some_points(6)
+    for name, buffer in network.named_buffers():
+        if name.endswith("again_mean"):
+            buffer.normal_()  # one step alone teaches them little
     with torch.inference_mode():
         for again in (False, True):
-            for got, expected in zip(
-                fold_batch_norm(network, again)(*inputs), network(*inputs, again=again), strict=True
-            ):
+            inputs = (*some_points(6), last if again else None)
+            for got, expected in zip(fold_batch_norm(network, again)(*inputs), network(*inputs), strict=True):
                 torch.testing.assert_close(got, expected, atol=1e-4, rtol=1e-4)
-        assert not torch.equal(network(*inputs)[0], network(*inputs, again=True)[0])
+        # The wrong statistics would be noticed.
+        assert not torch.allclose(fold_batch_norm(network)(*inputs)[0], network(*inputs)[0], atol=1e-2)
 
 
-def test_weights_from_before_there_were_two_statistics_use_theirs_for_both():
+def test_weights_without_statistics_of_later_looks_are_refused():
     torch.manual_seed(1)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).train()
-    network(*some_points(4))
-    old = {name: tensor for name, tensor in network.state_dict().items() if ".again_" not in name}
-    other = ScaleFreeMSCSANet(ScaleFreeConfig(width=4))
-    other.load_state_dict(old)
-    first, later = statistics(other)
-    for (name, mean), (_, same) in zip(first.items(), later.items(), strict=True):
-        assert torch.equal(mean, old[name])
-        assert torch.equal(mean, same)
-    with pytest.raises(RuntimeError, match="running_mean"):
-        other.load_state_dict({name: tensor for name, tensor in old.items() if "encoder.0.1" not in name})
+    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, looks=2))
+    for word in ("again_", "running_"):
+        with pytest.raises(RuntimeError, match=word):
+            network.load_state_dict({n: t for n, t in network.state_dict().items() if f".{word}" not in n})
 
 
 def test_training_draws_how_many_looks_came_before_and_does_not_train_through_them():
     task = ScaleFreeTask(make_config(shards=("none",), out="none", width=4))
-    rgb, log_sparse, trust = some_points(2)
-    counts = set()
-    for seed in range(12):
-        seen, seen_trust = task._earlier_looks(rgb, log_sparse, trust, torch.Generator().manual_seed(seed))
-        again, _ = task._earlier_looks(rgb, log_sparse, trust, torch.Generator().manual_seed(seed))
-        assert not seen.requires_grad
-        assert torch.equal(seen_trust > 0, (seen_trust > 0) | (trust > 0))
-        assert torch.equal(seen != log_sparse, again != log_sparse)
-        counts.add(int((seen_trust > 0).sum()))
-    assert int((trust > 0).sum()) in counts  # nothing came before
-    assert len(counts) > 3  # grids differ
+    calls = []
+    task.network.register_forward_hook(lambda *call: calls.append(call))
+    inputs = some_points(2)
+    drawn, grids = set(), set()
+    for seed in range(24):
+        calls.clear()
+        last, grid = task._earlier_looks(*inputs, torch.Generator().manual_seed(seed))
+        drawn.add(len(calls))
+        assert (last is None) == (not calls)
+        again, same = task._earlier_looks(*inputs, torch.Generator().manual_seed(seed))
+        assert grid == same
+        assert 0 <= grid.first < grid.step
+        if last is not None:
+            assert not last.log_depth.requires_grad
+            assert torch.equal(last.log_depth, again.log_depth)
+        grids.add(grid)
+    assert drawn == {0, 1, 2}
+    assert len(grids) > 10
 
 
 def test_the_look_that_is_judged_trains_every_parameter_whatever_came_before():
@@ -151,7 +215,7 @@ def test_two_looks_of_the_completer_are_not_one_and_neither_touches_the_scale():
     rng = np.random.default_rng(0)
     rgb = rng.integers(20, 230, (96, 96, 3), dtype=np.uint8)
     sparse = np.where(rng.random((96, 96)) < 0.02, rng.uniform(20, 40, (96, 96)), 0).astype(np.float32)
-    network = load_scale_free("mscsa-twice")
+    network = load_scale_free("mscsa")
     once, twice = (DepthCompleter(network, precision="fp32", looks=looks) for looks in (1, 2))
     assert np.abs(np.log(once(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     np.testing.assert_allclose(twice(rgb, 7 * sparse)[0], 7 * twice(rgb, sparse)[0], rtol=1e-4)
@@ -160,52 +224,3 @@ def test_two_looks_of_the_completer_are_not_one_and_neither_touches_the_scale():
     assert np.abs(np.log(both_first(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     with pytest.raises(CompletionError, match="at least 1"):
         DepthCompleter(network, looks=0)
-
-
-def test_the_size_worked_at_follows_the_number_of_points_where_there_is_one_look():
-    rng = np.random.default_rng(0)
-    rgb = rng.integers(20, 230, (2, 400, 320, 3), dtype=np.uint8)
-    sparse = np.zeros((2, 400, 320), np.float32)
-    for index, points in enumerate((100, 1000)):
-        sparse[index].flat[rng.choice(400 * 320, points, replace=False)] = rng.uniform(10, 50, points)
-    network = load_scale_free("mscsa")
-    for looks, sides in ((1, (224, 320)), (2, (320, 320))):
-        mixed = DepthCompleter(network, precision="fp32", looks=looks).batch(rgb, sparse)[0]
-        for index, side in enumerate(sides):
-            fixed = DepthCompleter(network, precision="fp32", working_side=side, looks=looks)
-            np.testing.assert_allclose(mixed[index], fixed(rgb[index], sparse[index])[0], rtol=1e-3)
-
-
-def test_a_larger_picture_is_completed_at_the_working_size():
-    rng = np.random.default_rng(0)
-    rgb = rng.integers(20, 230, (400, 320, 3), dtype=np.uint8)
-    sparse = np.zeros((400, 320), np.float32)
-    sparse.flat[rng.choice(400 * 320, 300, replace=False)] = rng.uniform(10, 50, 300)
-    completer = DepthCompleter(load_scale_free("mscsa"), precision="fp32", working_side=100)
-    seen = []
-    completer.network.register_forward_pre_hook(lambda module, given: seen.append(given[0].shape[2:]))
-    depth, confidence = completer(rgb, sparse)
-    assert set(seen) == {(100, 80)}
-    assert depth.shape == confidence.shape == (400, 320)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.integers(8, 40), st.integers(8, 40), st.floats(1.05, 4), st.integers(2, 6))
-def test_between_the_two_sides_of_an_edge_no_depth_is_invented(height, width, zoom, column):
-    depth = np.full((height, width), 20, np.float32)
-    depth[:, column:] = 40
-    size = round(width * zoom), round(height * zoom)
-    enlarged, _ = _enlarged(depth, np.ones_like(depth), size)
-    assert enlarged.shape == (size[1], size[0])
-    assert set(np.unique(enlarged)) == {20, 40}
-    # The edge is where it was, to half a pixel of the small picture.
-    assert abs((enlarged[0] == 20).sum() / zoom - column) <= 0.5 + 1 / zoom
-
-
-def test_a_slope_is_enlarged_as_a_slope():
-    rows, columns = np.mgrid[:30, :40].astype(np.float32)
-    plane = 50 + 0.5 * columns + 0.3 * rows
-    enlarged, _ = _enlarged(plane, plane, (100, 75))
-    y, x = (np.mgrid[:75, :100] + 0.5) * 0.4 - 0.5  # pixel centres in the small picture
-    inside = (slice(2, -2), slice(2, -2))
-    np.testing.assert_allclose(enlarged[inside], (50 + 0.5 * x + 0.3 * y)[inside], rtol=1e-4)

@@ -1,5 +1,7 @@
 """The network's parts against oracles of another kind: literal loops, NumPy, finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,7 @@ from scipy.special import softmax
 from torch import nn
 
 from completion.attention import StructureAwareness
+from completion.confidence import error_from_confidence
 from completion.errors import CompletionError
 from completion.infer import DepthCompleter
 from completion.nconv import MultiScaleConfidence, NormalizedConv2d, confidence_pool
@@ -198,6 +201,21 @@ def test_samplers_take_exact_counts_of_true_depths_by_seed(points):
         assert torch.equal(sparse[sparse > 0], depth[sparse > 0])
         assert torch.equal(sparse, again)
     assert not torch.equal(both(1)[0], both(2)[0])
+
+
+def test_known_errors_are_those_of_the_points_and_doubt_and_outliers_give_them_tails():
+    """A tenth of the points of real runs err by over 2.2 to 3.0 of their errors, half by over 0.5 to 0.7."""
+    rgb, depth = torch.rand(32, 3, 96, 96), torch.full((32, 1, 96, 96), 20.0)
+    known = SfmPattern(min_points=1000, corner_share=0, known_error_share=1)
+    tails = []
+    for pattern in (replace(known, max_doubt=0, max_outliers=0), known):
+        sparse, trust = sample_like_sfm(rgb, depth, pattern, torch.Generator().manual_seed(0))
+        told = error_from_confidence(trust[sparse > 0].numpy().astype(np.float64))
+        off = np.abs(np.log(sparse[sparse > 0].numpy() / 20)) / told
+        assert 0.6 < np.median(off) < 0.74  # of a normal distribution: 0.674
+        tails.append(np.quantile(off, 0.9))
+    assert tails[0] == pytest.approx(1.645, abs=0.08)
+    assert 2.2 < tails[1] < 3.05
 
 
 def test_sfm_like_points_have_noise_outliers_and_no_points_without_truth():

@@ -11,7 +11,7 @@ import torch
 from completion.checkpoint import load_network, load_tensors, save_network, save_tensors
 from completion.dataset import Batch, Shard, augment
 from completion.errors import CompletionError
-from completion.infer import DepthCompleter
+from completion.infer import DepthCompleter, load_scale_free
 from completion.network import MSCSANet
 from completion.predictors import load_predictor
 from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
@@ -150,11 +150,10 @@ def test_wrong_weight_files_are_one_sentence(tmp_path):
         DepthCompleter.load(path)
 
 
-@pytest.mark.parametrize(("model", "looks"), [("mscsa", 1), ("mscsa-twice", 2)])
-def test_the_shipped_weights_load_and_beat_the_median(model, looks):
-    """On a rendered-like ramp a shipped model is far better than a constant."""
-    completer = DepthCompleter.load(model)
-    assert completer.looks == looks
+@pytest.mark.parametrize("looks", [1, 2, 3])
+def test_the_shipped_weights_load_and_beat_the_median(looks):
+    """On a rendered-like ramp the shipped model is far better than a constant, however often it looks."""
+    completer = DepthCompleter(load_scale_free("mscsa"), looks=looks)
     rows, columns = np.mgrid[:128, :128]
     truth = (15 + 0.3 * columns + 0.1 * rows).astype(np.float32)
     rgb = np.clip(4e4 / truth**2, 0, 255)[..., None].repeat(3, 2).astype(np.uint8)

@@ -1,0 +1,82 @@
+"""abs.REL of a completion model by the size it works at and how often it looks, on rendered frames kept for choosing.
+
+    haustra phantom E --training 160 --size 480 --seed 750000
+    python benchmarks/working_sizes.py E --size 320 --size 448 --looks 1 --looks 2 --json sizes.json
+    python benchmarks/working_sizes.py E --picture 320 --size 320 --size 448   # frames reduced to 320 px first
+
+Every `--stride`-th frame, points of `haustra evaluate`'s samplers, seeded by the frame, the same for every row; a size
+of 0 is the one that `DepthCompleter` chooses. Means over the frames, in percent, and the standard error of the paired
+difference from the first row, over frames, of which several may show one mesh. None of these points says how wrong it
+is, as those of a run do: `benchmarks/fusion_input.py` measures what that is worth.
+"""
+
+import argparse
+from itertools import product
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from completion import DepthCompleter
+from completion.dataset import Shard
+from completion.infer import load_scale_free
+from completion.metrics import depth_errors
+from completion.sparsify import get_sampler
+from record import write
+
+POINTS = (("sfm", 30), ("uniform", 100), ("sfm", 100), ("sfm", 500), ("sfm", 1500), ("features", 1000))
+MAX_DEPTH, FEWEST = 250.0, 15  # mm; points under which a frame is left out
+
+
+def frames_of(folder: Path, stride: int, picture: int | None) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Number, rgb (H,W,3), depth (H,W) mm of every `stride`-th frame, at `picture` px."""
+    shard, frames = Shard.open(folder), []
+    for index in range(0, len(shard.images), stride):
+        rgb, depth = np.ascontiguousarray(shard.images[index]), shard.depths[index].astype(np.float32)
+        depth[depth > MAX_DEPTH] = 0
+        if picture:
+            rgb = cv2.resize(rgb, (picture, picture), interpolation=cv2.INTER_AREA)
+            depth = cv2.resize(depth, (picture, picture), interpolation=cv2.INTER_NEAREST_EXACT)
+        frames.append((index, rgb, depth))
+    return frames
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path, help="training shards that nothing was trained on")
+    parser.add_argument("--model", action="append")
+    parser.add_argument("--size", action="append", type=int, help="px")
+    parser.add_argument("--looks", action="append", type=int)
+    parser.add_argument("--picture", type=int, help="px to which the frames are reduced first")
+    parser.add_argument("--stride", type=int, default=4)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    frames = frames_of(arguments.folder, arguments.stride, arguments.picture)
+    completers = {
+        (model, size, looks): DepthCompleter(load_scale_free(model), working_side=size or None, looks=looks)
+        for model, size, looks in product(arguments.model or ["mscsa"], arguments.size or [320], arguments.looks or [2])
+    }
+    rows = []
+    for sampler, points in POINTS:
+        errors: dict[tuple[str, int, int], list[float]] = {key: [] for key in completers}
+        for index, rgb, depth in frames:
+            sparse = get_sampler(sampler)(rgb, depth, points, np.random.default_rng([0, index]))
+            if sparse.points < FEWEST:
+                continue
+            for key, completer in completers.items():
+                made = (completer(rgb, sparse.depth)[0] / sparse.factor).astype(np.float32)
+                errors[key].append(100 * depth_errors(made, depth).abs_rel)
+        first = np.array(next(iter(errors.values())))
+        if len(first) < 2:
+            continue
+        for (model, size, looks), values in errors.items():
+            paired = float(np.std(np.array(values) - first, ddof=1) / np.sqrt(len(values)))
+            row = {"sampler": sampler, "points": points, "frames": len(values), "model": model}
+            row |= {"size_px": size, "looks": looks, "abs_rel_percent": float(np.mean(values)), "paired_error": paired}
+            rows.append(row)
+            print("  ".join(f"{k} {v:.3f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
+    write(arguments.json, {"rows": rows})
+
+
+if __name__ == "__main__":
+    main()
