@@ -26,7 +26,7 @@ from reconstruction.pictures import render_mesh
 from reconstruction.trajectory import read_tum
 
 CLAY = (214, 178, 160)
-BACK = 0.6  # of the median distance to the surface: how far behind the first camera the first view stands
+BACK = 0.85  # of the median distance to the surface: how far behind the first camera the first view stands
 ORBIT_DEG = 50.0  # around the surface, upwards, to the second
 
 
