@@ -24,7 +24,7 @@ class Estimate(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Every `step`-th row and column from `first` on."""
+    """Every `step`-th row and column from `first` on, which is less than `step`."""
 
     step: int
     first: int
@@ -34,14 +34,14 @@ Look = Callable[[Tensor, Tensor, Tensor, Estimate | None], Estimate]
 GRID = Grid(9, 4)  # of own points, px: some 800 in a picture of 256 px
 
 
-def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Grid = GRID) -> tuple[Tensor, Tensor]:
+def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Grid) -> tuple[Tensor, Tensor]:
     """Points and trust (B,1,H,W) -> both with the last look's estimate on a grid among them.
 
     Measured points stay as they are; own ones are trusted as measured ones of that error would be.
     """
     rows, columns = (torch.arange(side, device=trust.device) for side in trust.shape[2:])
-    on_row, on_column = (((x - grid.first) % grid.step == 0) & (x >= grid.first) for x in (rows, columns))
-    own = on_row[:, None] & on_column[None] & (trust <= 0)
+    on_row, on_column = (x % grid.step == grid.first for x in (rows, columns))
+    own = on_row[:, None] & on_column & (trust <= 0)
     own_trust = confidence_from_error(last.log_error.exp())
     return torch.where(own, last.log_depth, log_sparse), torch.where(own, own_trust, trust)
 

@@ -16,8 +16,6 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from completion.errors import CompletionError
 from completion.network import DoubleConv
 
-STATISTICS = ("mean", "var")
-
 
 class LookBatchNorm2d(nn.BatchNorm2d):
     """`nn.BatchNorm2d` with second running statistics, used and learnt while `again` is set; parameters are shared."""
@@ -38,7 +36,7 @@ class LookBatchNorm2d(nn.BatchNorm2d):
         """As a plain normalisation, for evaluation."""
         plain = nn.BatchNorm2d(self.num_features, self.eps)
         plain.load_state_dict(dict(self.named_parameters()), strict=False)
-        for name in STATISTICS:
+        for name in ("mean", "var"):
             source = f"again_{name}" if again else f"running_{name}"
             getattr(plain, f"running_{name}").copy_(getattr(self, source))
         return plain.eval()

@@ -81,16 +81,16 @@ class ScaleFreeMSCSANet(nn.Module):
         height, width = rgb.shape[2:]
         # A black margin would read as infinitely far: the picture's edge is repeated instead.
         rgb = pad_to_multiple(rgb.float(), STRIDE, repeat_edge=True)
-        measured = log_sparse.float(), trust.float()
-        points = measured if last is None else with_own_points(*measured, last, grid)  # none of them in the margin
-        log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in measured)
-        if last is not None:
-            last = Estimate(*(pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last))
+        unpadded = log_sparse.float(), trust.float()
+        log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in unpadded)
         with torch.autocast(rgb.device.type, enabled=False):
-            spread, channels = self._msc_and_inputs(
-                rgb, halve_points(*(pad_to_multiple(x, STRIDE) for x in points)), last, halve_points(log_sparse, trust)
-            )
-        out = self.unet(channels).float()
+            points = measured = halve_points(log_sparse, trust)
+            if last is not None:  # its points join before padding, since the margin has none
+                points = halve_points(*(pad_to_multiple(x, STRIDE) for x in with_own_points(*unpadded, last, grid)))
+            spread, channels = self._spread_and_inputs(rgb, points)
+            if self.config.looks > 1:
+                channels.append(_own_inputs(last, spread, measured))
+        out = self.unet(torch.cat(channels, dim=1)).float()
         residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
         log_depth = double(spread) + residual
         log_error = log_error.clamp(*LOG_ERROR_RANGE)
@@ -99,10 +99,8 @@ class ScaleFreeMSCSANet(nn.Module):
         log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
         return Estimate(log_depth[..., :height, :width], log_error[..., :height, :width])
 
-    def _msc_and_inputs(
-        self, rgb: Tensor, points: tuple[Tensor, Tensor], last: Estimate | None, measured: tuple[Tensor, Tensor]
-    ) -> tuple[Tensor, Tensor]:
-        """MSC's estimate from `points` (own ones too), (B,1,H/2,W/2), and the U-Net's input at that size."""
+    def _spread_and_inputs(self, rgb: Tensor, points: tuple[Tensor, Tensor]) -> tuple[Tensor, list[Tensor]]:
+        """MSC's estimate from points and trust at half size, (B,1,H/2,W/2), and what every look gives the U-Net."""
         spread, confidence = self.msc(*points)
         # MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]. Not log(c + 1e-8): the ONNX
         # exporter drops an addend that small, and where no point reaches, c is exactly zero.
@@ -110,13 +108,17 @@ class ScaleFreeMSCSANet(nn.Module):
         # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
         log_brightness = torch.log(rgb.amax(dim=1, keepdim=True) + 1 / 255)
         image = F.pixel_unshuffle(torch.cat([rgb - 0.5, log_brightness], dim=1), 2)
-        channels = [image, spread, log_confidence, *points]
-        if last is not None:
-            off = F.pixel_unshuffle(last.log_depth - double(spread), 2)
-            channels += [off, F.avg_pool2d(last.log_error, 2) / -LOG_ERROR_RANGE[0], *measured]
-        elif self.config.looks > 1:  # the cost of convolving zeros is a hundredth
-            channels.append(torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1))
-        return spread, torch.cat(channels, dim=1)
+        return spread, [image, spread, log_confidence, *points]
+
+
+def _own_inputs(last: Estimate | None, spread: Tensor, measured: tuple[Tensor, Tensor]) -> Tensor:
+    """What later looks give the U-Net besides, (B,OWN_INPUTS,H/2,W/2): the last estimate against MSC's, its error, and
+    which points were measured. Zeros for the first look; convolving them costs a hundredth."""
+    if last is None:
+        return torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1)
+    log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
+    off = F.pixel_unshuffle(log_depth - double(spread), 2)
+    return torch.cat([off, F.avg_pool2d(log_error, 2) / -LOG_ERROR_RANGE[0], *measured], dim=1)
 
 
 class Anchor(nn.Module):

@@ -25,9 +25,7 @@ def working_factor(side: int, points: int, looks: int) -> float:
     return min(SIDE / side, 1.0)
 
 
-def resized(
-    rgb: NDArray[np.uint8], sparse: Image, trust: Image, factor: float
-) -> tuple[NDArray[np.uint8], Image, Image]:
+def resized(rgb: NDArray[np.uint8], sparse: Image, trust: Image, factor: float) -> Frame:
     """Image and points at `factor` times the size; where points then share a pixel, the surest stays."""
     if factor == 1:
         return rgb, sparse, trust
