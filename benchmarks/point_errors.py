@@ -1,0 +1,67 @@
+"""What the errors of SfM-like points cost the shipped model: abs.REL as they are, and with parts of them taken out.
+
+    python benchmarks/point_errors.py ../shared/data/ctcolon ../shared/data/simcol3d --points 500 --json errors.json
+
+Frames, points and figure of `depth_completion.py`'s sfm rows, in percent, means over frames. An outlier is a point
+further from the truth than four times the sampler's noise. "told" keeps every error but says how large it is: noise as
+the sampler draws it, half the depth at an outlier. The paired standard error is over frames, of one sequence all.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from completion import DepthCompleter
+from completion.metrics import depth_errors
+from completion.readers import read_evaluation_frames
+from completion.sparsify import NOISE, like_sfm
+from record import write
+
+OUTLIER_ERROR = 0.5  # relative error told of an outlier
+Case = tuple[NDArray[np.float32], NDArray[np.float32] | None]  # sparse depth in the truth's unit, error that is told
+
+
+def cases(sparse: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, Case]:
+    """Points (H,W) with errors and true depth (H,W) -> the same points with parts of their errors."""
+    exact = np.where(sparse > 0, truth, 0).astype(np.float32)
+    outlier = np.abs(sparse - exact) > 4 * NOISE * exact
+    told = np.where(outlier, OUTLIER_ERROR, NOISE).astype(np.float32)
+    return {
+        "as_drawn": (sparse, None),
+        "told": (sparse, told),
+        "no_outliers": (np.where(outlier, exact, sparse), None),
+        "no_noise": (np.where(outlier, sparse, exact), None),
+        "exact": (exact, None),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--points", type=int, default=500)
+    parser.add_argument("--model", default="mscsa")
+    parser.add_argument("--stride", type=int, default=4, help="every n-th frame of a long sequence")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    completer, rows = DepthCompleter.load(arguments.model), []
+    for folder in arguments.folders:
+        frames = list(read_evaluation_frames(folder))
+        frames = frames if len(frames) <= 20 else frames[:: arguments.stride]
+        rng, errors = np.random.default_rng(0), {}
+        for frame in frames:
+            points_of = like_sfm(frame.rgb, frame.depth, arguments.points, rng)
+            for name, (sparse, told) in cases(points_of.depth / points_of.factor, frame.depth).items():
+                made = completer(frame.rgb, sparse, told)[0]
+                errors.setdefault(name, []).append(100 * depth_errors(made, frame.depth).abs_rel)
+        for name, values in errors.items():
+            off = np.std(np.subtract(values, errors["as_drawn"]), ddof=1) / np.sqrt(len(values))
+            row = {"folder": folder.name, "points": arguments.points, "frames": len(values), "case": name}
+            rows.append(row | {"abs_rel_percent": float(np.mean(values)), "paired_error": float(off)})
+            print("  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
+    write(arguments.json, {"looks": completer.looks, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()
