@@ -12,14 +12,13 @@ from torch import nn
 from completion.checkpoint import load_network
 from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
-from completion.feedback import look_again
+from completion.feedback import MOST_LOOKS, look_again
 from completion.look_norm import fold_batch_norm
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet
 from completion.shipped import check_looks, resolve_weights
 from completion.working_size import resized, resized_back, working_factor
 
-LOOKS = 2  # a third gains at most 3 % and costs as much time again
 # Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 GAIN_RANGE = (0.5, 2.0)
@@ -44,11 +43,11 @@ class DepthCompleter:
         and points (`completion.working_size`).
 
         `looks`: how often the network completes a frame, each time with its last estimate
-        (`completion.feedback`), and time grows with it; None: as often as it was trained for, at most `LOOKS` times.
+        (`completion.feedback`), and time grows with it; None: as often as it was trained for, at most `MOST_LOOKS`.
         """
         if precision not in ("auto", "bf16", "fp32"):
             raise CompletionError(f"precision is auto, bf16 or fp32, not {precision!r}")
-        self.looks = min(LOOKS, network.config.looks) if looks is None else looks
+        self.looks = min(MOST_LOOKS, network.config.looks) if looks is None else looks
         if self.looks < 1 or (working_side is not None and working_side < 1):
             raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
         check_looks(self.looks, network.config.looks)

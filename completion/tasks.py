@@ -10,7 +10,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from completion.feedback import Estimate, Grid, look_again
+from completion.feedback import MOST_LOOKS, Estimate, Grid, look_again
 from completion.losses import completion_loss, masked_l1
 from completion.models import build_model
 from completion.sampling import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
@@ -66,12 +66,12 @@ class ScaleFreeTask:
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From 100 SfM-like points, in `looks` looks."""
+        """From 100 SfM-like points, in as many looks as it will be used with."""
         pattern = SfmPattern(min_points=100, max_points=100, hole_share=0.0)
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            estimate = look_again(network, network, rgb, log_sparse, trust, self.config.looks)
+            estimate = look_again(network, network, rgb, log_sparse, trust, min(MOST_LOOKS, self.config.looks))
             return torch.exp(estimate.log_depth) * median
 
 
