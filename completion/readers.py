@@ -35,6 +35,8 @@ UNITYCAM_LENS = (156.0418, 155.7529, 178.5604, 181.8043)  # plus a radial term t
 def _rgbd(folder: Path) -> Iterator[EvaluationFrame]:
     about = json.loads((folder / "camera.json").read_text())
     lens = np.array(about["params"][:4], float) if "params" in about else None
+    if "depth_unit_mm" not in about:
+        raise CompletionError(f"{folder}/camera.json names no depth_unit_mm: no folder of true depth")
     unit_mm = np.float32(about["depth_unit_mm"])
     for path in sorted((folder / "rgb").glob("*.png")):
         depth = read_depth16(partner(path, folder / "depth", path.name)).astype(np.float32) * unit_mm

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from completion.infer import choose_device
 from completion.shipped import check_weights
 from pipeline.calibration import check_choice
 from pipeline.config import Config
@@ -36,6 +37,7 @@ def reconstruct(
     video = Source(Path(source))
     check_choice(config.camera, video.path)
     check_weights(config.model, config.depth.looks)
+    choose_device(config.device)  # refused now, not after the film has been tracked
     if config.scale_file is not None:
         check_scale_file(Path(config.scale_file))
     if resume:

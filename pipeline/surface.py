@@ -156,6 +156,8 @@ def export_mesh(run: Path, target: Path, max_error: float | None = None, texture
     workspace = open_workspace(run)
     if not workspace.is_done("surface"):
         raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
+    if texture and target.suffix.lower() not in (".glb", ".obj"):  # before the minutes that a texture takes
+        raise HaustraError(f"{target.name}: a texture goes into .glb or .obj")
     mesh, unit = read_mesh(workspace.mesh), load_surfaces(workspace)[0].scale.unit
     light, error = (mesh, 0.0) if max_error is None else simplified(mesh, max_error)
     if texture:

@@ -4,6 +4,7 @@ import sys
 
 import pytest
 
+from completion.errors import CompletionError
 from pipeline import batch, cli, rerun_export, run
 from pipeline.config import FAST_KEYFRAME_MOTION, OdometrySettings, load_config
 from pipeline.demo import CAMERA, VIDEO
@@ -125,3 +126,19 @@ def test_a_missing_recorder_is_told_before_the_work(monkeypatch, tmp_path, runs,
     assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun") == 1
     assert "pip install 'haustra[rerun]'" in capsys.readouterr().err
     assert runs == []
+
+
+@pytest.mark.parametrize("tau", ["nan", "-1", "0", "inf"])
+def test_compare_wants_a_positive_distance(monkeypatch, capsys, tau):
+    monkeypatch.setattr(sys, "argv", ["haustra", "compare", "a", "b", "--tau-mm", tau])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 1
+    assert "positive distance" in capsys.readouterr().err
+
+
+def test_a_missing_gpu_is_refused_before_anything_is_written(monkeypatch, tmp_path):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(CompletionError, match="no CUDA device"):
+        run.reconstruct(VIDEO, tmp_path / "out", load_config(None).model_copy(update={"device": "cuda"}))
+    assert not (tmp_path / "out").exists()

@@ -137,3 +137,9 @@ def test_wrong_folders_are_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "Depth_0010.png").write_bytes(b"")
     with pytest.raises(CompletionError, match="cannot read the image"):
         list(read_evaluation_frames(tmp_path))
+
+
+def test_a_camera_file_without_depth_unit_is_no_folder_of_depth(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").write_text("{}")
+    with pytest.raises(CompletionError, match="depth_unit_mm"):
+        list(read_evaluation_frames(tmp_path))
