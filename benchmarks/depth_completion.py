@@ -15,17 +15,24 @@ import numpy as np
 
 from completion import DepthCompleter
 from completion.classical import linear
+from completion.frames import EvaluationFrame
 from completion.infer import load_scale_free
 from completion.metrics import depth_errors
 from completion.readers import read_evaluation_frames
 from completion.sparsify import get_sampler
-from record import write
+from record import say, write
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))
 
 
 def absolute_relative(depth: np.ndarray, truth: np.ndarray) -> float:
     return 100 * depth_errors(depth, truth).abs_rel
+
+
+def judged_frames(folder: Path, stride: int) -> list[EvaluationFrame]:
+    """All frames of a short sequence, every `stride`-th of a long one."""
+    frames = list(read_evaluation_frames(folder))
+    return frames if len(frames) <= 20 else frames[::stride]
 
 
 def main() -> None:
@@ -41,8 +48,7 @@ def main() -> None:
     completer = DepthCompleter(load_scale_free(arguments.model), looks=arguments.looks)
     rows = []
     for folder in arguments.folders:
-        frames = list(read_evaluation_frames(folder))
-        frames = frames if len(frames) <= 20 else frames[:: arguments.stride]
+        frames = judged_frames(folder, arguments.stride)
         for sampler, points in SETTINGS:
             rng = np.random.default_rng(0)
             errors = {"linear": [], arguments.model: []}
@@ -54,10 +60,7 @@ def main() -> None:
             row = {"folder": folder.name, "sampler": sampler, "points": points, "frames": len(frames)}
             row |= {f"{name}_abs_rel_percent": float(np.mean(values)) for name, values in errors.items()}
             rows.append(row)
-            print(
-                "  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()),
-                flush=True,
-            )
+            say(row)
     write(arguments.json, {"looks": completer.looks, "working_side": completer.working_side, "rows": rows})
 
 

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from completion import DepthCompleter
-from completion.metrics import depth_errors
-from completion.readers import read_evaluation_frames
 from completion.sparsify import NOISE, like_sfm
-from record import write
+from depth_completion import absolute_relative, judged_frames
+from record import say, write
 
 OUTLIER_ERROR = 0.5  # relative error told of an outlier
 Case = tuple[NDArray[np.float32], NDArray[np.float32] | None]  # sparse depth in the truth's unit, error that is told
@@ -47,19 +46,18 @@ def main() -> None:
     arguments = parser.parse_args()
     completer, rows = DepthCompleter.load(arguments.model), []
     for folder in arguments.folders:
-        frames = list(read_evaluation_frames(folder))
-        frames = frames if len(frames) <= 20 else frames[:: arguments.stride]
+        frames = judged_frames(folder, arguments.stride)
         rng, errors = np.random.default_rng(0), {}
         for frame in frames:
             points_of = like_sfm(frame.rgb, frame.depth, arguments.points, rng)
             for name, (sparse, told) in cases(points_of.depth / points_of.factor, frame.depth).items():
                 made = completer(frame.rgb, sparse, told)[0]
-                errors.setdefault(name, []).append(100 * depth_errors(made, frame.depth).abs_rel)
+                errors.setdefault(name, []).append(absolute_relative(made, frame.depth))
         for name, values in errors.items():
             off = np.std(np.subtract(values, errors["as_drawn"]), ddof=1) / np.sqrt(len(values))
             row = {"folder": folder.name, "points": arguments.points, "frames": len(values), "case": name}
             rows.append(row | {"abs_rel_percent": float(np.mean(values)), "paired_error": float(off)})
-            print("  ".join(f"{k} {v:.2f}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
+            say(rows[-1])
     write(arguments.json, {"looks": completer.looks, "rows": rows})
 
 

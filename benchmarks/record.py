@@ -34,6 +34,12 @@ def _cpuinfo() -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
+def say(row: dict[str, Any], digits: int = 2) -> None:
+    """Print a row on one line."""
+    values = (f"{value:.{digits}f}" if isinstance(value, float) else str(value) for value in row.values())
+    print("  ".join(f"{name} {value}" for name, value in zip(row, values, strict=True)), flush=True)
+
+
 def write(path: Path | None, result: dict[str, Any]) -> None:
     """Write the JSON record, if a path is given."""
     if path is not None:

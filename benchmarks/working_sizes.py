@@ -22,7 +22,7 @@ from completion.dataset import Shard
 from completion.infer import load_scale_free
 from completion.metrics import depth_errors
 from completion.sparsify import get_sampler
-from record import write
+from record import say, write
 
 POINTS = (("sfm", 30), ("uniform", 100), ("sfm", 100), ("sfm", 500), ("sfm", 1500), ("features", 1000))
 MAX_DEPTH, FEWEST = 250.0, 15  # mm; points under which a frame is left out
@@ -74,7 +74,7 @@ def main() -> None:
             row = {"sampler": sampler, "points": points, "frames": len(values), "model": model}
             row |= {"size_px": size, "looks": looks, "abs_rel_percent": float(np.mean(values)), "paired_error": paired}
             rows.append(row)
-            print("  ".join(f"{k} {v:.3f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
+            say(row, digits=3)
     write(arguments.json, {"rows": rows})
 
 

@@ -2,7 +2,6 @@
 
 import errno
 import logging
-import math
 import os
 import sys
 from collections.abc import Callable
@@ -63,8 +62,6 @@ def compare(
     from pipeline.compare import compare_run
     from pipeline.workspace import write_json
 
-    if not 0 < tau_mm < math.inf:
-        raise HaustraError(f"--tau-mm is a positive distance, not {tau_mm:g}")
     result = compare_run(run, truth, tau_mm)
     print(result)
     if json_file is not None:

@@ -78,6 +78,8 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     The surface is moved by the Sim(3) that is fitted to the camera poses alone, so that a wrong surface cannot hide
     behind its own alignment. A mesh without a path is refused: the run's frame and unit are arbitrary.
     """
+    if not 0 < tau < np.inf:
+        raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
     workspace = open_workspace(run)
     if not workspace.is_done("report"):
         raise HaustraError(f"the run {run} is not finished; go on with --resume")

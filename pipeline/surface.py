@@ -16,7 +16,7 @@ from reconstruction.export import read_mesh, write_mesh
 from reconstruction.fusion import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.lamp import Lamp, fit_lamp
 from reconstruction.mesh import SurfaceMesh, drop_small_components
-from reconstruction.texture import simplified, textured, write_textured
+from reconstruction.texture import check_textured, simplified, textured, write_textured
 
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
 LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
@@ -156,8 +156,8 @@ def export_mesh(run: Path, target: Path, max_error: float | None = None, texture
     workspace = open_workspace(run)
     if not workspace.is_done("surface"):
         raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
-    if texture and target.suffix.lower() not in (".glb", ".obj"):  # before the minutes that a texture takes
-        raise HaustraError(f"{target.name}: a texture goes into .glb or .obj")
+    if texture:
+        check_textured(target)
     mesh, unit = read_mesh(workspace.mesh), load_surfaces(workspace)[0].scale.unit
     light, error = (mesh, 0.0) if max_error is None else simplified(mesh, max_error)
     if texture:

@@ -96,26 +96,31 @@ def textured(light: SurfaceMesh, fine: SurfaceMesh, side: int | None = None) -> 
     return TexturedMesh(vertices, faces, light.normals[source], uv.astype(np.float64), _with_gutter(picture, known))
 
 
+def check_textured(path: Path) -> None:
+    """Refuse a file that holds no texture, before the minutes that making one takes."""
+    if path.suffix.lower() not in (".glb", ".obj"):
+        raise ReconstructionError(f"{path.name}: a texture goes into .glb or .obj")
+
+
 def write_textured(mesh: TexturedMesh, path: Path) -> Path:
     """GLB with the picture inside, or OBJ with `NAME.mtl` and `NAME_texture.png` beside it; these must not exist yet
     unless an export of the same name made them: they are not what the user named."""
     import trimesh
     from PIL import Image
 
+    check_textured(path)
     picture = Image.fromarray(mesh.texture)
     material: Any
     if path.suffix.lower() == ".glb":
         material = trimesh.visual.material.PBRMaterial(
             baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True
         )
-    elif path.suffix.lower() == ".obj":
+    else:
         material = trimesh.visual.material.SimpleMaterial(image=picture, diffuse=[255, 255, 255, 255])
         material.name = f"{path.stem}_texture"
         beside = [path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")]
         if not path.exists() and (taken := [p.name for p in beside if p.exists()]):
             raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
-    else:
-        raise ReconstructionError(f"{path.name}: a texture goes into .glb or .obj")
     visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
     made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, visual=visual, process=False)
     if path.suffix.lower() == ".glb":
