@@ -26,6 +26,7 @@ from completion.onnx_export import export_onnx
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet
 from completion.working_size import SIDE_FOR_MANY
+from pipeline.allocator import keep_freed_memory
 from record import spread, write
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
@@ -127,6 +128,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
+    keep_freed_memory()  # as every command does
     calls = contenders()
     times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():

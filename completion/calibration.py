@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,10 @@ class Calibration:
 
     predicted: list[float]  # median predicted relative error in each decile
     actual: list[float]  # median actual relative error in each decile
-    spearman: float  # of predicted and actual error over all pixels
+    spearman: float  # of predicted and actual relative error over all pixels
     spearman_if_exact: float  # what it would be if errors were Laplace with exactly the predicted scales
+    spearman_in_depth: float  # of predicted and actual error in the unit of depth
+    spearman_of_depth: float  # of the predicted depth alone and the actual error in its unit: far is uncertain
     within_one: float  # share of pixels whose error is below the predicted one (Laplace: 63 % if calibrated)
     pixels: int
 
@@ -31,29 +34,43 @@ class Calibration:
         return asdict(self)
 
 
-def relative_errors(
-    prediction: Array, truth: Array, predicted_error: Array
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(predicted, actual) relative error at evenly spread valid pixels of one frame, for `calibrate`."""
+class PixelErrors(NamedTuple):
+    """At some valid pixels (N,) of one frame."""
+
+    predicted: NDArray[np.float64]  # relative
+    depth: NDArray[np.float64]  # predicted
+    truth: NDArray[np.float64]
+
+    @property
+    def actual(self) -> NDArray[np.float64]:
+        """Relative."""
+        return np.abs(self.depth - self.truth) / self.truth
+
+
+def pixel_errors(prediction: Array, truth: Array, predicted_error: Array) -> PixelErrors:
+    """Depth, truth and predicted relative error (H,W) at evenly spread valid pixels of one frame, for `calibrate`."""
     valid = ((truth > 0) & (prediction > 0) & np.isfinite(predicted_error)).ravel().nonzero()[0]
     valid = valid[:: max(1, len(valid) // PIXELS_PER_FRAME)]
-    g = truth.ravel()[valid].astype(float)
-    return predicted_error.ravel()[valid].astype(float), np.abs(prediction.ravel()[valid] - g) / g
+    return PixelErrors(*(array.ravel()[valid].astype(float) for array in (predicted_error, prediction, truth)))
 
 
-def calibrate(pairs: Iterable[tuple[Array, Array]]) -> Calibration:
-    """From (predicted relative error, actual relative error) of each frame's valid pixels, 1-D arrays."""
-    predicted, actual = (np.concatenate(side) for side in zip(*pairs, strict=True))
+def calibrate(frames: Iterable[PixelErrors]) -> Calibration:
+    """From the pixels of all frames together."""
+    pixels = PixelErrors(*(np.concatenate(part) for part in zip(*frames, strict=True)))
+    predicted, actual = pixels.predicted, pixels.actual
     if len(predicted) < DECILES:
         raise CompletionError(f"calibration needs at least {DECILES} pixels, got {len(predicted)}")
     order = np.argsort(predicted, kind="stable")
     ideal = predicted * np.random.default_rng(0).exponential(size=len(predicted))
     groups = np.array_split(order, DECILES)
+    in_depth = np.abs(pixels.depth - pixels.truth)
     return Calibration(
         predicted=[float(np.median(predicted[group])) for group in groups],
         actual=[float(np.median(actual[group])) for group in groups],
         spearman=float(spearmanr(predicted, actual).statistic),
         spearman_if_exact=float(spearmanr(predicted, ideal).statistic),
+        spearman_in_depth=float(spearmanr(predicted * pixels.depth, in_depth).statistic),
+        spearman_of_depth=float(spearmanr(pixels.depth, in_depth).statistic),
         within_one=float(np.mean(actual < predicted)),
         pixels=len(predicted),
     )

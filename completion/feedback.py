@@ -40,19 +40,21 @@ def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Gri
 
     Measured points stay as they are; own ones are trusted as measured ones of that error would be.
     """
-    rows, columns = (torch.arange(side, device=trust.device) for side in trust.shape[2:])
-    on_row, on_column = (x % grid.step == grid.first for x in (rows, columns))
-    own = on_row[:, None] & on_column & (trust <= 0)
-    own_trust = confidence_from_error(last.log_error.exp())
-    return torch.where(own, last.log_depth, log_sparse), torch.where(own, own_trust, trust)
+    here = (..., slice(grid.first, None, grid.step), slice(grid.first, None, grid.step))
+    measured = trust[here] > 0
+    own_trust = confidence_from_error(last.log_error[here].exp())
+    all_points, all_trust = log_sparse.clone(), trust.clone()
+    all_points[here] = torch.where(measured, log_sparse[here], last.log_depth[here])
+    all_trust[here] = torch.where(measured, trust[here], own_trust)
+    return all_points, all_trust
 
 
-def look_again(first: Look, later: Look, rgb: Tensor, log_sparse: Tensor, trust: Tensor, looks: int) -> Estimate:
+def look_again(first: Look, later: Look, picture: Tensor, log_sparse: Tensor, trust: Tensor, looks: int) -> Estimate:
     """`looks` looks, at least one, each after the first with the last one's estimate.
 
-    `first`, `later`: a `ScaleFreeMSCSANet`, or that network folded for the one and the other.
+    `first`, `later`: a `ScaleFreeMSCSANet`'s `look`, or that of the network folded for the one and the other.
     """
-    estimate = first(rgb, log_sparse, trust, None)
+    estimate = first(picture, log_sparse, trust, None)
     for _ in range(looks - 1):
-        estimate = later(rgb, log_sparse, trust, estimate)
+        estimate = later(picture, log_sparse, trust, estimate)
     return estimate

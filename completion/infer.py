@@ -1,21 +1,21 @@
 """`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
 
-import contextlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from completion.checkpoint import load_network
 from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
 from completion.feedback import MOST_LOOKS, look_again
+from completion.fused_conv import fuse_convolutions
 from completion.look_norm import fold_batch_norm
+from completion.nconv import NormalizedConv2d
 from completion.sampling import normalise_log
-from completion.scale_free import ScaleFreeMSCSANet
+from completion.scale_free import ScaleFreeMSCSANet, picture_inputs
 from completion.shipped import check_looks, resolve_weights
 from completion.working_size import resized, resized_back, working_factor
 
@@ -53,12 +53,22 @@ class DepthCompleter:
         check_looks(self.looks, network.config.looks)
         self.device = choose_device(device)
         self.working_side = working_side
-        self.network = self._folded(network, again=False)
-        self.later = self._folded(network, again=True) if self.looks > 1 else self.network
         self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
+        self.network = self._for_inference(network, again=False)
+        self.later = self._for_inference(network, again=True) if self.looks > 1 else self.network
 
-    def _folded(self, network: ScaleFreeMSCSANet, again: bool) -> nn.Module:
-        return fold_batch_norm(network, again).to(self.device, memory_format=torch.channels_last)
+    def _for_inference(self, network: ScaleFreeMSCSANet, again: bool) -> ScaleFreeMSCSANet:
+        """A copy without what only training needs, its U-Net in bfloat16 where that is fast."""
+        copy = fold_batch_norm(network, again)
+        if self.half:
+            copy.unet.to(torch.bfloat16)
+        copy = copy.to(self.device, memory_format=torch.channels_last)
+        if self.half and self.device.type == "cpu":
+            fuse_convolutions(copy.unet)
+        for module in copy.modules():
+            if isinstance(module, NormalizedConv2d):
+                module.fix()
+        return copy
 
     @classmethod
     def load(
@@ -125,16 +135,12 @@ class DepthCompleter:
         """Depth and relative error (B,H,W) from (B,H,W,3), (B,H,W), (B,H,W)."""
         image = torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
-        with torch.inference_mode(), self._autocast():
+        with torch.inference_mode():
             log_sparse, median = normalise_log(points)
-            estimate = look_again(self.network, self.later, image, log_sparse, weights, self.looks)
+            looks = self.network.look, self.later.look
+            estimate = look_again(*looks, picture_inputs(image), log_sparse, weights, self.looks)
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
-
-    def _autocast(self) -> contextlib.AbstractContextManager:
-        if not self.half:
-            return contextlib.nullcontext()
-        return torch.autocast(self.device.type, torch.bfloat16)
 
 
 def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:

@@ -30,19 +30,30 @@ class NormalizedConv2d(nn.Module):
         self.padding = kernel_size // 2
         self.weight = nn.Parameter(_poisson_kernels(in_channels, out_channels, kernel_size, beta))
         self.bias = nn.Parameter(torch.zeros(out_channels))
+        self._fixed: Tensor | None = None
 
     def applicability(self) -> Tensor:
         """Gamma(W) of shape (out, in, k, k), strictly positive."""
         return F.softplus(self.weight, beta=self.beta)
 
+    def unit_kernel(self) -> Tensor:
+        """Gamma(W) over its sum for each output channel: the sums of Eqs. 1 and 2, divided beforehand."""
+        if self._fixed is not None:
+            return self._fixed
+        kernel = self.applicability()
+        return kernel / kernel.sum(dim=(1, 2, 3), keepdim=True)
+
+    def fix(self) -> None:
+        """Compute the kernel once and for all, for a copy that is not trained any more and stays on its device."""
+        self._fixed = None
+        self._fixed = self.unit_kernel().detach()
+
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """(B,in,H,W) depth and confidence -> (B,out,H,W) of each; depth is the bias where nothing is known."""
-        kernel = self.applicability()
-        weight_sum = F.conv2d(confidence, kernel, padding=self.padding)
+        kernel = self.unit_kernel()
+        known = F.conv2d(confidence, kernel, padding=self.padding)
         weighted = F.conv2d(depth * confidence, kernel, padding=self.padding)
-        mean = weighted / weight_sum.clamp_min(DIVISION_GUARD)
-        total = kernel.sum(dim=(1, 2, 3)).view(1, -1, 1, 1)
-        return mean + self.bias.view(1, -1, 1, 1), weight_sum / total
+        return weighted / known.clamp_min(DIVISION_GUARD) + self.bias.view(1, -1, 1, 1), known
 
 
 def _poisson_kernels(in_channels: int, out_channels: int, size: int, beta: float) -> Tensor:
@@ -92,7 +103,7 @@ class MultiScaleConfidence(nn.Module):
             pyramid.append((z, c))
         for level in range(self.levels - 1, -1, -1):
             fine_z, fine_c = pyramid[level]
-            z = torch.cat([fine_z, F.interpolate(z, scale_factor=2, mode="nearest")], dim=1)
-            c = torch.cat([fine_c, F.interpolate(c, scale_factor=2, mode="nearest")], dim=1)
+            coarse = F.interpolate(torch.cat([z, c], dim=1), scale_factor=2, mode="nearest")  # at once: half the time
+            z, c = (torch.cat(both, dim=1) for both in zip((fine_z, fine_c), coarse.chunk(2, dim=1), strict=True))
             z, c = self.merge[level](z, c)
         return self.project(z, c)

@@ -10,5 +10,7 @@ def pad_to_multiple(x: Tensor, stride: int, repeat_edge: bool = False) -> Tensor
 
     There and not all round: the principal point stays where it is.
     """
-    height, width = x.shape[2:]
-    return F.pad(x, (0, -width % stride, 0, -height % stride), mode="replicate" if repeat_edge else "constant")
+    right, below = -x.shape[3] % stride, -x.shape[2] % stride
+    if not right and not below:
+        return x  # `pad` would copy it
+    return F.pad(x, (0, right, 0, below), mode="replicate" if repeat_edge else "constant")

@@ -128,14 +128,14 @@ def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Te
 
 
 def median_of_points(sparse: Tensor) -> Tensor:
-    """Median of each frame's positive values, (B,1,H,W) -> (B,1,1,1); 1 where a frame has none."""
-    values = sparse.flatten(1)
-    median = torch.where(values > 0, values, torch.full_like(values, float("nan"))).nanmedian(dim=1).values
-    return median.nan_to_num(1.0).view(-1, 1, 1, 1)
+    """Median of each frame's positive values, (B,1,H,W) -> (B,1,1,1): the lower of the middle two; 1 where a frame has
+    none."""
+    known = [frame[frame > 0] for frame in sparse]
+    medians = [values.median() if len(values) else values.new_ones(()) for values in known]
+    return torch.stack(medians).view(-1, 1, 1, 1)
 
 
 def normalise_log(sparse: Tensor) -> tuple[Tensor, Tensor]:
     """Sparse depth -> (log(depth / median) with 0 where there is none, median (B,1,1,1))."""
     median = median_of_points(sparse)
-    log_ratio = torch.log(sparse.clamp_min(torch.finfo(sparse.dtype).tiny) / median)
-    return torch.where(sparse > 0, log_ratio, torch.zeros_like(sparse)), median
+    return torch.log(torch.where(sparse > 0, sparse / median, 1.0)), median

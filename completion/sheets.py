@@ -127,7 +127,8 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
 
 def _calibration_label(name: str, found: Calibration) -> str:
     exact = f"exact Laplace scales: {found.spearman_if_exact:.2f}"
-    return f"{name}: Spearman {found.spearman:.2f} ({exact}), {found.pixels} px"
+    in_depth = f"in depth's unit {found.spearman_in_depth:.2f}"
+    return f"{name}: Spearman {found.spearman:.2f} ({exact}), {in_depth}, {found.pixels} px"
 
 
 def _pyplot() -> Any:

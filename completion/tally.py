@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from completion.calibration import DECILES, Calibration, calibrate, relative_errors
+from completion.calibration import DECILES, Calibration, PixelErrors, calibrate, pixel_errors
 from completion.confidence import error_from_confidence
 from completion.evaluate import Array, FrameResult, Score
 from completion.metrics import SimCol3DDepthErrors, simcol3d_errors
@@ -23,7 +23,7 @@ class Tally:
 
     def __init__(self, trajectory: bool = False) -> None:
         self.scores: list[Score] = []
-        self._pixels: list[tuple[Array, Array]] = []
+        self._pixels: list[PixelErrors] = []
         self._sights: list[FrameResult] = []
         self._every = 1
         self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
@@ -44,7 +44,7 @@ class Tally:
         self.scores.append(Score(result.name, result.points, result.errors))
         if result.confidence is not None:
             error = error_from_confidence(result.confidence)
-            self._pixels.append(relative_errors(result.prediction, result.truth, error))
+            self._pixels.append(pixel_errors(result.prediction, result.truth, error))
         if self._maps:
             np.save(self._maps, result.prediction, allow_pickle=False)
             np.save(self._maps, result.truth, allow_pickle=False)
@@ -61,7 +61,7 @@ class Tally:
 
     def calibration(self) -> Calibration | None:
         """None for a model that does not predict its error, or for too few pixels."""
-        return calibrate(self._pixels) if sum(len(p) for p, _ in self._pixels) >= DECILES else None
+        return calibrate(self._pixels) if sum(len(p.depth) for p in self._pixels) >= DECILES else None
 
     def simcol3d(self) -> SimCol3DDepthErrors | None:
         """SimCol3D's own figures, taking the frames for one trajectory; None without their maps."""

@@ -14,7 +14,7 @@ from completion.feedback import MOST_LOOKS, Estimate, Grid, look_again
 from completion.losses import completion_loss, masked_l1
 from completion.models import build_model
 from completion.sampling import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
-from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet, picture_inputs
 from completion.train_config import TrainConfig
 
 GRID_STEPS = (6, 17)  # px, from and below: of the grids of own points that training draws
@@ -71,7 +71,8 @@ class ScaleFreeTask:
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            estimate = look_again(network, network, rgb, log_sparse, trust, min(MOST_LOOKS, self.config.looks))
+            looks = min(MOST_LOOKS, self.config.looks)
+            estimate = look_again(network.look, network.look, picture_inputs(rgb), log_sparse, trust, looks)
             return torch.exp(estimate.log_depth) * median
 
 

@@ -13,6 +13,7 @@ import typer
 from completion.errors import CompletionError
 from phantom.errors import PhantomError
 from pipeline import cli_runs
+from pipeline.allocator import keep_freed_memory
 from pipeline.errors import HaustraError
 from reconstruction.errors import ReconstructionError
 
@@ -200,6 +201,7 @@ def onnx(
 def run_cleanly(command: Callable[[], Any]) -> int:
     """Run a command; known failures become one sentence on standard error and exit code 1."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    keep_freed_memory()
     try:
         command()
     except KNOWN_ERRORS as error:

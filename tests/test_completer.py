@@ -1,5 +1,7 @@
 """`DepthCompleter` and its exported twin: batches, number formats, order of the points, ONNX."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,9 @@ from hypothesis import strategies as st
 from completion import DepthCompleter
 from completion.attention import attention_features
 from completion.errors import CompletionError
+from completion.fused_conv import FusedConvReLU, fuse_convolutions
 from completion.infer import load_scale_free
+from completion.look_norm import fold_batch_norm
 from completion.models import build_model
 from completion.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
 from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
@@ -170,3 +174,30 @@ def test_the_shipped_header_says_what_was_trained():
     assert about["steps"] == about["training"]["steps"]
     assert 0 < about["held_out_abs_rel"] < 0.08
     assert resolve_weights("mscsa").stat().st_size < 20e6
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_fused_convolutions_are_the_same_function(dtype):
+    torch.manual_seed(0)
+    plain = fold_batch_norm(ScaleFreeMSCSANet(ScaleFreeConfig(width=8)).eval()).unet
+    plain = plain.to(dtype, memory_format=torch.channels_last)
+    fused = copy.deepcopy(plain)
+    if not fuse_convolutions(fused):
+        pytest.skip("this PyTorch has no fused convolutions")
+    assert sum(isinstance(module, FusedConvReLU) for module in fused.modules()) == 18
+    for side in (32, 96):
+        x = torch.randn(2, 20, side, side).to(dtype)
+        with torch.inference_mode():
+            expected = plain(x)
+            tolerance = 1e-5 if dtype == torch.float32 else 0.02
+            torch.testing.assert_close(fused(x), expected, atol=tolerance * expected.abs().max().item(), rtol=0)
+
+
+def test_without_fused_convolutions_the_completer_does_without(monkeypatch, frames):
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
+    plain = DepthCompleter.load("mscsa", precision="bf16")
+    assert not any(isinstance(module, FusedConvReLU) for module in plain.network.modules())
+    monkeypatch.undo()
+    rgb, sparse, _ = (array[0] for array in frames)
+    difference = np.abs(plain(rgb, sparse)[0] / DepthCompleter.load("mscsa", precision="bf16")(rgb, sparse)[0] - 1)
+    assert np.median(difference) < BFLOAT16_TOLERANCE

@@ -65,8 +65,8 @@ def test_each_look_takes_the_measured_points_and_only_the_last_estimate():
     def stub(name):
         return lambda *inputs: asked.append((name, *inputs)) or f"estimate {len(asked)}"
 
-    assert look_again(stub("first"), stub("later"), "rgb", "points", "trust", 3) == "estimate 3"
-    given = ("rgb", "points", "trust")
+    assert look_again(stub("first"), stub("later"), "picture", "points", "trust", 3) == "estimate 3"
+    given = ("picture", "points", "trust")
     assert asked == [("first", *given, None), ("later", *given, "estimate 1"), ("later", *given, "estimate 2")]
 
 

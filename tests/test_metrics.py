@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.stats import spearmanr
 
-from completion.calibration import calibrate
+from completion.calibration import PixelErrors, calibrate
 from completion.errors import CompletionError
 from completion.metrics import average, depth_errors, simcol3d_errors
 
@@ -75,20 +76,38 @@ def test_simcol3d_takes_one_scale_for_the_trajectory() -> None:
     assert uneven.median_relative > 0.03  # a scale per frame would hide it
 
 
+def pixels(predicted, actual, depth):
+    """Of relative errors that are predicted and that are made, too far in."""
+    return PixelErrors(predicted, depth, depth / (1 - np.minimum(actual, 0.9)))
+
+
 def test_calibration_of_a_perfect_and_of_a_useless_confidence() -> None:
     rng = np.random.default_rng(0)
-    predicted = np.exp(rng.uniform(-5, -1, 20_000))
-    actual = np.abs(rng.laplace(0, predicted))
-    perfect = calibrate([(predicted[:10_000], actual[:10_000]), (predicted[10_000:], actual[10_000:])])
+    predicted = np.exp(rng.uniform(-7, -3, 20_000))
+    actual, depth = np.abs(rng.laplace(0, predicted)), np.exp(rng.uniform(1, 4, 20_000))
+    perfect = calibrate(
+        [pixels(predicted[part], actual[part], depth[part]) for part in (slice(10_000), slice(10_000, None))]
+    )
     assert perfect.within_one == pytest.approx(1 - math.exp(-1), abs=0.01)
     np.testing.assert_allclose(np.array(perfect.actual) / perfect.predicted, math.log(2), rtol=0.15)
     assert perfect.spearman > 0.5
     assert perfect.spearman_if_exact == pytest.approx(perfect.spearman, abs=0.02)
-    useless = calibrate([(predicted, rng.permutation(actual))])
+    useless = calibrate([pixels(predicted, rng.permutation(actual), depth)])
     assert abs(useless.spearman) < 0.03
     assert useless.spearman_if_exact == pytest.approx(perfect.spearman_if_exact)
-    even = calibrate([(np.exp(rng.normal(-3, 0.1, 20_000)), actual)])
+    even = calibrate([pixels(np.exp(rng.normal(-3, 0.1, 20_000)), actual, depth)])
     assert even.spearman_if_exact < 0.15  # errors that are expected to be alike cannot be ranked
+
+
+def test_error_in_the_unit_of_depth_is_ranked_by_depth_too() -> None:
+    rng = np.random.default_rng(1)
+    predicted, depth = np.exp(rng.normal(-5, 0.5, 20_000)), np.exp(rng.normal(3, 0.7, 20_000))
+    found = calibrate([pixels(predicted, np.abs(rng.laplace(0, predicted)), depth)])
+    in_depth = predicted * depth
+    assert found.spearman_in_depth == pytest.approx(spearmanr(in_depth, np.abs(rng.laplace(0, in_depth)))[0], abs=0.02)
+    assert found.spearman + 0.05 < found.spearman_of_depth < found.spearman_in_depth - 0.05
+    twice = calibrate([pixels(predicted, np.abs(rng.laplace(0, predicted)), 1000 * depth)])
+    assert twice.spearman_in_depth == pytest.approx(found.spearman_in_depth, abs=0.02)  # whatever the unit
 
 
 def test_what_cannot_be_judged_is_said() -> None:
