@@ -25,8 +25,10 @@ class Calibration:
     actual: list[float]  # median actual relative error in each decile
     spearman: float  # of predicted and actual relative error over all pixels
     spearman_if_exact: float  # what it would be if errors were Laplace with exactly the predicted scales
-    spearman_in_depth: float  # of predicted and actual error in the unit of depth
-    spearman_of_depth: float  # of the predicted depth alone and the actual error in its unit: far is uncertain
+    # The same in the unit of depth. What is far errs more, so that depth alone ranks errors, too: compare with that.
+    spearman_absolute: float
+    spearman_absolute_if_exact: float
+    spearman_depth_alone: float  # of predicted depth and actual error in its unit
     within_one: float  # share of pixels whose error is below the predicted one (Laplace: 63 % if calibrated)
     pixels: int
 
@@ -63,14 +65,15 @@ def calibrate(frames: Iterable[PixelErrors]) -> Calibration:
     order = np.argsort(predicted, kind="stable")
     ideal = predicted * np.random.default_rng(0).exponential(size=len(predicted))
     groups = np.array_split(order, DECILES)
-    in_depth = np.abs(pixels.depth - pixels.truth)
+    absolute = np.abs(pixels.depth - pixels.truth)
     return Calibration(
         predicted=[float(np.median(predicted[group])) for group in groups],
         actual=[float(np.median(actual[group])) for group in groups],
         spearman=float(spearmanr(predicted, actual).statistic),
         spearman_if_exact=float(spearmanr(predicted, ideal).statistic),
-        spearman_in_depth=float(spearmanr(predicted * pixels.depth, in_depth).statistic),
-        spearman_of_depth=float(spearmanr(pixels.depth, in_depth).statistic),
+        spearman_absolute=float(spearmanr(predicted * pixels.depth, absolute).statistic),
+        spearman_absolute_if_exact=float(spearmanr(predicted * pixels.depth, ideal * pixels.depth).statistic),
+        spearman_depth_alone=float(spearmanr(pixels.depth, absolute).statistic),
         within_one=float(np.mean(actual < predicted)),
         pixels=len(predicted),
     )

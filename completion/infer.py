@@ -11,7 +11,7 @@ from completion.checkpoint import load_network
 from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
 from completion.feedback import MOST_LOOKS, look_again
-from completion.fused_conv import fuse_convolutions
+from completion.fused_conv import can_fuse, fuse_convolutions
 from completion.look_norm import fold_batch_norm
 from completion.nconv import NormalizedConv2d
 from completion.sampling import normalise_log
@@ -58,12 +58,13 @@ class DepthCompleter:
         self.later = self._for_inference(network, again=True) if self.looks > 1 else self.network
 
     def _for_inference(self, network: ScaleFreeMSCSANet, again: bool) -> ScaleFreeMSCSANet:
-        """A copy without what only training needs, its U-Net in bfloat16 where that is fast."""
+        """A copy without what only training needs, its U-Net's convolutions in bfloat16 where that is fast."""
         copy = fold_batch_norm(network, again)
         if self.half:
-            copy.unet.to(torch.bfloat16)
+            for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
+                part.to(torch.bfloat16)
         copy = copy.to(self.device, memory_format=torch.channels_last)
-        if self.half and self.device.type == "cpu":
+        if self.half and self.device.type == "cpu" and can_fuse(torch.bfloat16):  # in float32 it gains little
             fuse_convolutions(copy.unet)
         for module in copy.modules():
             if isinstance(module, NormalizedConv2d):

@@ -156,8 +156,8 @@ class Anchor(nn.Module):
 
 
 def halve_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
-    """Points (B,1,H,W) at half resolution: trust-weighted mean of each 2x2 block, and its greatest trust."""
-    (a, b, c, d), (w, x, y, z) = _quarters(trust), _quarters(values * trust)  # twice as fast as pooling
+    """Points (B,1,H,W) of even sides at half resolution: trust-weighted mean of each 2x2 block, its greatest trust."""
+    (a, b, c, d), (w, x, y, z) = _quarters(trust), _quarters(values * trust)  # forward twice as fast as pooling
     most = torch.maximum(torch.maximum(a, b), torch.maximum(c, d))
     return (w + x + y + z) / (a + b + c + d).clamp_min(1e-12), most
 

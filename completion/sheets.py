@@ -126,9 +126,9 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
 
 
 def _calibration_label(name: str, found: Calibration) -> str:
-    exact = f"exact Laplace scales: {found.spearman_if_exact:.2f}"
-    in_depth = f"in depth's unit {found.spearman_in_depth:.2f}"
-    return f"{name}: Spearman {found.spearman:.2f} ({exact}), {in_depth}, {found.pixels} px"
+    relative = f"Spearman {found.spearman:.2f} (exact Laplace scales: {found.spearman_if_exact:.2f})"
+    baseline = f"exact: {found.spearman_absolute_if_exact:.2f}, depth alone: {found.spearman_depth_alone:.2f}"
+    return f"{name}: {relative}\nin depth's unit {found.spearman_absolute:.2f} ({baseline}); {found.pixels} px"
 
 
 def _pyplot() -> Any:

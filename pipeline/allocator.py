@@ -1,8 +1,8 @@
 """Keep the memory that is freed, for what is asked for next.
 
-glibc gives a large array back to the system as soon as it is freed, and gets the next one as fresh pages, each of which
-costs a fault when it is first touched. A network asks for and frees the same arrays again and again: completing a frame
-spends a tenth of its time on that, a step of training an eighth.
+Where many large arrays are freed together, glibc gives their memory back to the system and gets the next ones as fresh
+pages, each of which costs a fault when it is first touched. A network asks for and frees the same arrays again and
+again: completing a frame spent a tenth of its time on that, a step of training an eighth.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
 
 
 def keep_freed_memory() -> bool:
-    """Tell this process's allocator so; False where it is not glibc's, and nothing changes."""
+    """Tell glibc's allocator so, for this process; False where there is none, and nothing changes."""
     if not sys.platform.startswith("linux"):
         return False
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)

@@ -28,8 +28,8 @@ print(usual, int(kept), faults(20 << 20), faults(2 * LARGEST_REUSED))
 def test_memory_that_is_freed_comes_back_without_page_faults_and_the_largest_blocks_still_go():
     run = subprocess.run([sys.executable, "-c", COUNT_FAULTS], capture_output=True, text=True, check=True)
     usual, kept, after, largest = map(int, run.stdout.split())
-    if not kept:
-        pytest.skip("not glibc's allocator")
+    if not kept or usual < 1000:
+        pytest.skip("not glibc's allocator, or the kernel does not count faults or has huge pages")
     pages = 2 * (20 << 20) // 4096  # of one turn, without huge pages
     assert after < pages / 100
     assert after < usual / 10

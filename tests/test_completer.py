@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from completion import DepthCompleter
 from completion.attention import attention_features
 from completion.errors import CompletionError
-from completion.fused_conv import FusedConvReLU, fuse_convolutions
+from completion.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.infer import load_scale_free
 from completion.look_norm import fold_batch_norm
 from completion.models import build_model
+from completion.network import DoubleConv
 from completion.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
 from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
 from pipeline.sparse_depth import SparseDepth
@@ -92,8 +93,9 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
         completer.batch(rgb[:0], sparse[:0])
     with pytest.raises(CompletionError, match="auto, bf16 or fp32"):
         DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
-    with pytest.raises(CompletionError, match="folded for one look already"):
-        DepthCompleter(completer.network)
+    for precision in ("fp32", "bf16"):
+        with pytest.raises(CompletionError, match="folded for one look already"):
+            DepthCompleter(DepthCompleter.load("mscsa", precision=precision).network)
 
 
 @settings(max_examples=25, deadline=None)
@@ -178,19 +180,31 @@ def test_the_shipped_header_says_what_was_trained():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_fused_convolutions_are_the_same_function(dtype):
-    torch.manual_seed(0)
-    plain = fold_batch_norm(ScaleFreeMSCSANet(ScaleFreeConfig(width=8)).eval()).unet
-    plain = plain.to(dtype, memory_format=torch.channels_last)
+    """Each against its convolution and ReLU, with weights as trained; a copy is the same again."""
+    if not can_fuse(dtype):
+        pytest.skip("this PyTorch or processor has no fused convolutions")
+    plain = fold_batch_norm(load_scale_free("mscsa")).unet.to(dtype, memory_format=torch.channels_last)
     fused = copy.deepcopy(plain)
-    if not fuse_convolutions(fused):
-        pytest.skip("this PyTorch has no fused convolutions")
-    assert sum(isinstance(module, FusedConvReLU) for module in fused.modules()) == 18
-    for side in (32, 96):
-        x = torch.randn(2, 20, side, side).to(dtype)
-        with torch.inference_mode():
-            expected = plain(x)
-            tolerance = 1e-5 if dtype == torch.float32 else 0.02
-            torch.testing.assert_close(fused(x), expected, atol=tolerance * expected.abs().max().item(), rtol=0)
+    fuse_convolutions(fused)
+    pairs = 0
+    for block, again in zip(double_convs(plain), double_convs(copy.deepcopy(fused)), strict=True):
+        for index in (0, 3):
+            conv, together = block[index], again[index]
+            assert isinstance(together, FusedConvReLU)
+            for side in (8, 30):
+                x = torch.randn(2, conv.in_channels, side, side).to(dtype)
+                with torch.inference_mode():
+                    expected = conv(x).relu()
+                    assert expected.std() > 0
+                    tolerance = (1e-5 if dtype == torch.float32 else 0.01) * expected.float().std().item()
+                    torch.testing.assert_close(together(x), expected, atol=tolerance, rtol=0.01)
+            pairs += 1
+    assert pairs == 18
+    assert fused.state_dict().keys() >= {"head.weight", "encoder.0.0.conv.weight", "decoder.3.3.conv.bias"}
+
+
+def double_convs(network):
+    return [module for module in network.modules() if isinstance(module, DoubleConv)]
 
 
 def test_without_fused_convolutions_the_completer_does_without(monkeypatch, frames):

@@ -77,7 +77,7 @@ def test_simcol3d_takes_one_scale_for_the_trajectory() -> None:
 
 
 def pixels(predicted, actual, depth):
-    """Of relative errors that are predicted and that are made, too far in."""
+    """Of relative errors that are predicted and that are made, too near."""
     return PixelErrors(predicted, depth, depth / (1 - np.minimum(actual, 0.9)))
 
 
@@ -102,12 +102,17 @@ def test_calibration_of_a_perfect_and_of_a_useless_confidence() -> None:
 def test_error_in_the_unit_of_depth_is_ranked_by_depth_too() -> None:
     rng = np.random.default_rng(1)
     predicted, depth = np.exp(rng.normal(-5, 0.5, 20_000)), np.exp(rng.normal(3, 0.7, 20_000))
-    found = calibrate([pixels(predicted, np.abs(rng.laplace(0, predicted)), depth)])
-    in_depth = predicted * depth
-    assert found.spearman_in_depth == pytest.approx(spearmanr(in_depth, np.abs(rng.laplace(0, in_depth)))[0], abs=0.02)
-    assert found.spearman + 0.05 < found.spearman_of_depth < found.spearman_in_depth - 0.05
-    twice = calibrate([pixels(predicted, np.abs(rng.laplace(0, predicted)), 1000 * depth)])
-    assert twice.spearman_in_depth == pytest.approx(found.spearman_in_depth, abs=0.02)  # whatever the unit
+    actual = np.abs(rng.laplace(0, predicted))
+    found = calibrate([pixels(predicted, actual, depth)])
+    expected = spearmanr(predicted * depth, actual * depth / (1 - np.minimum(actual, 0.9))).statistic
+    assert found.spearman_absolute == pytest.approx(expected)
+    assert found.spearman_absolute_if_exact == pytest.approx(found.spearman_absolute, abs=0.02)
+    assert found.spearman + 0.05 < found.spearman_depth_alone < found.spearman_absolute - 0.05
+    elsewhere = calibrate([pixels(predicted, actual, 1000 * depth)])
+    assert elsewhere.spearman_absolute == pytest.approx(found.spearman_absolute)  # whatever the unit
+    # A prediction that says nothing is ranked by depth alone, and no better.
+    useless = calibrate([pixels(np.full(20_000, 0.01), actual, depth)])
+    assert useless.spearman_absolute == pytest.approx(useless.spearman_depth_alone)
 
 
 def test_what_cannot_be_judged_is_said() -> None:
