@@ -5,7 +5,8 @@
 Samplers: `uniform` takes pixels at random with true depth. `sfm` takes SIFT keypoints (OpenCV, contrast threshold
 0.005) at random, multiplies depth by 1 + 0.03 N(0,1), 3 % of the points by U(0.5, 2), and all points of a frame by
 one unknown factor in [e^-2, e^2]. Per frame: mean |p - g| / g over valid pixels, the prediction divided by the known
-factor; then the mean over frames. Linear interpolation fills outside the hull with the nearest point.
+factor; then the mean over frames, and over `--draws` draws of points, whose least and most are given too. Linear
+interpolation fills outside the hull with the nearest point.
 """
 
 import argparse
@@ -35,6 +36,19 @@ def judged_frames(folder: Path, stride: int) -> list[EvaluationFrame]:
     return frames if len(frames) <= 20 else frames[::stride]
 
 
+def errors_of(
+    completer: DepthCompleter, frames: list[EvaluationFrame], sampler: str, points: int, seed: int
+) -> tuple[float, float]:
+    """Mean abs.REL in percent of linear interpolation and of the model, from one draw of points in each frame."""
+    rng, errors = np.random.default_rng(seed), []
+    for frame in frames:
+        drawn = get_sampler(sampler)(frame.rgb, frame.depth, points, rng)
+        made = linear(drawn.depth), completer(frame.rgb, drawn.depth)[0]
+        errors.append([absolute_relative(depth / drawn.factor, frame.depth) for depth in made])
+    by_linear, by_model = np.mean(errors, axis=0).tolist()
+    return by_linear, by_model
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folders", nargs="+", type=Path)
@@ -42,7 +56,8 @@ def main() -> None:
     parser.add_argument(
         "--looks", type=int, help="how often each frame is completed; the model's own number if not given"
     )
-    parser.add_argument("--stride", type=int, default=4, help="every n-th frame of a long sequence")
+    parser.add_argument("--stride", type=int, default=1, help="every n-th frame of a sequence of more than 20")
+    parser.add_argument("--draws", type=int, default=4, help="of points, by seeds from 0 on")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     completer = DepthCompleter(load_scale_free(arguments.model), looks=arguments.looks)
@@ -50,18 +65,15 @@ def main() -> None:
     for folder in arguments.folders:
         frames = judged_frames(folder, arguments.stride)
         for sampler, points in SETTINGS:
-            rng = np.random.default_rng(0)
-            errors = {"linear": [], arguments.model: []}
-            for frame in frames:
-                points_of = get_sampler(sampler)(frame.rgb, frame.depth, points, rng)
-                sparse, factor = points_of.depth, points_of.factor
-                errors["linear"].append(absolute_relative(linear(sparse) / factor, frame.depth))
-                errors[arguments.model].append(absolute_relative(completer(frame.rgb, sparse)[0] / factor, frame.depth))
+            errors = [errors_of(completer, frames, sampler, points, seed) for seed in range(arguments.draws)]
             row = {"folder": folder.name, "sampler": sampler, "points": points, "frames": len(frames)}
-            row |= {f"{name}_abs_rel_percent": float(np.mean(values)) for name, values in errors.items()}
+            for place, name in enumerate(("linear", arguments.model)):
+                of_draws = [error[place] for error in errors]
+                row[f"{name}_abs_rel_percent"] = float(np.mean(of_draws))
+                row |= {f"{name}_least": min(of_draws), f"{name}_most": max(of_draws)}
             rows.append(row)
             say(row)
-    write(arguments.json, {"looks": completer.looks, "working_side": completer.working_side, "rows": rows})
+    write(arguments.json, {"looks": completer.looks, "draws": arguments.draws, "rows": rows})
 
 
 if __name__ == "__main__":

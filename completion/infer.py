@@ -12,8 +12,8 @@ from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
 from completion.feedback import MOST_LOOKS, look_again
 from completion.fused_conv import can_fuse, fuse_convolutions
+from completion.linear_confidence import LinearConfidence
 from completion.look_norm import fold_batch_norm
-from completion.nconv import NormalizedConv2d
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet, picture_inputs
 from completion.shipped import check_looks, resolve_weights
@@ -63,12 +63,12 @@ class DepthCompleter:
         if self.half:
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
                 part.to(torch.bfloat16)
+        copy.msc = LinearConfidence(copy.msc)
+        if copy.anchor is not None:
+            copy.anchor.msc = LinearConfidence(copy.anchor.msc)
         copy = copy.to(self.device, memory_format=torch.channels_last)
         if self.half and self.device.type == "cpu" and can_fuse(torch.bfloat16):  # in float32 it gains little
             fuse_convolutions(copy.unet)
-        for module in copy.modules():
-            if isinstance(module, NormalizedConv2d):
-                module.fix()
         return copy
 
     @classmethod

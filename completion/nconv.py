@@ -19,12 +19,10 @@ DIVISION_GUARD = 1e-20
 class NormalizedConv2d(nn.Module):
     """One normalised convolution layer (paper Eqs. 1-3).
 
-    The kernel is stored unconstrained and mapped by Gamma(w) = softplus(w) at each call (until `fix`), so that autograd
-    itself supplies the chain rule of Eq. 3. The numerator's epsilon of Eq. 2 is left out: it would give a pixel without
+    The kernel is stored unconstrained and mapped by Gamma(w) = softplus(w) at each call, so that autograd itself
+    supplies the chain rule of Eq. 3. The numerator's epsilon of Eq. 2 is left out: it would give a pixel without
     any known neighbour a positive confidence.
     """
-
-    fixed_kernel: Tensor | None
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, beta: float = 10.0) -> None:
         super().__init__()
@@ -32,7 +30,6 @@ class NormalizedConv2d(nn.Module):
         self.padding = kernel_size // 2
         self.weight = nn.Parameter(_poisson_kernels(in_channels, out_channels, kernel_size, beta))
         self.bias = nn.Parameter(torch.zeros(out_channels))
-        self.register_buffer("fixed_kernel", None, persistent=False)
 
     def applicability(self) -> Tensor:
         """Gamma(W) of shape (out, in, k, k), strictly positive."""
@@ -40,15 +37,8 @@ class NormalizedConv2d(nn.Module):
 
     def unit_kernel(self) -> Tensor:
         """Gamma(W) over its sum for each output channel: the sums of Eqs. 1 and 2, divided beforehand."""
-        if self.fixed_kernel is not None:
-            return self.fixed_kernel
         kernel = self.applicability()
         return kernel / kernel.sum(dim=(1, 2, 3), keepdim=True)
-
-    def fix(self) -> None:
-        """Compute the kernel once and for all, for a copy whose weights do not change any more."""
-        self.fixed_kernel = None
-        self.fixed_kernel = self.unit_kernel().detach()
 
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """(B,in,H,W) depth and confidence -> (B,out,H,W) of each; depth is the bias where nothing is known."""
