@@ -112,7 +112,7 @@ def sweep_plot(path: Path, curves: Mapping[str, Mapping[int, float]], title: str
 def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Path:
     """Median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal."""
     plt = _pyplot()
-    figure, axis = plt.subplots(figsize=(5, 5), layout="constrained")
+    figure, axis = plt.subplots(figsize=(5, 4.5 + 0.35 * len(calibrations)), layout="constrained")
     for name, found in calibrations.items():
         predicted, actual = 100 * np.array(found.predicted), 100 * np.array(found.actual)
         axis.plot(predicted, actual, marker="o", label=_calibration_label(name, found))
@@ -121,7 +121,7 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
     axis.plot(line, np.log(2) * line, "k--", linewidth=1, label="Laplace, calibrated: median error = ln 2 x predicted")
     axis.set(xscale="log", yscale="log", xlabel="predicted relative error [%]", ylabel="actual relative error [%]")
     axis.grid(True, which="both", alpha=0.3)
-    axis.legend(fontsize=7)
+    figure.legend(loc="outside lower center", fontsize=7)  # under the curves, however many there are
     return _saved(figure, path)
 
 
