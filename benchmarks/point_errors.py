@@ -2,9 +2,10 @@
 
     python benchmarks/point_errors.py ../shared/data/ctcolon ../shared/data/simcol3d --points 500 --json errors.json
 
-Frames, points and figure of `depth_completion.py`'s sfm rows, in percent, means over frames. An outlier is a point
-further from the truth than four times the sampler's noise. "told" keeps every error but says how large it is: noise as
-the sampler draws it, half the depth at an outlier. The paired standard error is over frames, of one sequence all.
+Points and figure of `depth_completion.py`'s sfm rows (`--stride 4 --draws 1`), in percent, means over frames. An
+outlier is a point further from the truth than four times the sampler's noise. "told" keeps every error but says how
+large it is: noise as the sampler draws it, half the depth at an outlier. The paired standard error is over frames, of
+one sequence all.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""`MultiScaleConfidence` for inference: the same function in seven tenths of the time.
+"""`MultiScaleConfidence` for inference: the same function, down to confidences of 1e-18, in seven tenths of the time.
 
 A layer of normalised convolution gives c' = K c and z' = K(z c) / c' + b, and the next one asks for c' and z' c' alone.
 That product is K(z c) + b K c: linear, without a division. So depth is carried as z c beside c, each layer is one

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from completion.infer import load_scale_free
 from completion.linear_confidence import LinearConfidence, joint_kernel
 from completion.nconv import MultiScaleConfidence, NormalizedConv2d
 
@@ -46,3 +47,16 @@ def test_the_joint_pyramid_is_the_pyramid(levels):
             torch.testing.assert_close(got, expected, rtol=1e-6, atol=1e-9)
             assert expected[:2].std() > 1e-6
     assert not any(parameter.requires_grad for parameter in LinearConfidence(msc).parameters())
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-8])
+def test_in_single_precision_the_shipped_pyramids_are_as_exact(scale):
+    network = load_scale_free("mscsa")
+    torch.manual_seed(3)
+    trust = scale * torch.rand(2, 1, 96, 128) * (torch.rand(2, 1, 96, 128) < 0.02)
+    depth = 0.4 * torch.randn(trust.shape) * (trust > 0)
+    for msc in (network.msc, network.anchor.msc):
+        with torch.no_grad():
+            (got, known), (expected, expected_known) = LinearConfidence(msc)(depth, trust), msc(depth, trust)
+        torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(known / scale, expected_known / scale, rtol=1e-4, atol=1e-9)
