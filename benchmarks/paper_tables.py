@@ -68,7 +68,8 @@ def held_out_frames(folder: Path, most_mm: float) -> Iterator[EvaluationFrame]:
 def trained(folders: Sequence[Path], model: str, seed: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """Train one network on these scenes and judge it on each; the record is kept beside its weights."""
     scenes = "_".join(folder.name for folder in folders)
-    name = f"{scenes}_{model}_{arguments.size}_{arguments.steps}_{seed}".replace("+", "_")
+    points = "" if arguments.points == 100 else f"_{arguments.points}points"
+    name = f"{scenes}_{model}_{arguments.size}_{arguments.steps}_{seed}{points}".replace("+", "_")
     record = arguments.out / f"{name}.json"
     if record.exists():
         return json.loads(record.read_text())
@@ -79,6 +80,7 @@ def trained(folders: Sequence[Path], model: str, seed: int, arguments: argparse.
         model=model,
         size=arguments.size,
         steps=arguments.steps,
+        points=arguments.points,
         seed=seed,
         threads=arguments.threads,
         decay_at=DECAY_AT,
@@ -136,6 +138,9 @@ def main() -> None:
     parser.add_argument("--joint", action="store_true", help="one network for all scenes instead of one for each")
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument(
+        "--points", type=int, default=100, help="per frame, in training and judging; the paper's are 100"
+    )
     parser.add_argument("--size", choices=["paper", "small"], default="small")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
@@ -145,13 +150,15 @@ def main() -> None:
     groups = [arguments.folders] if arguments.joint else [[folder] for folder in arguments.folders]
     figures: list[dict[str, Any]] = []
     for folders in groups:
-        floor, config = load_predictor("linear"), make_config("paper", shards=tuple(folders), out=arguments.out)
+        floor = load_predictor("linear")
+        config = make_config("paper", shards=tuple(folders), out=arguments.out, points=arguments.points)
         figures += [{**judged(f, floor, config), "model": "linear", "seed": None, "minutes": 0.0} for f in folders]
     for seed, folders, model in product(range(arguments.seeds), groups, rows.values()):
         figures += trained(folders, model, seed, arguments)
     shown = {**rows, "(linear)": "linear"}
     minutes = sum(figure["minutes"] for figure in figures)
     budget = f"{arguments.steps} steps of 10 frames, {arguments.seeds} seeds, size {arguments.size}, "
+    budget += f"{arguments.points} points, "
     budget += f"{'all scenes together' if arguments.joint else 'each scene alone'}, {arguments.threads} threads"
     tables = [table(folder.name, shown, figures) for folder in arguments.folders]
     text = f"Table {arguments.table}: {budget}, {minutes:.0f} minutes in all\n\n" + "\n\n".join(tables) + "\n"
