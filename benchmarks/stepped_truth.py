@@ -18,6 +18,7 @@ from completion.confidence import error_from_confidence
 from completion.frames import EvaluationFrame
 from completion.readers import read_evaluation_frames
 from completion.sparsify import get_sampler
+from depth_completion import judged_frames
 from record import say, write
 
 SIMCOL3D_STEP = 200 / 255  # mm
@@ -45,12 +46,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folder", type=Path, help="with fine depth")
     parser.add_argument("stepped", type=Path, help="SimCol3D")
-    parser.add_argument("--stride", type=int, default=4, help="every n-th frame of the first")
+    parser.add_argument("--stride", type=int, default=4, help="every n-th frame of the first, if it has more than 20")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     completer, rows = DepthCompleter.load("mscsa"), []
     stepped = list(read_evaluation_frames(arguments.stepped))
-    frames = list(read_evaluation_frames(arguments.folder))[:: arguments.stride]
+    frames = judged_frames(arguments.folder, arguments.stride)
     step = SIMCOL3D_STEP * median_depth(frames) / median_depth(stepped)
     for sampler, points in POINTS:
         for of_step in (0.0, step):

@@ -7,8 +7,6 @@ convolution of both, and only the last divides. Where nothing is known both are 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -28,13 +26,12 @@ class LinearConfidence(nn.Module):
     def __init__(self, msc: MultiScaleConfidence) -> None:
         super().__init__()
         self.levels = msc.levels
-        last = msc.project
         for name in ("lift", "densify", "refine"):
             self.register_buffer(name, joint_kernel(getattr(msc, name)))
         for level, merge in enumerate(msc.merge):  # of a finer level's channels, then the coarser one's
             self.register_buffer(f"merge_{level}", joint_kernel(merge, groups=2))
-        self.register_buffer("project", joint_kernel(last, bias=torch.zeros_like(last.bias)))
-        self.register_buffer("bias", last.bias.detach().view(1, -1, 1, 1))
+        self.register_buffer("project", joint_kernel(msc.project, bias=torch.zeros_like(msc.project.bias)))
+        self.register_buffer("bias", msc.project.bias.detach().view(1, -1, 1, 1))
 
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """As `MultiScaleConfidence.forward`."""
@@ -58,12 +55,12 @@ def joint_kernel(layer: NormalizedConv2d, bias: Tensor | None = None, groups: in
     kernel = layer.unit_kernel().detach()
     outputs, inputs = kernel.shape[:2]
     b = (layer.bias if bias is None else bias).detach().view(-1, 1, 1, 1)
-    confidence = torch.arange(inputs).view(groups, -1) + torch.arange(groups)[:, None] * (inputs // groups)
-    places: Sequence[Tensor] = (confidence.flatten(), (confidence + inputs // groups).flatten())
+    size = inputs // groups
+    of_confidence = (torch.arange(inputs).view(groups, size) + size * torch.arange(groups)[:, None]).flatten()
     joint = kernel.new_zeros(2 * outputs, 2 * inputs, *kernel.shape[2:])
-    joint[:outputs, places[0]] = kernel
-    joint[outputs:, places[0]] = b * kernel
-    joint[outputs:, places[1]] = kernel
+    joint[:outputs, of_confidence] = kernel
+    joint[outputs:, of_confidence] = b * kernel
+    joint[outputs:, of_confidence + size] = kernel
     return joint.contiguous(memory_format=torch.channels_last)
 
 
