@@ -130,6 +130,14 @@ def table(scene: str, rows: dict[str, str], figures: list[dict[str, Any]]) -> st
     return f"**{scene}** ({here[0]['frames']} frames of meshes never trained on)\n\n{markdown_table(cells)}"
 
 
+def chosen_rows(number: int, labels: list[str] | None) -> dict[str, str]:
+    """Rows of a table and their networks; all, or those of these labels."""
+    rows = ROWS[number]
+    if unknown := set(labels or ()) - set(rows):
+        raise SystemExit(f"error: no row {', '.join(sorted(unknown))} in Table {number}: give one of {', '.join(rows)}")
+    return {label: model for label, model in rows.items() if not labels or label in labels}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("table", type=int, choices=ROWS)
@@ -141,11 +149,12 @@ def main() -> None:
     parser.add_argument(
         "--points", type=int, default=100, help="per frame, in training and judging; the paper's are 100"
     )
+    parser.add_argument("--row", action="append", help="only this row of the table, by its label; again for more")
     parser.add_argument("--size", choices=["paper", "small"], default="small")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    rows = ROWS[arguments.table]
+    rows = chosen_rows(arguments.table, arguments.row)
     refuse_shared_meshes(arguments.folders)
     groups = [arguments.folders] if arguments.joint else [[folder] for folder in arguments.folders]
     figures: list[dict[str, Any]] = []

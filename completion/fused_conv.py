@@ -9,9 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.network import DoubleConv
+
+# px. On processors without AMX oneDNN wants weights of up to 12 columns laid out in another way and does so anew in
+# every call, at thirty times the convolution's cost. The U-Net's deepest level is that narrow.
+NARROW = 16
 
 
 class FusedConvReLU(nn.Module):
@@ -28,7 +33,19 @@ class FusedConvReLU(nn.Module):
         self._weight = torch._C._nn.mkldnn_reorder_conv2d_weight(conv.weight.detach().to_mkldnn(), *self._shape)
 
     def forward(self, x: Tensor) -> Tensor:
+        if x.shape[3] < NARROW:
+            return self._as_product(x)
         return torch.ops.mkldnn._convolution_pointwise(x, self._weight, self.conv.bias, *self._shape, "relu", [], "")
+
+    def _as_product(self, x: Tensor) -> Tensor:
+        """The same, as one matrix product of every pixel's neighbourhood: for small pictures. Stride 1, one group."""
+        weight, (rows, columns) = self.conv.weight, self.conv.kernel_size
+        (batch, _, height, width), (above, left) = x.shape, self.conv.padding
+        around = F.pad(x, (left, left, above, above)).permute(0, 2, 3, 1)
+        shifted = [around[:, i : i + height, j : j + width] for i in range(rows) for j in range(columns)]
+        kernel = weight.permute(2, 3, 1, 0).reshape(-1, weight.shape[0])
+        out = torch.addmm(self.conv.bias, torch.cat(shifted, dim=3).flatten(0, 2), kernel).relu_()
+        return out.view(batch, height, width, -1).permute(0, 3, 1, 2)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_weight"}  # it can't be copied
