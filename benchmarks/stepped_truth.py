@@ -1,45 +1,67 @@
-"""What true depth that is stored in coarse steps does to a judgement of predicted errors.
+"""What true depth that is stored in coarse steps does to a judgement of depth and of predicted errors.
 
     python benchmarks/stepped_truth.py ../shared/data/ctcolon ../shared/data/simcol3d
 
-The first folder's true depth is rounded to the steps in which the second's is stored, as shares of their median
-depths; points are drawn of what is then called true. Both judgements are of the same model and the same pixels.
-SimCol3D stores 200 mm in 255 steps.
+The first folder's fine depth is rounded to the steps in which the second's is stored, as shares of their median depths,
+then brought back by `completion/stepped_depth.py`: what that is worth. The second's is judged as it is stored and
+brought back likewise. Points are drawn of what is then called true, the same pixels each time. SimCol3D stores 200 mm
+in 255 steps.
 """
 
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from completion import DepthCompleter
-from completion.calibration import Calibration, calibrate, pixel_errors
-from completion.confidence import error_from_confidence
-from completion.frames import EvaluationFrame
+from completion.evaluate import Protocol, evaluate_frames, mean_errors
+from completion.frames import Depth, EvaluationFrame
+from completion.predictors import Predictor, load_predictor
 from completion.readers import read_evaluation_frames
-from completion.sparsify import get_sampler
+from completion.stepped_depth import without_steps
+from completion.tally import Tally
 from depth_completion import judged_frames
 from record import say, write
 
 SIMCOL3D_STEP = 200 / 255  # mm
-POINTS = (("uniform", 100), ("uniform", 500))
+POINTS = (("uniform", 100), ("uniform", 500), ("sfm", 100), ("sfm", 500))
+Truth = Callable[[Depth], Depth]
 
 
 def median_depth(frames: list[EvaluationFrame]) -> float:
     return float(np.median(np.concatenate([frame.depth[frame.depth > 0] for frame in frames])))
 
 
-def judged(
-    completer: DepthCompleter, frames: list[EvaluationFrame], sampler: str, points: int, step: float
-) -> Calibration:
-    """Against depth in steps of `step` mm; 0 for depth as it is."""
-    rng, pixels = np.random.default_rng(0), []
+def rounded(depth: Depth, step: float) -> Depth:
+    return (step * np.round(depth / step)).astype(np.float32)
+
+
+def distance(frames: list[EvaluationFrame], truth: Truth, step: float) -> dict[str, float]:
+    """From the fine depth, in steps: root mean square and median over pixels nearer than a frame's median, and all."""
+    near, every = [], []
     for frame in frames:
-        truth = frame.depth if not step else (step * np.round(frame.depth / step)).astype(np.float32)
-        drawn = get_sampler(sampler)(frame.rgb, truth, points, rng)
-        depth, confidence = completer(frame.rgb, drawn.depth)
-        pixels.append(pixel_errors(depth, truth, error_from_confidence(confidence)))
-    return calibrate(pixels)
+        known = frame.depth > 0
+        off = (np.abs(truth(frame.depth) - frame.depth) / step)[known]
+        near.append(off[frame.depth[known] < np.median(frame.depth[known])])
+        every.append(off)
+    of_near = np.concatenate(near)
+    return {"near_rms": float(np.sqrt((of_near**2).mean())), "median": float(np.median(np.concatenate(every)))}
+
+
+def judged(predict: Predictor, frames: list[EvaluationFrame], truth: Truth, protocol: Protocol) -> dict[str, Any]:
+    named_true = [replace(frame, depth=truth(frame.depth)) for frame in frames]
+    tally = Tally().add_all(evaluate_frames(named_true, predict, protocol))
+    found = tally.calibration()
+    assert found is not None, "the shipped model predicts its own error"
+    return {
+        "abs_rel_percent": 100 * mean_errors(tally.scores, protocol).abs_rel,
+        "spearman": found.spearman,
+        "spearman_absolute": found.spearman_absolute,
+        "spearman_depth_alone": found.spearman_depth_alone,
+        "within_one_percent": 100 * found.within_one,
+    }
 
 
 def main() -> None:
@@ -49,18 +71,30 @@ def main() -> None:
     parser.add_argument("--stride", type=int, default=4, help="every n-th frame of the first, if it has more than 20")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    completer, rows = DepthCompleter.load("mscsa"), []
+    predict, rows = load_predictor("mscsa"), []
     stepped = list(read_evaluation_frames(arguments.stepped))
     frames = judged_frames(arguments.folder, arguments.stride)
     step = SIMCOL3D_STEP * median_depth(frames) / median_depth(stepped)
+    fine: dict[str, Truth] = {
+        "as it is": lambda depth: depth,
+        "rounded": lambda depth: rounded(depth, step),
+        "rounded and brought back": lambda depth: without_steps(rounded(depth, step), step),
+    }
+    coarse: dict[str, Truth] = {
+        "as stored": lambda depth: depth,
+        "brought back": lambda depth: without_steps(depth, SIMCOL3D_STEP),
+    }
+    off = {name: distance(frames, truth, step) for name, truth in fine.items()}
+    for name, figures in off.items():
+        say({"truth": name, "step_mm": step} | figures)
     for sampler, points in POINTS:
-        for of_step in (0.0, step):
-            found = judged(completer, frames, sampler, points, of_step)
-            row = {"folder": arguments.folder.name, "frames": len(frames), "sampler": sampler, "points": points}
-            row |= {"step_mm": of_step, "spearman": found.spearman, "spearman_absolute": found.spearman_absolute}
-            rows.append(row | {"within_one_percent": 100 * found.within_one})
-            say(rows[-1])
-    write(arguments.json, {"rows": rows})
+        protocol = Protocol(sampler=sampler, points=points)
+        for folder, of_folder, truths in ((arguments.folder, frames, fine), (arguments.stepped, stepped, coarse)):
+            for name, truth in truths.items():
+                row = {"folder": folder.name, "frames": len(of_folder), "sampler": sampler, "points": points}
+                rows.append(row | {"truth": name} | judged(predict, of_folder, truth, protocol))
+                say(rows[-1])
+    write(arguments.json, {"step_mm": step, "off_in_steps": off, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from completion.frames import EvaluationFrame
 from completion.metrics import Alignment, Averaging, DepthErrors, average, depth_errors
 from completion.predictors import Predictor
 from completion.sparsify import get_sampler
+from completion.stepped_depth import without_steps
 
 Array = NDArray[np.floating]
 COLUMNS = ("rmse", "abs_rel", "mae", "delta_1", "delta_2", "delta_3", "scale", "pixels", "missing")
@@ -35,13 +36,19 @@ class Protocol(BaseModel):
     averaging: Averaging = "per_frame"
     seed: int = Field(0, ge=0)
     stride: int = Field(1, ge=1)
+    depth_step: float = Field(0.0, ge=0)
+    """In the truth's unit: it was stored in such steps, and is judged without them (0: as it is)."""
 
     def __str__(self) -> str:
         scaled = {"none": "no scale alignment", "points": "scale from the sparse points"}
         return (
             f"{self.points} {self.sampler} points, {scaled.get(self.alignment, self.alignment + ' scale')}, "
-            f"{self.averaging.replace('_', '-')} mean, seed {self.seed}"
+            f"{self.averaging.replace('_', '-')} mean, seed {self.seed}{self._truth}"
         )
+
+    @property
+    def _truth(self) -> str:
+        return f", truth without its steps of {self.depth_step:g}" if self.depth_step else ""
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,8 @@ def evaluate_frames(
     for place, frame in enumerate(frames):
         if place % protocol.stride:
             continue
+        if protocol.depth_step:
+            frame = replace(frame, depth=without_steps(frame.depth, protocol.depth_step))
         rng = np.random.default_rng([protocol.seed, place])
         sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
         if not sparse.points:

@@ -121,6 +121,9 @@ def evaluate(
     averaging: Annotated[str, typer.Option(help="per_frame (the paper's lineage) or pooled")] = "per_frame",
     dataset: Annotated[str | None, typer.Option(help="layout, if it is not recognised")] = None,
     stride: Annotated[int, typer.Option(min=1, help="every n-th frame")] = 1,
+    depth_step: Annotated[
+        float, typer.Option(min=0, help="truth is stored in steps of this length (SimCol3D: 0.784314 mm): smooth them")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="of the points")] = 0,
     csv: Annotated[Path | None, typer.Option(help="errors of each frame")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="everything, with its protocol")] = None,
@@ -137,7 +140,7 @@ def evaluate(
     from pipeline.progress import SilentProgress, TerminalProgress
 
     protocols = [
-        protocol_of(name, count, align, averaging, seed, stride)
+        protocol_of(name, count, align, averaging, seed, stride, depth_step)
         for name in sampler or ["uniform"]
         for count in points or [100]
     ]

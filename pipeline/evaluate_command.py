@@ -46,7 +46,9 @@ class Outputs:
     attention: Path | None = None
 
 
-def protocol_of(sampler: str, points: int, align: str, averaging: str, seed: int, stride: int) -> Protocol:
+def protocol_of(
+    sampler: str, points: int, align: str, averaging: str, seed: int, stride: int, depth_step: float = 0.0
+) -> Protocol:
     """Checked by name, so that a slip is one sentence."""
     for name, value, known in (
         ("sampler", sampler, tuple(SAMPLERS)),
@@ -55,7 +57,7 @@ def protocol_of(sampler: str, points: int, align: str, averaging: str, seed: int
     ):
         if value not in known:
             raise CompletionError(f"no {name} {value!r}; known: {', '.join(known)}")
-    values: dict[str, Any] = {"alignment": align, "averaging": averaging}
+    values: dict[str, Any] = {"alignment": align, "averaging": averaging, "depth_step": depth_step}
     return Protocol(sampler=sampler, points=points, seed=seed, stride=stride, **values)
 
 
