@@ -9,14 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.network import DoubleConv
 
-# px. On processors without AMX oneDNN wants weights of up to 12 columns laid out in another way and does so anew in
-# every call, at thirty times the convolution's cost. The U-Net's deepest level is that narrow.
-NARROW = 16
+SHAPES = 4  # of the input, whose layouts of the weights are kept
 
 
 class FusedConvReLU(nn.Module):
@@ -25,34 +22,27 @@ class FusedConvReLU(nn.Module):
     def __init__(self, conv: nn.Conv2d) -> None:
         super().__init__()
         self.conv = conv
-        self._lay_out()
-
-    def _lay_out(self) -> None:
-        conv = self.conv
         self._shape: Any = [list(conv.padding), list(conv.stride), list(conv.dilation), conv.groups]
-        self._weight = torch._C._nn.mkldnn_reorder_conv2d_weight(conv.weight.detach().to_mkldnn(), *self._shape)
+        self._laid_out: dict[tuple[int, ...], Tensor] = {}
 
     def forward(self, x: Tensor) -> Tensor:
-        if x.shape[3] < NARROW:
-            return self._as_product(x)
-        return torch.ops.mkldnn._convolution_pointwise(x, self._weight, self.conv.bias, *self._shape, "relu", [], "")
+        weight = self._laid_out_for(tuple(x.shape))
+        return torch.ops.mkldnn._convolution_pointwise(x, weight, self.conv.bias, *self._shape, "relu", [], "")
 
-    def _as_product(self, x: Tensor) -> Tensor:
-        """The same, as one matrix product of every pixel's neighbourhood: for small pictures. Stride 1, one group."""
-        weight, (rows, columns) = self.conv.weight, self.conv.kernel_size
-        (batch, _, height, width), (above, left) = x.shape, self.conv.padding
-        around = F.pad(x, (left, left, above, above)).permute(0, 2, 3, 1)
-        shifted = [around[:, i : i + height, j : j + width] for i in range(rows) for j in range(columns)]
-        kernel = weight.permute(2, 3, 1, 0).reshape(-1, weight.shape[0])
-        out = torch.addmm(self.conv.bias, torch.cat(shifted, dim=3).flatten(0, 2), kernel).relu_()
-        return out.view(batch, height, width, -1).permute(0, 3, 1, 2)
+    def _laid_out_for(self, shape: tuple[int, ...]) -> Tensor:
+        """Which layout oneDNN wants depends on the picture: given another, it makes it anew in every call, which took
+        up to 200 times as long as the convolution of a small one."""
+        if shape not in self._laid_out:
+            if len(self._laid_out) == SHAPES:
+                self._laid_out.pop(next(iter(self._laid_out)))
+            plain = self.conv.weight.detach().to_mkldnn()
+            laid_out = torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, list(shape))
+            self._laid_out[shape] = laid_out
+            return laid_out
+        return self._laid_out[shape]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_weight"}  # it can't be copied
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        self._lay_out()
+        return self.__dict__ | {"_laid_out": {}}  # layouts can't be copied
 
 
 def can_fuse(dtype: torch.dtype) -> bool:

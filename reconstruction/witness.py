@@ -6,6 +6,7 @@ along the rays; and other frames, which look past the rim, see through it. Real 
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,12 +48,12 @@ class SurfaceWitness:
         height, width = depth.shape
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         vertex, row, column = ahead[inside], row[inside], column[inside]
-        gap = depth[row, column] - points[vertex, 2]
         weight = confidence[row, column] * (depth[row, column] > 0)
         slack = AGREEMENT * points[vertex, 2]
-        seen = (np.abs(gap) <= slack) & (weight > 0)
+        seen = (np.abs(depth[row, column] - points[vertex, 2]) <= slack) & (weight > 0)
         self._seen[vertex] += weight * seen
-        self._through[vertex] += weight * (gap > slack)
+        # A fold's crest is never met to the pixel: only what every pixel around looks past was looked through.
+        self._through[vertex] += weight * (_nearest_around(depth)[row, column] - points[vertex, 2] > slack)
         ray = points[vertex[seen]]
         normal = self._mesh.normals[vertex[seen]] @ rotation
         cosine = -np.einsum("ni,ni->n", ray, normal) / np.linalg.norm(ray, axis=1)
@@ -62,3 +63,9 @@ class SurfaceWitness:
         """The mesh without the faces that have a corner which the depth maps do not bear out."""
         good = (self.best_cosine >= np.cos(np.radians(BEST_ANGLE_DEG))) & (self.contradiction <= MOST_CONTRADICTION)
         return self._mesh.with_faces(good[self._mesh.faces].all(axis=1))
+
+
+def _nearest_around(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Least known depth in each 3x3 window (H,W); infinite where a window holds none."""
+    known = np.where(depth > 0, depth, np.float32(np.inf))
+    return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE), np.float32)

@@ -15,7 +15,6 @@ from reconstruction.coverage_picture import draw_coverage
 from reconstruction.coverage_truth import TrueWall, coverage_errors
 from reconstruction.mesh import SurfaceMesh
 from reconstruction.unrolled import MISSED, NOT_JUDGED, SEEN, unroll
-from reconstruction.witness import SurfaceWitness
 
 RADIUS, LENGTH, EDGE = 20.0, 120.0, 1.2
 BEND = 60.0  # radius of the torus's middle line
@@ -279,28 +278,6 @@ def test_the_fringe_gives_back_what_voxels_take(holed):
     lost = bare.regions[0].area - fringed.regions[0].area
     perimeter = 2 * (15 + np.pi / 3 * RADIUS)
     assert lost == pytest.approx(1.5 * perimeter - 4 * 1.5**2, rel=0.25)
-
-
-def test_a_wall_that_other_frames_look_through_is_not_believed():
-    """A wall at 30 and a small screen at 20 before it: two of three depth maps see past the screen."""
-    x, y = np.meshgrid(np.linspace(-10, 10, 21), np.linspace(-10, 10, 21))
-    grid = np.stack([x, y], -1).reshape(-1, 2)
-    cell = np.arange(20 * 21).reshape(20, 21)[:, :-1].ravel()
-    faces = np.concatenate([np.stack([cell, cell + 21, cell + 1], 1), np.stack([cell + 1, cell + 21, cell + 22], 1)])
-    wall, screen = np.column_stack([grid, np.full(441, 30.0)]), np.column_stack([0.2 * grid, np.full(441, 20.0)])
-    mesh = SurfaceMesh.from_triangles(np.concatenate([wall, screen]), np.concatenate([faces, faces + 441]))
-    witness = SurfaceWitness(mesh)
-    intrinsics, far = np.array([[50.0, 0, 40], [0, 50.0, 40], [0, 0, 1]]), np.full((80, 80), 30, np.float32)
-    near = far.copy()
-    near[34:46, 34:46] = 20
-    for depth in (near, far, far):
-        witness.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
-    np.testing.assert_allclose(witness.contradiction[441:], 2 / 3, atol=1e-6)
-    assert witness.contradiction[:441].max() == 0
-    assert witness.best_cosine[220] == pytest.approx(1.0)
-    believed = witness.believed()
-    assert (believed.vertices[:, 2] == 30).all()
-    assert len(believed.faces) == len(faces)
 
 
 def test_the_report_has_a_table_or_one_sentence(tmp_path):
