@@ -10,10 +10,11 @@ Each network of `--size small` (what that cuts is in completion/models.py) or `p
 as in the paper, or with `--joint` one network for all of them. Judged on meshes that were never trained on, 100 uniform
 points, each frame on its own, then the mean over frames (the paper's lineage); then mean and spread over seeds. Linear
 interpolation, which needs no training, is the floor. "residual": the U-Net corrects MSC's depth, which is not in the
-paper (completion/network.py). A stopped run goes on where it was.
+paper (completion/network.py). A stopped run goes on where it was, unless the frames are others than then.
 """
 
 import argparse
+import hashlib
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -48,8 +49,10 @@ ROWS = {
         "full": "mscsa",
         "+MSC, residual": "unet+msc+residual",
         "full, residual": "mscsa+residual",
+        "full, residual, SA of like channels": "mscsa+residual+similar",
     },
 }
+ONLY_NAMED = {"full, residual, SA of like channels"}  # rows that are not the paper's, nor needed beside it
 DECAY_AT = 0.7
 FIGURES = ("rmse", "abs_rel", "mae", "delta_1", "delta_2")
 
@@ -69,7 +72,7 @@ def trained(folders: Sequence[Path], model: str, seed: int, arguments: argparse.
     """Train one network on these scenes and judge it on each; the record is kept beside its weights."""
     scenes = "_".join(folder.name for folder in folders)
     points = "" if arguments.points == 100 else f"_{arguments.points}points"
-    name = f"{scenes}_{model}_{arguments.size}_{arguments.steps}_{seed}{points}".replace("+", "_")
+    name = f"{scenes}_{model}_{arguments.size}_{arguments.steps}_{seed}{points}_{digest(folders)}".replace("+", "_")
     record = arguments.out / f"{name}.json"
     if record.exists():
         return json.loads(record.read_text())
@@ -104,6 +107,15 @@ def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str,
     return {"folder": folder.name, "frames": len(tally.scores), **{key: mean[key] for key in FIGURES}}
 
 
+def digest(folders: Sequence[Path]) -> str:
+    """Of how the frames were drawn and of the first of them, so that figures of others are not taken for theirs."""
+    found = hashlib.sha256()
+    for folder in folders:
+        found.update((folder / "shards.json").read_bytes())
+        found.update(Shard.open(folder).depths[0].tobytes())
+    return found.hexdigest()[:8]
+
+
 def refuse_shared_meshes(folders: Sequence[Path]) -> None:
     """Scenes of one seed share anatomies, so that one's held-out meshes would be another's to train on."""
     seeds = [json.loads((folder / "shards.json").read_text())["seed"] for folder in folders]
@@ -131,11 +143,11 @@ def table(scene: str, rows: dict[str, str], figures: list[dict[str, Any]]) -> st
 
 
 def chosen_rows(number: int, labels: list[str] | None) -> dict[str, str]:
-    """Rows of a table and their networks; all, or those of these labels."""
+    """Rows of a table and their networks; the paper's and what goes with them, or those of these labels."""
     rows = ROWS[number]
     if unknown := set(labels or ()) - set(rows):
         raise SystemExit(f"error: no row {', '.join(sorted(unknown))} in Table {number}: give one of {', '.join(rows)}")
-    return {label: model for label, model in rows.items() if not labels or label in labels}
+    return {label: model for label, model in rows.items() if label in (labels or rows.keys() - ONLY_NAMED)}
 
 
 def main() -> None:
@@ -172,9 +184,10 @@ def main() -> None:
     tables = [table(folder.name, shown, figures) for folder in arguments.folders]
     text = f"Table {arguments.table}: {budget}, {minutes:.0f} minutes in all\n\n" + "\n\n".join(tables) + "\n"
     print(text)
-    (arguments.out / f"table{arguments.table}.md").write_text(text)
+    part = "_".join(["", *rows.values()]).replace("+", "_") if arguments.row else ""
+    (arguments.out / f"table{arguments.table}{part}.md").write_text(text)
     record = {"environment": environment(), "budget": budget, "minutes": minutes, "figures": figures}
-    (arguments.out / f"table{arguments.table}.json").write_text(json.dumps(record, indent=1) + "\n")
+    (arguments.out / f"table{arguments.table}{part}.json").write_text(json.dumps(record, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -4,13 +4,14 @@
 
 The first folder's fine depth is rounded to the steps in which the second's is stored, as shares of their median depths,
 then brought back by `completion/stepped_depth.py`: what that is worth. The second's is judged as it is stored and
-brought back likewise. Points are drawn of what is then called true, the same pixels each time. SimCol3D stores 200 mm
-in 255 steps.
+brought back likewise. Points are drawn of what is then called true, or of the depth as stored though it is judged
+without its steps; the same pixels each time. SimCol3D stores 200 mm in 255 steps.
 """
 
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from completion.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.frames import Depth, EvaluationFrame
+from completion.metrics import depth_errors
 from completion.predictors import Predictor, load_predictor
 from completion.readers import read_evaluation_frames
 from completion.stepped_depth import without_steps
@@ -28,10 +30,15 @@ from record import say, write
 SIMCOL3D_STEP = 200 / 255  # mm
 POINTS = (("uniform", 100), ("uniform", 500), ("sfm", 100), ("sfm", 500))
 Truth = Callable[[Depth], Depth]
+Truths = dict[str, tuple[Truth, Truth]]  # of the points, and of the judge
 
 
 def median_depth(frames: list[EvaluationFrame]) -> float:
     return float(np.median(np.concatenate([frame.depth[frame.depth > 0] for frame in frames])))
+
+
+def as_it_is(depth: Depth) -> Depth:
+    return depth
 
 
 def rounded(depth: Depth, step: float) -> Depth:
@@ -50,9 +57,15 @@ def distance(frames: list[EvaluationFrame], truth: Truth, step: float) -> dict[s
     return {"near_rms": float(np.sqrt((of_near**2).mean())), "median": float(np.median(np.concatenate(every)))}
 
 
-def judged(predict: Predictor, frames: list[EvaluationFrame], truth: Truth, protocol: Protocol) -> dict[str, Any]:
-    named_true = [replace(frame, depth=truth(frame.depth)) for frame in frames]
-    tally = Tally().add_all(evaluate_frames(named_true, predict, protocol))
+def judged(
+    predict: Predictor, frames: list[EvaluationFrame], truths: tuple[Truth, Truth], protocol: Protocol
+) -> dict[str, Any]:
+    of_points, of_judge = truths
+    drawn_from = [replace(frame, depth=of_points(frame.depth)) for frame in frames]
+    tally = Tally()
+    for result, frame in zip(evaluate_frames(drawn_from, predict, protocol), frames, strict=True):
+        truth = of_judge(frame.depth)
+        tally.add(replace(result, truth=truth, errors=depth_errors(result.prediction, truth)))
     found = tally.calibration()
     assert found is not None, "the shipped model predicts its own error"
     return {
@@ -75,24 +88,31 @@ def main() -> None:
     stepped = list(read_evaluation_frames(arguments.stepped))
     frames = judged_frames(arguments.folder, arguments.stride)
     step = SIMCOL3D_STEP * median_depth(frames) / median_depth(stepped)
-    fine: dict[str, Truth] = {
-        "as it is": lambda depth: depth,
-        "rounded": lambda depth: rounded(depth, step),
-        "rounded and brought back": lambda depth: without_steps(rounded(depth, step), step),
+    stairs, back = partial(rounded, step=step), partial(without_steps, step=SIMCOL3D_STEP)
+
+    def there_and_back(depth: Depth) -> Depth:
+        return without_steps(stairs(depth), step)
+
+    fine: Truths = {
+        "as it is": (as_it_is, as_it_is),
+        "rounded": (stairs, stairs),
+        "rounded, judged brought back": (stairs, there_and_back),
+        "rounded and brought back": (there_and_back, there_and_back),
     }
-    coarse: dict[str, Truth] = {
-        "as stored": lambda depth: depth,
-        "brought back": lambda depth: without_steps(depth, SIMCOL3D_STEP),
+    coarse: Truths = {
+        "as stored": (as_it_is, as_it_is),
+        "judged brought back": (as_it_is, back),
+        "brought back": (back, back),
     }
-    off = {name: distance(frames, truth, step) for name, truth in fine.items()}
+    off = {name: distance(frames, judge, step) for name, (points, judge) in fine.items() if points is judge}
     for name, figures in off.items():
         say({"truth": name, "step_mm": step} | figures)
     for sampler, points in POINTS:
         protocol = Protocol(sampler=sampler, points=points)
         for folder, of_folder, truths in ((arguments.folder, frames, fine), (arguments.stepped, stepped, coarse)):
-            for name, truth in truths.items():
+            for name, pair in truths.items():
                 row = {"folder": folder.name, "frames": len(of_folder), "sampler": sampler, "points": points}
-                rows.append(row | {"truth": name} | judged(predict, of_folder, truth, protocol))
+                rows.append(row | {"truth": name} | judged(predict, of_folder, pair, protocol))
                 say(rows[-1])
     write(arguments.json, {"step_mm": step, "off_in_steps": off, "rows": rows})
 

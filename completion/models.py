@@ -40,8 +40,8 @@ class _Entry:
     small: dict[str, Any]
 
 
-def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False) -> _Entry:
-    switches = {"use_msc": use_msc, "use_sa": use_sa, "residual": residual}
+def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = False) -> _Entry:
+    switches = {"use_msc": use_msc, "use_sa": use_sa, "residual": residual, "similar": similar}
     return _Entry(MSCSAModel, MSCSAConfig, switches, {"width": 8})
 
 
@@ -55,6 +55,7 @@ REGISTRY: dict[str, _Entry] = {
     "mscsa": _mscsa(True, True),
     "unet+msc+residual": _mscsa(True, False, residual=True),
     "mscsa+residual": _mscsa(True, True, residual=True),
+    "mscsa+residual+similar": _mscsa(True, True, residual=True, similar=True),
     "std18": _Entry(StDNet, StDConfig, {"layers": 18}, {"base": 48}),
     "std50": _Entry(StDNet, StDConfig, {"layers": 50}, {"base": 24}),
     "nlspn": _Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),

@@ -5,6 +5,7 @@
 """
 
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -76,6 +77,7 @@ class MSCSAConfig:
     use_msc: bool = True
     use_sa: bool = True
     residual: bool = False  # the U-Net corrects MSC's depth; not in the paper, see `MSCSANet`
+    similar: bool = False  # SA weighs like channels most, as the paper's text says; its released relatives do not
 
     def to_dict(self) -> dict[str, object]:
         return asdict(self)
@@ -96,7 +98,8 @@ class MSCSANet(nn.Module):
         if self.config.residual and not self.config.use_msc:
             raise CompletionError("'residual' corrects MSC's depth, and there is no MSC in this network")
         self.msc = MultiScaleConfidence(levels=3) if self.config.use_msc else None
-        attention = StructureAwareness() if self.config.use_sa else None
+        sign: Literal["distinct", "similar"] = "similar" if self.config.similar else "distinct"
+        attention = StructureAwareness(sign=sign) if self.config.use_sa else None
         self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention)
 
     def forward(self, rgb: Tensor, sparse_depth: Tensor) -> Tensor:

@@ -61,6 +61,17 @@ def test_bfloat16_agrees_with_float32_to_the_stated_tolerance(completer, frames)
     assert 0 < np.median(difference) < BFLOAT16_TOLERANCE
 
 
+@pytest.mark.parametrize("factor", [0.013, 7, 1000])
+def test_the_shipped_model_is_scale_equivariant(completer, frames, factor):
+    """To single precision's rounding, both looks; what bfloat16 rounds may fall to the other side."""
+    rgb, sparse = (array[1] for array in frames[:2])
+    np.testing.assert_allclose(completer(rgb, factor * sparse)[0], factor * completer(rgb, sparse)[0], rtol=1e-5)
+    half = DepthCompleter.load("mscsa", precision="bf16")
+    off = np.abs(half(rgb, factor * sparse)[0] / (factor * half(rgb, sparse)[0]) - 1)
+    assert np.median(off) < 1e-3
+    assert off.max() < 0.03
+
+
 def test_a_point_that_is_said_to_be_wrong_is_listened_to_less(completer, frames):
     rgb, sparse, _ = (array[1] for array in frames)
     rows, columns = np.nonzero(sparse)

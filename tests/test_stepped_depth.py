@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from completion.errors import CompletionError
 from completion.evaluate import Protocol, evaluate_frames, mean_errors
@@ -13,6 +17,7 @@ from completion.frames import EvaluationFrame
 from completion.metrics import depth_errors
 from completion.predictors import load_predictor
 from completion.stepped_depth import without_steps
+from pipeline.cli import app
 
 STEP = 200 / 255
 
@@ -52,17 +57,36 @@ def test_edges_and_holes_stay() -> None:
 @given(st.integers(0, 2**31), st.floats(0.05, 3.0))
 def test_nothing_moves_further_than_half_a_step(seed: int, step: float) -> None:
     rng = np.random.default_rng(seed)
-    depth = (step * rng.integers(0, 9, (20, 24))).astype(np.float32)
+    depth = (step * rng.integers(0, 9, (12, 128))).astype(np.float32)
     smooth = without_steps(depth, step)
     assert np.abs(smooth - depth).max() <= step / 2 * (1 + 1e-5)
     np.testing.assert_array_equal(smooth == 0, depth == 0)
 
 
-def test_a_constant_or_unlinked_picture_is_left_alone() -> None:
-    flat = np.full((16, 16), 30 * STEP, np.float32)
-    np.testing.assert_allclose(without_steps(flat, STEP), flat, rtol=1e-6)
-    board = (np.indices((16, 16)).sum(axis=0) % 2 * 10 + 5) * STEP  # every neighbour is across an edge
-    np.testing.assert_allclose(without_steps(board.astype(np.float32), STEP), board, rtol=1e-6)
+def test_what_touches_nothing_of_its_own_is_left_alone() -> None:
+    """Flat wall a step away beside a hole; every neighbour across an edge; two flats three steps apart."""
+    holed = np.full((64, 128), STEP, np.float32)
+    holed[20:30, 50:60] = 0
+    board = ((np.indices((64, 128)).sum(axis=0) % 2 * 10 + 5) * STEP).astype(np.float32)
+    fold = np.full((64, 128), 10 * STEP, np.float32)
+    fold[:, 64:] += 3 * STEP
+    for depth in (holed, board, fold):
+        np.testing.assert_allclose(without_steps(depth, STEP), depth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("slope", "left"), [(1.37, 0.7), (2.13, 1.001)])
+def test_steep_wall_gains_or_is_left_alone(slope: float, left: float) -> None:
+    """Steps from pixel to pixel; where some of them pass for edges, what lies between is not pulled to one side."""
+    true = np.broadcast_to(20 + slope * STEP * np.arange(60, dtype=np.float32), (60, 60))
+    off = [np.abs(depth - true)[10:-10, 10:-10].mean() for depth in (stored(true), without_steps(stored(true), STEP))]
+    assert off[1] < left * off[0]
+
+
+def test_a_larger_picture_is_smoothed_as_far() -> None:
+    """The same wall in twice the pixels, which then take four times the passes."""
+    small, large = without_steps(stored(wall()), STEP), without_steps(np.kron(stored(wall()), np.ones((2, 2))), STEP)
+    apart = np.abs(large.reshape(96, 2, 96, 2).mean(axis=(1, 3)) - small)[8:-8, 8:-8] / STEP
+    assert np.median(apart) < 0.02
 
 
 @pytest.mark.parametrize("step", [0.5, 0.0, -1.0])
@@ -82,3 +106,18 @@ def test_evaluation_judges_against_the_smooth_depth_and_says_so() -> None:
     assert depth_errors(result.prediction, stored(true)).abs_rel > 1e-3
     assert "truth without its steps of 0.784314" in str(protocol)
     assert "steps" not in str(Protocol())
+
+
+def test_the_command_takes_the_step(tmp_path: Path) -> None:
+    """A folder as SimCol3D's: 200 mm in 255 steps of 256 counts."""
+    counts = (256 * np.round(wall() / STEP)).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "Depth_0000.png"), counts)
+    cv2.imwrite(str(tmp_path / "FrameBuffer_0000.png"), np.zeros((*counts.shape, 3), np.uint8))
+    words = ["evaluate", str(tmp_path), "--model", "nearest", "--points", str(counts.size), "-q"]
+    stored_too, smooth = (CliRunner().invoke(app, [*words, *more]) for more in ([], ["--depth-step", "0.784314"]))
+    assert stored_too.exit_code == smooth.exit_code == 0
+    assert "truth without its steps of 0.784314" in smooth.stdout
+    assert "steps" not in stored_too.stdout
+    wrong = CliRunner().invoke(app, [*words, "--depth-step", "0.7"])
+    assert wrong.exit_code == 1
+    assert "does not come in steps of 0.7" in str(wrong.exception)
