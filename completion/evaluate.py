@@ -40,7 +40,10 @@ class Protocol(BaseModel):
     """In the truth's unit: it was stored in such steps, and is judged without them (0: as it is)."""
 
     def __str__(self) -> str:
-        scaled = {"none": "no scale alignment", "points": "scale from the sparse points"}
+        untouched = "no scale alignment"
+        if self.sampler == "sfm":  # its points have an unknown factor, noise and outliers; see `sparsify.like_sfm`
+            untouched = "their unknown scale given back by its true value"
+        scaled = {"none": untouched, "points": "scale from the sparse points"}
         return (
             f"{self.points} {self.sampler} points, {scaled.get(self.alignment, self.alignment + ' scale')}, "
             f"{self.averaging.replace('_', '-')} mean, seed {self.seed}{self._truth}"

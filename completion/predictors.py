@@ -47,7 +47,10 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     from completion.scale_free import ScaleFreeMSCSANet
     from completion.shipped import resolve_weights
 
-    path = resolve_weights(model)
+    try:
+        path = resolve_weights(model)
+    except CompletionError as error:
+        raise CompletionError(f"{error}, {', '.join(CLASSICAL)}") from None
     network = load_network(path)
     if isinstance(network, ScaleFreeMSCSANet):
         completer = DepthCompleter(network, device, precision)

@@ -112,6 +112,8 @@ def sweep_plot(path: Path, curves: Mapping[str, Mapping[int, float]], title: str
 def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Path:
     """Median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal."""
     plt = _pyplot()
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     figure, axis = plt.subplots(figsize=(5, 4.5 + 0.35 * len(calibrations)), layout="constrained")
     for name, found in calibrations.items():
         predicted, actual = 100 * np.array(found.predicted), 100 * np.array(found.actual)
@@ -120,6 +122,10 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
     line = np.geomspace(max(low, 0.05), high, 50)
     axis.plot(line, np.log(2) * line, "k--", linewidth=1, label="Laplace, calibrated: median error = ln 2 x predicted")
     axis.set(xscale="log", yscale="log", xlabel="predicted relative error [%]", ylabel="actual relative error [%]")
+    for scale in (axis.xaxis, axis.yaxis):  # a decade's own labels run into one another
+        scale.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        scale.set_major_formatter("{x:g}")
+        scale.set_minor_formatter(NullFormatter())
     axis.grid(True, which="both", alpha=0.3)
     figure.legend(loc="outside lower center", fontsize=7)  # under the curves, however many there are
     return _saved(figure, path)

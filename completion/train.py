@@ -181,6 +181,8 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
     splits = [shard.split()[0] for shard in shards]
     config.out.parent.mkdir(parents=True, exist_ok=True)
     log = TrainLog(config.out, say) if run.team.is_first else None
+    if log and run.step:
+        say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
     saved, losses = time.monotonic(), []
     while run.step < config.steps:
         losses.append(train_step(run, shards, splits))

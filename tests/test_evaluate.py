@@ -130,5 +130,10 @@ def test_slips_are_one_sentence() -> None:
     for values in (("poisson", "none", "per_frame"), ("uniform", "gt", "per_frame"), ("uniform", "none", "mean")):
         with pytest.raises(CompletionError, match="known:"):
             protocol_of(values[0], 10, values[1], values[2], 0, 1)
-    with pytest.raises(CompletionError, match="no model"):
+    with pytest.raises(CompletionError, match=r"no model .* mscsa, nearest, linear"):
         load_predictor("monodepth")
+
+
+def test_a_protocol_says_how_sfm_points_are_scaled() -> None:
+    assert "100 sfm points, their unknown scale given back by its true value" in str(Protocol(sampler="sfm"))
+    assert "scale from the sparse points" in str(Protocol(sampler="sfm", alignment="points"))

@@ -128,7 +128,9 @@ def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypa
         patch.setattr(module, "train_step", stop_at_the_third)
         with pytest.raises(KeyboardInterrupt):
             train(settings("b.safetensors", checkpoint_seconds=0))
-    resumed = train(settings("b.safetensors", checkpoint_seconds=0))
+    said: list[str] = []
+    resumed = train(settings("b.safetensors", checkpoint_seconds=0), say=said.append)
+    assert said[0].startswith("going on from step 2 of 4")
     for name, tensor in load_tensors(unbroken)[0].items():
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
 
