@@ -9,9 +9,7 @@ without its steps; the same pixels each time. SimCol3D stores 200 mm in 255 step
 """
 
 import argparse
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,42 +27,37 @@ from record import say, write
 
 SIMCOL3D_STEP = 200 / 255  # mm
 POINTS = (("uniform", 100), ("uniform", 500), ("sfm", 100), ("sfm", 500))
-Truth = Callable[[Depth], Depth]
-Truths = dict[str, tuple[Truth, Truth]]  # of the points, and of the judge
+Depths = list[Depth]  # of the frames in order
+Truths = dict[str, tuple[Depths, Depths]]  # of the points, and of the judge
 
 
 def median_depth(frames: list[EvaluationFrame]) -> float:
     return float(np.median(np.concatenate([frame.depth[frame.depth > 0] for frame in frames])))
 
 
-def as_it_is(depth: Depth) -> Depth:
-    return depth
-
-
 def rounded(depth: Depth, step: float) -> Depth:
     return (step * np.round(depth / step)).astype(np.float32)
 
 
-def distance(frames: list[EvaluationFrame], truth: Truth, step: float) -> dict[str, float]:
+def distance(fine: Depths, truths: Depths, step: float) -> dict[str, float]:
     """From the fine depth, in steps: root mean square and median over pixels nearer than a frame's median, and all."""
     near, every = [], []
-    for frame in frames:
-        known = frame.depth > 0
-        off = (np.abs(truth(frame.depth) - frame.depth) / step)[known]
-        near.append(off[frame.depth[known] < np.median(frame.depth[known])])
+    for depth, truth in zip(fine, truths, strict=True):
+        known = depth > 0
+        off = (np.abs(truth - depth) / step)[known]
+        near.append(off[depth[known] < np.median(depth[known])])
         every.append(off)
     of_near = np.concatenate(near)
     return {"near_rms": float(np.sqrt((of_near**2).mean())), "median": float(np.median(np.concatenate(every)))}
 
 
 def judged(
-    predict: Predictor, frames: list[EvaluationFrame], truths: tuple[Truth, Truth], protocol: Protocol
+    predict: Predictor, frames: list[EvaluationFrame], truths: tuple[Depths, Depths], protocol: Protocol
 ) -> dict[str, Any]:
     of_points, of_judge = truths
-    drawn_from = [replace(frame, depth=of_points(frame.depth)) for frame in frames]
+    drawn_from = [replace(frame, depth=depth) for frame, depth in zip(frames, of_points, strict=True)]
     tally = Tally()
-    for result, frame in zip(evaluate_frames(drawn_from, predict, protocol), frames, strict=True):
-        truth = of_judge(frame.depth)
+    for result, truth in zip(evaluate_frames(drawn_from, predict, protocol), of_judge, strict=True):
         tally.add(replace(result, truth=truth, errors=depth_errors(result.prediction, truth)))
     found = tally.calibration()
     assert found is not None, "the shipped model predicts its own error"
@@ -88,23 +81,22 @@ def main() -> None:
     stepped = list(read_evaluation_frames(arguments.stepped))
     frames = judged_frames(arguments.folder, arguments.stride)
     step = SIMCOL3D_STEP * median_depth(frames) / median_depth(stepped)
-    stairs, back = partial(rounded, step=step), partial(without_steps, step=SIMCOL3D_STEP)
-
-    def there_and_back(depth: Depth) -> Depth:
-        return without_steps(stairs(depth), step)
-
+    exact, as_stored = ([frame.depth for frame in of] for of in (frames, stepped))
+    stairs = [rounded(depth, step) for depth in exact]
+    there_and_back = [without_steps(depth, step) for depth in stairs]
+    back = [without_steps(depth, SIMCOL3D_STEP) for depth in as_stored]
     fine: Truths = {
-        "as it is": (as_it_is, as_it_is),
+        "as it is": (exact, exact),
         "rounded": (stairs, stairs),
         "rounded, judged brought back": (stairs, there_and_back),
         "rounded and brought back": (there_and_back, there_and_back),
     }
     coarse: Truths = {
-        "as stored": (as_it_is, as_it_is),
-        "judged brought back": (as_it_is, back),
+        "as stored": (as_stored, as_stored),
+        "judged brought back": (as_stored, back),
         "brought back": (back, back),
     }
-    off = {name: distance(frames, judge, step) for name, (points, judge) in fine.items() if points is judge}
+    off = {name: distance(exact, judge, step) for name, (points, judge) in fine.items() if points is judge}
     for name, figures in off.items():
         say({"truth": name, "step_mm": step} | figures)
     for sampler, points in POINTS:

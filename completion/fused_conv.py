@@ -36,9 +36,7 @@ class FusedConvReLU(nn.Module):
             if len(self._laid_out) == SHAPES:
                 self._laid_out.pop(next(iter(self._laid_out)))
             plain = self.conv.weight.detach().to_mkldnn()
-            laid_out = torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, list(shape))
-            self._laid_out[shape] = laid_out
-            return laid_out
+            self._laid_out[shape] = torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, list(shape))
         return self._laid_out[shape]
 
     def __getstate__(self) -> dict[str, Any]:
