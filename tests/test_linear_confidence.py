@@ -2,9 +2,10 @@
 
 import pytest
 import torch
+import torch.nn.functional as F
 
 from completion.infer import load_scale_free
-from completion.linear_confidence import LinearConfidence, joint_kernel
+from completion.linear_confidence import LinearConfidence, folded, joint_kernel, of_repeated
 from completion.nconv import MultiScaleConfidence, NormalizedConv2d
 
 
@@ -30,7 +31,21 @@ def test_a_joint_kernel_is_its_layer(groups):
     torch.testing.assert_close(weighted, expected_depth * expected_known)
 
 
-@pytest.mark.parametrize("levels", [1, 3, 4])
+@pytest.mark.parametrize("size", [1, 3, 5])
+def test_a_folded_kernel_is_its_kernel(size):
+    """Up to the picture's edge, where both pad with zeros."""
+    torch.manual_seed(size)
+    kernel, image = torch.randn(3, 2, size, size).double(), torch.randn(2, 2, 10, 14).double()
+    whole = folded(kernel)
+    expected = F.conv2d(image, kernel, padding=size // 2)
+    got = F.conv2d(F.pixel_unshuffle(image, 2), whole, padding=whole.shape[2] // 2)
+    torch.testing.assert_close(F.pixel_shuffle(got, 2), expected)
+    doubled = image.repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
+    got = F.conv2d(image, of_repeated(whole), padding=whole.shape[2] // 2)
+    torch.testing.assert_close(F.pixel_shuffle(got, 2), F.conv2d(doubled, kernel, padding=size // 2))
+
+
+@pytest.mark.parametrize("levels", [1, 2, 3, 4])
 def test_the_joint_pyramid_is_the_pyramid(levels):
     torch.manual_seed(levels)
     msc = MultiScaleConfidence(levels).double()
