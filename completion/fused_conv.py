@@ -6,6 +6,7 @@ a version of PyTorch or a processor lacks them the network stays as it is: the s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -16,6 +17,32 @@ from completion.network import DoubleConv
 SHAPES = 4  # of the input, whose layouts of the weights are kept
 
 
+class Layouts:
+    """Weights laid out for each of the last few shapes of input.
+
+    Which layout oneDNN wants depends on the picture: given another, it makes it anew in every call, which took up to
+    200 times as long as the convolution of a small one.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[int, ...], Tensor] = {}
+
+    def of(self, x: Tensor, lay_out: Callable[[list[int]], Tensor]) -> Tensor:
+        """What `lay_out` makes for the shape of x, or once made."""
+        shape = tuple(x.shape)
+        if shape not in self._kept:
+            if len(self._kept) == SHAPES:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[shape] = lay_out(list(shape))
+        return self._kept[shape]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Layouts:
+        return Layouts()  # what is laid out can't be copied
+
+    def __reduce__(self) -> tuple[type, tuple[()]]:
+        return Layouts, ()
+
+
 class FusedConvReLU(nn.Module):
     """ReLU of a convolution (B,in,H,W) -> (B,out,H,W), on a CPU and without gradients."""
 
@@ -23,24 +50,15 @@ class FusedConvReLU(nn.Module):
         super().__init__()
         self.conv = conv
         self._shape: Any = [list(conv.padding), list(conv.stride), list(conv.dilation), conv.groups]
-        self._laid_out: dict[tuple[int, ...], Tensor] = {}
+        self._layouts = Layouts()
 
     def forward(self, x: Tensor) -> Tensor:
-        weight = self._laid_out_for(tuple(x.shape))
+        weight = self._layouts.of(x, self._laid_out)
         return torch.ops.mkldnn._convolution_pointwise(x, weight, self.conv.bias, *self._shape, "relu", [], "")
 
-    def _laid_out_for(self, shape: tuple[int, ...]) -> Tensor:
-        """Which layout oneDNN wants depends on the picture: given another, it makes it anew in every call, which took
-        up to 200 times as long as the convolution of a small one."""
-        if shape not in self._laid_out:
-            if len(self._laid_out) == SHAPES:
-                self._laid_out.pop(next(iter(self._laid_out)))
-            plain = self.conv.weight.detach().to_mkldnn()
-            self._laid_out[shape] = torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, list(shape))
-        return self._laid_out[shape]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_laid_out": {}}  # layouts can't be copied
+    def _laid_out(self, shape: list[int]) -> Tensor:
+        plain = self.conv.weight.detach().to_mkldnn()
+        return torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, shape)
 
 
 def can_fuse(dtype: torch.dtype) -> bool:

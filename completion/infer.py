@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from completion.checkpoint import load_network
 from completion.confidence import confidence_from_error
+from completion.eight_bit import EightBitUNet, can_use_eight_bits, channel_reaches
 from completion.errors import CompletionError
 from completion.feedback import MOST_LOOKS, look_again
 from completion.fused_conv import can_fuse, fuse_convolutions
@@ -45,30 +46,33 @@ class DepthCompleter:
         `looks`: how often the network completes a frame, each time with its last estimate
         (`completion.feedback`), and time grows with it; None: as often as it was trained for, at most `MOST_LOOKS`.
         """
-        if precision not in ("auto", "bf16", "fp32"):
-            raise CompletionError(f"precision is auto, bf16 or fp32, not {precision!r}")
+        if precision not in ("auto", "int8", "bf16", "fp32"):
+            raise CompletionError(f"precision is auto, int8, bf16 or fp32, not {precision!r}")
         self.looks = min(MOST_LOOKS, network.config.looks) if looks is None else looks
         if self.looks < 1 or (working_side is not None and working_side < 1):
             raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
         check_looks(self.looks, network.config.looks)
         self.device = choose_device(device)
         self.working_side = working_side
-        self.half = _has_fast_bfloat16(self.device) if precision == "auto" else precision == "bf16"
+        self.precision = choose_precision(precision, self.device)
         self.network = self._for_inference(network, again=False)
         self.later = self._for_inference(network, again=True) if self.looks > 1 else self.network
 
     def _for_inference(self, network: ScaleFreeMSCSANet, again: bool) -> ScaleFreeMSCSANet:
-        """A copy without what only training needs, its U-Net's convolutions in bfloat16 where that is fast."""
+        """A copy without what only training needs, its U-Net's convolutions in int8 or bfloat16 where fast."""
         copy = fold_batch_norm(network, again)
-        if self.half:
+        if self.precision == "bf16":
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
                 part.to(torch.bfloat16)
         copy.msc = LinearConfidence(copy.msc)
         if copy.anchor is not None:
             copy.anchor.msc = LinearConfidence(copy.anchor.msc)
         copy = copy.to(self.device, memory_format=torch.channels_last)
-        if self.half and self.device.type == "cpu" and can_fuse(torch.bfloat16):  # in float32 it gains little
-            fuse_convolutions(copy.unet)
+        if self.precision == "int8":
+            dtype = torch.bfloat16 if has_fast_bfloat16(self.device) else torch.float32
+            copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), dtype)
+        elif self.precision == "bf16" and self.device.type == "cpu" and can_fuse(torch.bfloat16):
+            fuse_convolutions(copy.unet)  # in float32 it gains little
         return copy
 
     @classmethod
@@ -180,7 +184,22 @@ def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
             raise CompletionError(f"the {name} must have the image's size {rgb.shape[1:3]}, not {array.shape[1:]}")
 
 
-def _has_fast_bfloat16(device: torch.device) -> bool:
+def choose_precision(precision: str, device: torch.device) -> str:
+    """Of the U-Net's convolutions: int8 on CPUs that multiply 8-bit integers fast, else bf16 where that is, else fp32.
+
+    CompletionError if int8 was asked for and can't be had.
+    """
+    eight_bits = device.type == "cpu" and can_use_eight_bits()
+    if precision == "int8" and not eight_bits:
+        raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")
+    if precision != "auto":
+        return precision
+    if eight_bits:
+        return "int8"
+    return "bf16" if has_fast_bfloat16(device) else "fp32"
+
+
+def has_fast_bfloat16(device: torch.device) -> bool:
     """True on a GPU and on CPUs with native bfloat16; emulated bfloat16 is slower than float32."""
     if device.type != "cpu":
         return True

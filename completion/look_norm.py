@@ -67,13 +67,13 @@ def fold_batch_norm(network: Network, again: bool = False) -> Network:
     network = copy.deepcopy(network).eval()
     if again and not any(isinstance(module, LookBatchNorm2d) for module in network.modules()):
         raise CompletionError("this network was trained to look once: it has nothing of later looks to fold")
-    for block in network.modules():
-        if isinstance(block, DoubleConv):
-            for index in (0, 3):
-                norm = block[index + 1]
-                if not isinstance(norm, nn.BatchNorm2d):
-                    raise CompletionError("the network is folded for one look already; give one as it was loaded")
-                plain = norm.of_look(again) if isinstance(norm, LookBatchNorm2d) else norm
-                block[index] = fuse_conv_bn_eval(block[index], plain)  # type: ignore[arg-type]
-                block[index + 1] = nn.Identity()
+    blocks = [module for module in network.modules() if isinstance(module, DoubleConv)]
+    if not (blocks and all(isinstance(block[1], nn.BatchNorm2d) for block in blocks)):
+        raise CompletionError("the network is folded for one look already; give one as it was loaded")
+    for block in blocks:
+        for index in (0, 3):
+            norm = block[index + 1]
+            plain = norm.of_look(again) if isinstance(norm, LookBatchNorm2d) else norm
+            block[index] = fuse_conv_bn_eval(block[index], plain)  # type: ignore[arg-type]
+            block[index + 1] = nn.Identity()
     return network

@@ -48,6 +48,10 @@ class UNet(nn.Module):
         )
         self.head = nn.Conv2d(widths[0], out_channels, 1)
 
+    @property
+    def input_dtype(self) -> torch.dtype:
+        return self.head.weight.dtype
+
     def forward(self, x: Tensor) -> Tensor:
         skips = []
         for level, block in enumerate(self.encoder):

@@ -95,8 +95,8 @@ class ScaleFreeMSCSANet(nn.Module):
             channels = [picture, spread, log_of_confidence(confidence), *points]
             if self.config.looks > 1:
                 channels.append(_own_inputs(last, spread, measured))
-        # A copy for inference may hold the U-Net in bfloat16; everything else stays in float32.
-        out = self.unet(torch.cat(channels, dim=1).to(self.unet.head.weight.dtype)).float()
+        # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
+        out = self.unet(torch.cat(channels, dim=1).to(self.unet.input_dtype)).float()
         residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
         log_depth = double(spread) + residual
         log_error = log_error.clamp(*LOG_ERROR_RANGE)

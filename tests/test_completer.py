@@ -102,9 +102,9 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
         completer(rgb[0], sparse[0], error[0][:50])
     with pytest.raises(CompletionError, match="no picture"):
         completer.batch(rgb[:0], sparse[:0])
-    with pytest.raises(CompletionError, match="auto, bf16 or fp32"):
+    with pytest.raises(CompletionError, match="auto, int8, bf16 or fp32"):
         DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
-    for precision in ("fp32", "bf16"):
+    for precision in ("fp32", "bf16", "auto"):
         with pytest.raises(CompletionError, match="folded for one look already"):
             DepthCompleter(DepthCompleter.load("mscsa", precision=precision).network)
 

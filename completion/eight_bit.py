@@ -1,0 +1,175 @@
+"""The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
+
+After a ReLU every channel c is held as round(x / s_c) in 0 to 255, and s_c goes into the next convolution's weights, so
+that channels of different reach do not share one step: with a step for all of them depth erred by a fifth more. How far
+a channel reaches is read from its batch normalisation, which gave it the mean beta and the standard deviation gamma:
+s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al., "Data-free quantization", ICCV
+2019). Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The input, the attention and
+what comes from it stay in floating point.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from completion.fused_conv import FusedConvReLU, Layouts, can_fuse
+from completion.network import DoubleConv, UNet
+
+# 6 to 8 left the errors of 40 rendered frames kept for choosing where they were, 4 clips too much, 12 is too coarse.
+DEVIATIONS = 8.0
+LARGEST = 255  # of an unsigned 8-bit integer
+
+
+def can_use_eight_bits() -> bool:
+    """Whether this processor multiplies 8-bit integers fast, and this PyTorch has the operators."""
+    supported = getattr(torch.cpu, "_is_vnni_supported", None)
+    operators = all(hasattr(torch.ops.onednn, name) for name in ("qconv_pointwise", "qconv_prepack"))
+    return bool(supported and supported()) and operators and can_fuse(torch.float32)
+
+
+class EightBitUNet(nn.Module):
+    """(B,in,H,W) in `input_dtype` -> (B,out,H,W) float32, nearly as the `UNet` it is made of; H, W as there."""
+
+    def __init__(self, folded: UNet, reaches: list[tuple[Tensor, Tensor]], input_dtype: torch.dtype) -> None:
+        """`folded`: with its normalisations folded. `reaches`: of the outputs of both convolutions of each encoder
+        block, then of each decoder block (`channel_reaches`)."""
+        super().__init__()
+        self.input_dtype = input_dtype
+        self.attention = folded.attention
+        levels = len(folded.encoder)
+        steps = [(a / LARGEST, b / LARGEST) for a, b in reaches]
+        plain = torch.ones_like(steps[levels - 1][1])  # the deepest features stay in floating point, in their own unit
+        steps[levels - 1] = steps[levels - 1][0], plain
+        outputs = [torch.uint8] * (2 * levels - 1)  # of each block, the encoder's first
+        outputs[levels - 1] = torch.float32
+        inputs = [None, *(b for _, b in steps[: levels - 1]), None]  # of each block; None: in floating point
+        inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
+        blocks = zip([*folded.encoder, *folded.decoder], inputs, steps, outputs, strict=True)
+        made = [_eight_bit_block(block, given, step, out, input_dtype) for block, given, step, out in blocks]
+        self.encoder, self.decoder = nn.ModuleList(made[:levels]), nn.ModuleList(made[levels:])
+        self.register_buffer("deepest_skip_step", steps[levels - 2][1].view(1, -1, 1, 1).to(input_dtype))
+        last = steps[-1][1]
+        self.head = EightBitConv(folded.head, last, torch.ones(folded.head.out_channels), torch.float32, "none")
+
+    def forward(self, x: Tensor) -> Tensor:
+        skips = []
+        for level, block in enumerate(self.encoder):
+            x = block(_halved(x) if level else x)
+            skips.append(x)
+        x = F.interpolate(self.attention(skips.pop()), scale_factor=2, mode="bilinear", align_corners=False)
+        skip = skips.pop().to(self.input_dtype) * self.deepest_skip_step
+        x = self.decoder[0](torch.cat([skip, x.to(self.input_dtype)], dim=1))
+        for block in list(self.decoder)[1:]:
+            x = block(beside_doubled(skips.pop(), x))
+        return self.head(x)
+
+
+class EightBitConv(nn.Module):
+    """A convolution of 8-bit integers (B,in,H,W): `activation` of it, in `output` steps and the type asked for."""
+
+    scale: Tensor
+    zero: Tensor
+    weight: Tensor
+    bias: Tensor
+
+    def __init__(self, conv: nn.Conv2d, inputs: Tensor, outputs: Tensor, dtype: torch.dtype, activation: str) -> None:
+        """`inputs` (in,), `outputs` (out,): the step of each channel of what goes in and comes out."""
+        super().__init__()
+        weight = conv.weight.detach().float() * inputs.view(1, -1, 1, 1) / outputs.view(-1, 1, 1, 1)
+        scale = (weight.abs().amax(dim=(1, 2, 3)) / 127).clamp_min(1e-12)
+        integers = (weight / scale.view(-1, 1, 1, 1)).round().to(torch.int8)
+        self.register_buffer("scale", scale)
+        self.register_buffer("zero", torch.zeros(len(scale), dtype=torch.int32))
+        self.register_buffer("weight", integers.contiguous(memory_format=torch.channels_last))
+        assert conv.bias is not None, "a folded convolution has a bias"
+        self.register_buffer("bias", conv.bias.detach().float() / outputs)
+        self.dtype, self.activation = dtype, activation
+        self._shape: Any = [list(conv.stride), list(conv.padding), list(conv.dilation), conv.groups]
+        self._layouts = Layouts()
+
+    def forward(self, x: Tensor) -> Tensor:
+        weight = self._layouts.of(x, self._laid_out)
+        given = x, 1.0, 0, weight, self.scale, self.zero, self.bias, *self._shape
+        return torch.ops.onednn.qconv_pointwise(*given, 1.0, 0, self.dtype, self.activation, [], "")
+
+    def _laid_out(self, shape: list[int]) -> Tensor:
+        return torch.ops.onednn.qconv_prepack(self.weight, self.scale, 1.0, 0, *self._shape, shape)
+
+
+class RoundedConvReLU(nn.Module):
+    """ReLU of a convolution in floating point, rounded to 8-bit integers in steps of `outputs` (out,)."""
+
+    def __init__(self, conv: nn.Conv2d, outputs: Tensor, dtype: torch.dtype) -> None:
+        super().__init__()
+        assert conv.bias is not None, "a folded convolution has a bias"
+        scaled = nn.Conv2d(conv.in_channels, conv.out_channels, conv.kernel_size, padding=conv.padding)  # type: ignore[arg-type]
+        with torch.no_grad():
+            scaled.weight.copy_(conv.weight / outputs.view(-1, 1, 1, 1))
+            scaled.bias.copy_(conv.bias / outputs + 0.5)  # type: ignore[union-attr] # what is cut off below is rounded
+        self.conv = FusedConvReLU(scaled.to(dtype, memory_format=torch.channels_last))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.conv(x).clamp_(max=LARGEST).to(torch.uint8)
+
+
+def channel_reaches(unet: UNet) -> list[tuple[Tensor, Tensor]]:
+    """How far each channel goes after the first and second ReLU of each encoder block, then of each decoder block.
+
+    `unet`: with its normalisations as they were trained, not folded.
+    """
+    blocks = [*unet.encoder, *unet.decoder]
+    return [(_reach(block[1]), _reach(block[4])) for block in blocks]  # type: ignore[index,arg-type]
+
+
+def _reach(norm: nn.BatchNorm2d) -> Tensor:
+    mean, deviation = norm.bias.detach().float(), norm.weight.detach().float().abs()
+    return (mean + DEVIATIONS * deviation).clamp_min(1e-3)  # a channel that is never above zero has a step all the same
+
+
+def _eight_bit_block(
+    block: DoubleConv, inputs: Tensor | None, steps: tuple[Tensor, Tensor], output: torch.dtype, dtype: torch.dtype
+) -> nn.Sequential:
+    first, second = block[0], block[3]
+    assert isinstance(first, nn.Conv2d)
+    assert isinstance(second, nn.Conv2d)
+    rounded: nn.Module
+    if inputs is None:
+        rounded = RoundedConvReLU(first, steps[0], dtype)
+    else:
+        rounded = EightBitConv(first, inputs, steps[0], torch.uint8, "relu")
+    return nn.Sequential(rounded, EightBitConv(second, *steps, output, "relu"))
+
+
+def _halved(x: Tensor) -> Tensor:
+    """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers."""
+    rows = torch.maximum(x[..., ::2, :], x[..., 1::2, :])
+    return torch.maximum(rows[..., ::2], rows[..., 1::2])
+
+
+def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
+    """Channels of `skip` (B,S,2h,2w) and, after them, those of `coarse` (B,C,h,w) enlarged as by `F.interpolate` with
+    "bilinear", rounded half up: all 8-bit integers. PyTorch's own enlarging of such takes four times as long, and its
+    rounding is a quarter too low."""
+    batch, channels, height, width = coarse.shape
+    both = torch.empty((batch, 2 * height, 2 * width, skip.shape[1] + channels), dtype=torch.uint8)
+    both[..., : skip.shape[1]] = skip.permute(0, 2, 3, 1)
+    tall = _interleaved(coarse.permute(0, 2, 3, 1).to(torch.int16), dim=1)  # 4 times the value
+    whole = _interleaved(tall.add_(2), dim=2)  # 16 times the value, and 8: half of what is shifted out
+    both[..., skip.shape[1] :] = whole.bitwise_right_shift_(4)
+    return both.permute(0, 3, 1, 2)
+
+
+def _interleaved(x: Tensor, dim: int) -> Tensor:
+    """Twice as many along `dim`, each 3 times the nearest and once the next nearest; beyond the edge is the edge."""
+    size = x.shape[dim]
+    out = torch.empty((*x.shape[:dim], size, 2, *x.shape[dim + 1 :]), dtype=x.dtype)
+    before, after = out.unbind(dim + 1)
+    for side, edge, inner, neighbour in ((before, 0, 1, 0), (after, size - 1, 0, 1)):
+        ends, rest = x.narrow(dim, edge, 1), x.narrow(dim, inner, size - 1)
+        torch.add(ends, ends, alpha=3, out=side.narrow(dim, edge, 1))
+        torch.add(x.narrow(dim, neighbour, size - 1), rest, alpha=3, out=side.narrow(dim, inner, size - 1))
+    return out.flatten(dim, dim + 1)

@@ -1,0 +1,213 @@
+"""The U-Net in 8-bit integers: each piece against integers by hand, the whole against floating point."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import correlate
+from torch import nn
+
+from completion import DepthCompleter, infer
+from completion.eight_bit import (
+    EightBitConv,
+    EightBitUNet,
+    RoundedConvReLU,
+    beside_doubled,
+    can_use_eight_bits,
+    channel_reaches,
+)
+from completion.errors import CompletionError
+from completion.infer import choose_precision, load_scale_free
+from completion.look_norm import fold_batch_norm
+from completion.network import DoubleConv, UNet
+
+needs_vnni = pytest.mark.skipif(not can_use_eight_bits(), reason="this processor or PyTorch has no fast 8-bit integers")
+# Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
+TOLERANCE = 0.01
+
+
+def integers(*shape):
+    return torch.randint(0, 256, shape, dtype=torch.uint8).contiguous(memory_format=torch.channels_last)
+
+
+@needs_vnni
+@pytest.mark.parametrize(("size", "relu"), [(3, True), (1, False)])
+def test_a_convolution_of_integers_is_scipys(size, relu):
+    torch.manual_seed(size)
+    conv = nn.Conv2d(5, 4, size, padding=size // 2)
+    steps, outputs = torch.rand(5) / 50 + 0.01, torch.rand(4) / 20 + 0.01
+    made = EightBitConv(conv, steps, outputs, torch.float32, "relu" if relu else "none")
+    weight = made.weight.numpy().astype(np.int64)
+    np.testing.assert_array_equal(np.abs(weight).max(axis=(1, 2, 3)), 127)  # of all eight bits
+    for shape in ((7, 9), (16, 16), (7, 9), (3, 4), (12, 5), (20, 2)):  # more than are kept
+        x = integers(1, 5, *shape)
+        padded = np.pad(x[0].numpy().astype(np.int64), ((0, 0), *2 * [2 * (size // 2,)]))
+        sums = np.stack([correlate(padded, kernel, mode="valid")[0] for kernel in weight])
+        expected = sums * made.scale.numpy()[:, None, None] + made.bias.numpy()[:, None, None]
+        with torch.inference_mode():
+            got = made(x)[0].numpy()
+        np.testing.assert_allclose(got, np.maximum(expected, 0) if relu else expected, rtol=1e-4, atol=1e-3)
+        exact = conv(x * steps.view(1, -1, 1, 1)) / outputs.view(1, -1, 1, 1)
+        assert (
+            torch.corrcoef(torch.stack([made(x).flatten(), (exact.relu() if relu else exact).flatten()]))[0, 1] > 0.9999
+        )
+
+
+@needs_vnni
+def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
+    torch.manual_seed(0)
+    conv, steps = nn.Conv2d(3, 6, 3, padding=1), torch.full((6,), 0.008)
+    x = integers(2, 3, 8, 12)
+    with torch.inference_mode():
+        exact = EightBitConv(conv, torch.full((3,), 0.02), steps, torch.float32, "relu")(x)
+        whole = EightBitConv(conv, torch.full((3,), 0.02), steps, torch.uint8, "relu")(x)
+        rounded = RoundedConvReLU(conv, steps, torch.float32)(0.02 * x)
+        by_hand = (conv(0.02 * x).relu() / 0.008 + 0.5).clamp(max=255.4).floor()
+    assert whole.dtype == rounded.dtype == torch.uint8
+    assert exact.max() > 260
+    assert ((exact > 0) & (exact < 254)).any()
+    assert (whole - exact.clamp(max=255)).abs().max() <= 0.5
+    assert (rounded - by_hand).abs().max() <= 1  # a half may fall to either side
+    assert (rounded != by_hand).float().mean() < 0.01
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 9), st.integers(1, 5), st.integers(1, 3))
+def test_doubling_integers_is_bilinear_interpolation_rounded(seed, height, width, channels, batch):
+    torch.manual_seed(seed)
+    coarse, skip = integers(batch, channels, height, width), integers(batch, 2, 2 * height, 2 * width)
+    both = beside_doubled(skip, coarse)
+    assert (both[:, :2] == skip).all()
+    exact = F.interpolate(coarse.double(), scale_factor=2, mode="bilinear", align_corners=False)
+    assert (both[:, 2:] == (exact + 0.5).floor()).all()
+
+
+def trained(widths, attention=None):
+    """A U-Net of random weights with the running statistics of noise, and such noise."""
+    unet, x = UNet(5, 3, widths, attention), torch.randn(2, 5, 48, 64)
+    with torch.no_grad():
+        for block in (*unet.encoder, *unet.decoder):
+            for index in (1, 4):
+                block[index].weight.uniform_(0.5, 2)
+                block[index].bias.normal_(0, 0.5)
+        for _ in range(60):
+            unet(torch.randn_like(x))
+    return unet.eval(), x
+
+
+def by_hand(unet, x):
+    """The U-Net with every activation and weight rounded as said, in double precision."""
+    folded = fold_batch_norm(unet).double()
+    reaches = [tuple(255 / step.double().view(1, -1, 1, 1) for step in pair) for pair in channel_reaches(unet)]
+    blocks, levels, x = [*folded.encoder, *folded.decoder], len(folded.encoder), x.double()
+
+    def rounded(x, steps):
+        return (x * steps + 0.5 + 1e-6).floor().clamp(max=255) / steps  # halves, which enlarging makes, upwards
+
+    def convolved(conv, x, given, made):
+        """`given`: steps per unit of what goes in, or None for exact; weights rounded against the largest of each."""
+        if given is None:
+            return conv(x)
+        weight = conv.weight / given * made.view(-1, 1, 1, 1)
+        scale = weight.abs().amax(dim=(1, 2, 3), keepdim=True) / 127
+        sums = F.conv2d(x * given, (weight / scale).round() * scale, padding=conv.padding)
+        return sums / made + conv.bias.view(1, -1, 1, 1)
+
+    def block(index, x, given):
+        first, second = reaches[index]
+        x = rounded(convolved(blocks[index][0], x, given, first).relu(), first)
+        x = convolved(blocks[index][3], x, first, torch.ones_like(second) if index == levels - 1 else second).relu()
+        return x if index == levels - 1 else rounded(x, second)
+
+    def doubled(x):
+        return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+
+    skips = []
+    for level in range(levels):
+        x = block(level, F.max_pool2d(x, 2) if level else x, reaches[level - 1][1] if level else None)
+        skips.append(x)
+    x = skips.pop()
+    for index in range(levels, 2 * levels - 1):
+        finer = 2 * levels - 2 - index
+        if index == levels:
+            x, given = torch.cat([skips.pop(), doubled(x)], dim=1), None
+        else:
+            before = reaches[index - 1][1]
+            x = torch.cat([skips.pop(), rounded(doubled(x), before)], dim=1)
+            given = torch.cat([reaches[finer][1], before], dim=1)
+        x = block(index, x, given)
+    last = reaches[-1][1]
+    return convolved(folded.head, x, last, torch.ones(1, folded.head.out_channels, 1, 1).double())
+
+
+@needs_vnni
+@pytest.mark.parametrize("widths", [(8, 12), (8, 12, 16), (8, 12, 16, 20, 20)])
+def test_the_whole_is_the_unet_with_each_value_rounded(widths):
+    """As in double precision but where a sum lies so near a half that it falls to the other side, and what follows."""
+    torch.manual_seed(len(widths))
+    unet, x = trained(widths)
+    with torch.no_grad():
+        got = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), torch.float32)(x)
+        expected, exact = by_hand(unet, x), unet(x)
+        coarser = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), torch.bfloat16)(x.bfloat16())
+    assert got.dtype == coarser.dtype == torch.float32
+    off = (got - expected).std()
+    assert off < 1e-3 * exact.std()
+    assert off < 0.1 * (got - exact).std()  # rounding is what sets it apart from the U-Net
+    assert (got - exact).std() < 0.2 * exact.std()
+    assert (coarser - exact).std() < 0.2 * exact.std()
+
+
+@needs_vnni
+def test_every_channel_has_a_step_of_its_own():
+    """A channel that is a thousand times as large, and counts for as much less, changes nothing."""
+    torch.manual_seed(1)
+    unet, x = trained((8, 12, 16))
+    with torch.no_grad():
+        expected = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), torch.float32)(x)
+        unet.encoder[0][4].weight[3] *= 1024
+        unet.encoder[0][4].bias[3] *= 1024
+        for block in (unet.encoder[1], unet.decoder[-1]):
+            block[0].weight[:, 3] /= 1024
+        got = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), torch.float32)(x)
+    torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-4 * expected.std().item())
+
+
+@needs_vnni
+def test_the_shipped_model_in_eight_bits_agrees_with_float32():
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:96, :128] / 96 - 0.5
+    depth = 8 / np.maximum(np.hypot(x, y), 0.08)
+    rgb = np.clip(3e4 / depth**2 + rng.normal(0, 4, depth.shape), 0, 255).astype(np.uint8)[..., None].repeat(3, axis=2)
+    sparse = np.zeros(depth.shape, np.float32)
+    chosen = rng.choice(depth.size, 100, replace=False)
+    sparse.flat[chosen] = depth.flat[chosen]
+    network = load_scale_free("mscsa")
+    exact, eight = (DepthCompleter(network, precision=precision) for precision in ("fp32", "int8"))
+    off = np.abs(eight(rgb, sparse)[0] / exact(rgb, sparse)[0] - 1)
+    assert 0 < np.median(off) < TOLERANCE
+    errors = [np.abs(np.log(completer(rgb, sparse)[0] / depth)).mean() for completer in (exact, eight)]
+    assert errors[1] < 1.1 * errors[0]
+    assert np.array_equal(eight(rgb, sparse)[0], eight(rgb, sparse)[0])
+    for factor in (0.013, 7, 1000):
+        scaled = np.abs(eight(rgb, factor * sparse)[0] / (factor * eight(rgb, sparse)[0]) - 1)
+        assert np.median(scaled) < 1e-3
+        assert scaled.max() < 0.05
+    again = copy.deepcopy(eight.network)
+    assert sum(isinstance(module, DoubleConv) for module in again.modules()) == 0
+
+
+def test_without_such_a_processor_the_next_best_is_taken(monkeypatch):
+    cpu = torch.device("cpu")
+    monkeypatch.setattr(infer, "can_use_eight_bits", lambda: True)
+    assert [choose_precision(p, cpu) for p in ("auto", "int8", "bf16", "fp32")] == ["int8", "int8", "bf16", "fp32"]
+    assert choose_precision("auto", torch.device("cuda")) == "bf16"
+    monkeypatch.setattr(infer, "can_use_eight_bits", lambda: False)
+    monkeypatch.setattr(infer, "has_fast_bfloat16", lambda device: False)
+    assert choose_precision("auto", cpu) == "fp32"
+    with pytest.raises(CompletionError, match="VNNI"):
+        choose_precision("int8", cpu)
