@@ -85,7 +85,7 @@ def evaluate_frames(
     With SfM-like points the frame's unknown factor is divided out of the prediction before it is judged, unless the
     protocol aligns the scale by other means.
     """
-    sampler = get_sampler(protocol.sampler)
+    sampler, judged = get_sampler(protocol.sampler), 0
     for place, frame in enumerate(frames):
         if place % protocol.stride:
             continue
@@ -101,8 +101,9 @@ def evaluate_frames(
         errors = depth_errors(depth, frame.depth, protocol.alignment, known)
         aligned = depth * np.float32(errors.scale)
         yield FrameResult(frame.name, sparse.points, errors, frame.rgb, frame.depth, known, aligned, confidence)
+        judged += 1
         if advance:
-            advance(place + 1)
+            advance(judged)
 
 
 def mean_errors(results: Sequence[Score], protocol: Protocol) -> DepthErrors:

@@ -188,10 +188,10 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
         losses.append(train_step(run, shards, splits))
         if advance and log:
             advance(run.step, config.steps)
-        if log and run.step % LOG_EVERY == 0:
+        if log and (run.step % LOG_EVERY == 0 or run.step == config.steps):
             held_out = validate(run, shards) if run.step % VALIDATE_EVERY == 0 else None
             rate = learning_rate(run.step - 1, config)
-            log.write(run.step, config.steps, float(np.mean(losses[-LOG_EVERY:])), rate, held_out)
+            log.write(run.step, config.steps, float(np.mean(losses[-1 - (run.step - 1) % LOG_EVERY :])), rate, held_out)
         if log and time.monotonic() - saved > config.checkpoint_seconds:
             run.save()
             saved = time.monotonic()

@@ -1,9 +1,10 @@
 """`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -45,6 +46,16 @@ class Outputs:
     compare: Path | None = None
     attention: Path | None = None
 
+    def make_way(self) -> None:
+        """Folders for all of them; CompletionError for one that cannot be written, before any work is done for it."""
+        for path in filter(None, astuple(self)):
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise CompletionError(f"cannot write {path}: {error.strerror}") from None
+            if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+                raise CompletionError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not allowed'}")
+
 
 def protocol_of(
     sampler: str, points: int, align: str, averaging: str, seed: int, stride: int, depth_step: float = 0.0
@@ -69,13 +80,16 @@ def evaluate(
     kind: str | None,
     progress: Progress,
 ) -> str:
-    """Markdown tables, one per folder and protocol, a row per model; files as `outputs` says."""
+    """Markdown tables, one per folder and protocol, a row per model; files as `outputs` says, with the names of those
+    that had to be told apart below the tables."""
     for kind_of, names in (("model", [Path(m).name for m in models]), ("folder", [f.name for f in folders])):
         if len(set(names)) < len(names):
             raise CompletionError(f"two {kind_of}s have the same name, and the tables would not tell them apart")
+    outputs.make_way()
     predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
     several = len(folders) * len(protocols) > 1
     tables: list[str] = []
+    renamed: list[Path] = []
     records: list[dict[str, Any]] = []
     for folder in folders:
         for protocol in protocols:
@@ -86,13 +100,17 @@ def evaluate(
                     records.append(_record(folder.name, model, protocol, tally, unit))
                 rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
                 sights[Path(model).name] = tally.sights()
-                _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
+                renamed += _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
             about = f"{len(tally.scores)} frames, {protocol}"
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
-                comparison_sheet(_named(outputs.compare, label, several), sights, f"{folder.name}: {about}")
+                path = _named(outputs.compare, label, several)
+                comparison_sheet(path, sights, f"{folder.name}: {about}")
+                renamed += [path] * several
     _write_summaries(outputs, records)
+    if renamed:
+        tables.append("written, one for each figure: " + ", ".join(map(str, renamed)))
     return "\n\n".join(tables)
 
 
@@ -152,16 +170,21 @@ def _record(folder: str, model: str, protocol: Protocol, tally: Tally, unit: str
 
 def _write_pictures(
     outputs: Outputs, tally: Tally, predictor: Predictor, record: dict[str, Any], several: bool
-) -> None:
-    """CSV and sheets of one figure; with several figures each file's name says which it is."""
+) -> list[Path]:
+    """CSV and sheets of one figure; with several figures each file's name says which it is, and is returned."""
     label = _label(record)
     title = f"{record['folder']}, {record['model']}: {Protocol(**record['protocol'])}"
-    if outputs.csv:
-        write_csv(_named(outputs.csv, label, several), tally.scores)
-    if outputs.sheet:
-        contact_sheet(_named(outputs.sheet, label, several), tally.sights(), title, record["unit"])
-    if outputs.attention and (frames := _attention(predictor, tally.sights())):  # asked of the models that have one
-        attention_sheet(_named(outputs.attention, label, several), frames, title)
+    csv, sheet, attention = (
+        path and _named(path, label, several) for path in (outputs.csv, outputs.sheet, outputs.attention)
+    )
+    if csv:
+        write_csv(csv, tally.scores)
+    if sheet:
+        contact_sheet(sheet, tally.sights(), title, record["unit"])
+    frames = _attention(predictor, tally.sights()) if attention else []  # asked of the models that have one
+    if attention and frames:
+        attention_sheet(attention, frames, title)
+    return [path for path in (csv, sheet, attention if frames else None) if path and several]
 
 
 def _attention(

@@ -119,11 +119,29 @@ def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     assert [r["calibration"] is not None for r in records] == [r["model"] == "mscsa" for r in records]
     by_points = [r["mean"]["abs_rel"] for r in records if r["model"] == "nearest"]
     assert by_points[1] < by_points[0]
+    named = text.rsplit("one for each figure: ", 1)[1].split(", ")
+    alone = {*outputs.json.parent.glob("*.json"), outputs.sweep, outputs.calibration}
+    assert {Path(name) for name in named} == {p for p in tmp_path.iterdir() if p.is_file()} - alone
 
 
 def test_error_and_confidence_are_each_others_inverse() -> None:
     error = np.geomspace(0.003, 0.5, 20).astype(np.float32)
     np.testing.assert_allclose(error_from_confidence(confidence_from_error(error)), error, rtol=1e-3)
+
+
+@pytest.mark.parametrize("path", ["file/deeper/e.csv", "folder"])
+def test_what_cannot_be_written_is_said_before_the_work(tmp_path: Path, path: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(CompletionError, match=f"cannot write .*{path}"):
+        evaluate([tmp_path / "none"], ["linear"], [], Outputs(csv=tmp_path / path), None, SilentProgress())
+
+
+def test_progress_counts_the_frames_that_are_judged() -> None:
+    seen: list[int] = []
+    frames = [frame() for _ in range(7)]
+    list(evaluate_frames(frames, load_predictor("nearest"), Protocol(stride=3), seen.append))
+    assert seen == [1, 2, 3]
 
 
 def test_slips_are_one_sentence() -> None:

@@ -41,6 +41,7 @@ def test_training_is_repeatable_and_resumes(shards, tmp_path):
     again = train(config(shards, tmp_path / "b.safetensors", steps=4))
     for name, tensor in load_tensors(whole)[0].items():
         assert torch.equal(tensor, load_tensors(again)[0][name]), name
+    assert [row["step"] for row in csv.DictReader(whole.with_suffix(".log.csv").open())] == ["4"]  # a short run's too
     first = load_network(whole)
     assert isinstance(first, ScaleFreeMSCSANet)
     # A checkpoint of the finished run: resuming it trains no further and writes the same weights.
