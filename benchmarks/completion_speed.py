@@ -20,6 +20,7 @@ import torch
 
 from completion import DepthCompleter
 from completion.classical import CLASSICAL
+from completion.eight_bit import can_use_eight_bits
 from completion.infer import load_scale_free
 from completion.models import build_model
 from completion.onnx_export import export_onnx
@@ -111,6 +112,9 @@ def contenders() -> dict[str, Callable[[], object]]:
     for looks, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
         other = DepthCompleter(network, working_side=side, looks=looks)
         calls[f"mscsa, {looks} look{'s' * (looks > 1)} at {side} px"] = partial(other, rgb, sparse)
+    for precision in ("int8", "bf16", "fp32"):
+        if precision != "int8" or can_use_eight_bits():
+            calls[f"mscsa, {precision}"] = partial(DepthCompleter(network, precision=precision), rgb, sparse)
     with tempfile.TemporaryDirectory() as folder:
         path, inputs = exported(network, rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)

@@ -3,6 +3,7 @@
     haustra phantom E --training 160 --size 480 --seed 750000
     python benchmarks/working_sizes.py E --size 320 --size 448 --looks 1 --looks 2 --json sizes.json
     python benchmarks/working_sizes.py E --picture 320 --size 320 --size 448   # frames reduced to 320 px first
+    python benchmarks/working_sizes.py E --precision bf16 --precision int8
 
 Every `--stride`-th frame, points of `haustra evaluate`'s samplers, seeded by the frame, the same for every row; a size
 of 0 is the one that `DepthCompleter` chooses. Means over the frames, in percent, and the standard error of the paired
@@ -47,18 +48,24 @@ def main() -> None:
     parser.add_argument("--model", action="append")
     parser.add_argument("--size", action="append", type=int, help="px")
     parser.add_argument("--looks", action="append", type=int)
+    parser.add_argument("--precision", action="append", help="int8, bf16 or fp32")
     parser.add_argument("--picture", type=int, help="px to which the frames are reduced first")
     parser.add_argument("--stride", type=int, default=4)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     frames = frames_of(arguments.folder, arguments.stride, arguments.picture)
+    variants = product(
+        arguments.model or ["mscsa"], arguments.size or [320], arguments.looks or [2], arguments.precision or ["auto"]
+    )
     completers = {
-        (model, size, looks): DepthCompleter(load_scale_free(model), working_side=size or None, looks=looks)
-        for model, size, looks in product(arguments.model or ["mscsa"], arguments.size or [320], arguments.looks or [2])
+        (model, size, looks, precision): DepthCompleter(
+            load_scale_free(model), precision=precision, working_side=size or None, looks=looks
+        )
+        for model, size, looks, precision in variants
     }
     rows = []
     for sampler, points in POINTS:
-        errors: dict[tuple[str, int, int], list[float]] = {key: [] for key in completers}
+        errors: dict[tuple[str, int, int, str], list[float]] = {key: [] for key in completers}
         for index, rgb, depth in frames:
             sparse = get_sampler(sampler)(rgb, depth, points, np.random.default_rng([0, index]))
             if sparse.points < FEWEST:
@@ -69,10 +76,16 @@ def main() -> None:
         first = np.array(next(iter(errors.values())))
         if len(first) < 2:
             continue
-        for (model, size, looks), values in errors.items():
+        for (model, size, looks, precision), values in errors.items():
             paired = float(np.std(np.array(values) - first, ddof=1) / np.sqrt(len(values)))
             row = {"sampler": sampler, "points": points, "frames": len(values), "model": model}
-            row |= {"size_px": size, "looks": looks, "abs_rel_percent": float(np.mean(values)), "paired_error": paired}
+            row |= {
+                "size_px": size,
+                "looks": looks,
+                "precision": precision,
+                "abs_rel_percent": float(np.mean(values)),
+                "paired_error": paired,
+            }
             rows.append(row)
             say(row, digits=3)
     write(arguments.json, {"rows": rows})
