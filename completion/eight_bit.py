@@ -1,11 +1,11 @@
 """The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
 
 After a ReLU every channel c is held as round(x / s_c) in 0 to 255, and s_c goes into the next convolution's weights, so
-that channels of different reach do not share one step: with a step for all of them depth erred by up to a quarter more. How far
-a channel reaches is read from its batch normalisation, which gave it the mean beta and the standard deviation gamma:
-s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al., "Data-free quantization", ICCV
-2019). Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The input, the attention and
-what comes from it stay in floating point.
+that channels of different reach do not share one step: with one step for all of a layer depth erred by up to a quarter
+more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the standard
+deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al., "Data-free
+quantization", ICCV 2019). Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The
+input, the attention and what comes from it stay in floating point.
 """
 
 from __future__ import annotations

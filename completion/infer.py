@@ -69,7 +69,8 @@ class DepthCompleter:
             copy.anchor.msc = LinearConfidence(copy.anchor.msc)
         copy = copy.to(self.device, memory_format=torch.channels_last)
         if self.precision == "int8":
-            dtype = torch.bfloat16 if has_fast_bfloat16(self.device) else torch.float32
+            half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
+            dtype = torch.bfloat16 if half else torch.float32
             copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), dtype)
         elif self.precision == "bf16" and self.device.type == "cpu" and can_fuse(torch.bfloat16):
             fuse_convolutions(copy.unet)  # in float32 it gains little
