@@ -73,7 +73,10 @@ def main() -> None:
                 row |= {f"{name}_least": min(of_draws), f"{name}_most": max(of_draws)}
             rows.append(row)
             say(row)
-    write(arguments.json, {"looks": completer.looks, "draws": arguments.draws, "rows": rows})
+    write(
+        arguments.json,
+        {"looks": completer.looks, "precision": completer.precision, "draws": arguments.draws, "rows": rows},
+    )
 
 
 if __name__ == "__main__":

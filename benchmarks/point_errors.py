@@ -66,7 +66,7 @@ def main() -> None:
             rows.append(row | {"abs_rel_percent": float(np.mean(values)), "paired_error": float(paired)})
             rows[-1]["within_percent"] = 100 * float(np.mean(within[name]))
             say(rows[-1])
-    write(arguments.json, {"looks": completer.looks, "rows": rows})
+    write(arguments.json, {"looks": completer.looks, "precision": completer.precision, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
 """The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
 
-After a ReLU every channel c is held as round(x / s_c) in 0 to 255, and s_c goes into the next convolution's weights, so
-that channels of different reach do not share one step: with one step for all of a layer depth erred by up to a quarter
-more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the standard
-deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al., "Data-free
-quantization", ICCV 2019). Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The
-input, the attention and what comes from it stay in floating point.
+After a ReLU every channel c is held as round(x / s_c), cut off at 255, and s_c goes into the next convolution's
+weights, so that channels of different reach do not share one step: with one step for all of a layer depth erred by up
+to a quarter more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the
+standard deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al.,
+"Data-free quantization", ICCV 2019). Weights have 8 bits as well and a step for each output; sums are exact, in 32
+bits. The input, the attention and what comes from it stay in floating point.
 """
 
 from __future__ import annotations
 
+import copy
+from functools import cache
 from typing import Any
 
 import torch
@@ -24,11 +26,22 @@ DEVIATIONS = 8.0
 LARGEST = 255  # of an unsigned 8-bit integer
 
 
+@cache
 def can_use_eight_bits() -> bool:
-    """Whether this processor multiplies 8-bit integers fast, and this PyTorch has the operators."""
+    """Whether this processor multiplies 8-bit integers fast, and this PyTorch does so rightly: without VNNI, or with
+    oneDNN kept from using it, sums of large values are cut off at 16 bits."""
     supported = getattr(torch.cpu, "_is_vnni_supported", None)
-    operators = all(hasattr(torch.ops.onednn, name) for name in ("qconv_pointwise", "qconv_prepack"))
-    return bool(supported and supported()) and operators and can_fuse(torch.float32)
+    if not (supported and supported() and can_fuse(torch.float32)):
+        return False
+    conv = nn.Conv2d(64, 16, 3, bias=True, device="meta").to_empty(device="cpu").requires_grad_(False)
+    conv.weight.fill_(1)
+    conv.bias.zero_()  # type: ignore[union-attr]
+    try:
+        made = EightBitConv(conv, torch.ones(64), torch.ones(16), torch.float32, "relu")
+        sums = made(torch.full((1, 64, 3, 3), LARGEST, dtype=torch.uint8))
+    except (AttributeError, RuntimeError, TypeError):  # a PyTorch without these operators, or with others of the name
+        return False
+    return bool(torch.allclose(sums, torch.full_like(sums, 9 * 64 * LARGEST)))
 
 
 class EightBitUNet(nn.Module):
@@ -105,15 +118,14 @@ class RoundedConvReLU(nn.Module):
 
     def __init__(self, conv: nn.Conv2d, outputs: Tensor, dtype: torch.dtype) -> None:
         super().__init__()
-        assert conv.bias is not None, "a folded convolution has a bias"
-        scaled = nn.Conv2d(conv.in_channels, conv.out_channels, conv.kernel_size, padding=conv.padding)  # type: ignore[arg-type]
+        scaled = copy.deepcopy(conv)
         with torch.no_grad():
-            scaled.weight.copy_(conv.weight / outputs.view(-1, 1, 1, 1))
-            scaled.bias.copy_(conv.bias / outputs + 0.5)  # type: ignore[union-attr] # what is cut off below is rounded
+            scaled.weight /= outputs.view(-1, 1, 1, 1)
+            scaled.bias /= outputs  # type: ignore[operator]
         self.conv = FusedConvReLU(scaled.to(dtype, memory_format=torch.channels_last))
 
     def forward(self, x: Tensor) -> Tensor:
-        return self.conv(x).clamp_(max=LARGEST).to(torch.uint8)
+        return self.conv(x).clamp_(max=LARGEST).round_().to(torch.uint8)
 
 
 def channel_reaches(unet: UNet) -> list[tuple[Tensor, Tensor]]:
@@ -145,17 +157,17 @@ def _eight_bit_block(
 
 
 def _halved(x: Tensor) -> Tensor:
-    """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers."""
+    """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers in channels_last."""
     rows = torch.maximum(x[..., ::2, :], x[..., 1::2, :])
     return torch.maximum(rows[..., ::2], rows[..., 1::2])
 
 
 def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
     """Channels of `skip` (B,S,2h,2w) and, after them, those of `coarse` (B,C,h,w) enlarged as by `F.interpolate` with
-    "bilinear", rounded half up: all 8-bit integers. PyTorch's own enlarging of such takes four times as long, and its
-    rounding is a quarter too low."""
+    "bilinear", rounded half up: all 8-bit integers. PyTorch's own enlarging of such takes four times as long, and is a
+    quarter too high in the mean."""
     batch, channels, height, width = coarse.shape
-    both = torch.empty((batch, 2 * height, 2 * width, skip.shape[1] + channels), dtype=torch.uint8)
+    both = skip.new_empty((batch, 2 * height, 2 * width, skip.shape[1] + channels))
     both[..., : skip.shape[1]] = skip.permute(0, 2, 3, 1)
     tall = _interleaved(coarse.permute(0, 2, 3, 1).to(torch.int16), dim=1)  # 4 times the value
     whole = _interleaved(tall.add_(2), dim=2)  # 16 times the value, and 8: half of what is shifted out
@@ -166,7 +178,7 @@ def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
 def _interleaved(x: Tensor, dim: int) -> Tensor:
     """Twice as many along `dim`, each 3 times the nearest and once the next nearest; beyond the edge is the edge."""
     size = x.shape[dim]
-    out = torch.empty((*x.shape[:dim], size, 2, *x.shape[dim + 1 :]), dtype=x.dtype)
+    out = x.new_empty((*x.shape[:dim], size, 2, *x.shape[dim + 1 :]))
     before, after = out.unbind(dim + 1)
     for side, edge, inner, neighbour in ((before, 0, 1, 0), (after, size - 1, 0, 1)):
         ends, rest = x.narrow(dim, edge, 1), x.narrow(dim, inner, size - 1)

@@ -30,11 +30,11 @@ class Layouts:
     def of(self, x: Tensor, lay_out: Callable[[list[int]], Tensor]) -> Tensor:
         """What `lay_out` makes for the shape of x, or once made."""
         shape = tuple(x.shape)
-        if shape not in self._kept:
-            if len(self._kept) == SHAPES:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[shape] = lay_out(list(shape))
-        return self._kept[shape]
+        laid_out = self._kept.get(shape)
+        if laid_out is None:
+            laid_out = lay_out(list(shape))
+            self._kept = dict([*self._kept.items(), (shape, laid_out)][-SHAPES:])  # another thread may be reading
+        return laid_out
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Layouts:
         return Layouts()  # what is laid out can't be copied

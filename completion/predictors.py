@@ -27,6 +27,7 @@ class Predictor:
 
     complete: Complete
     network: nn.Module | None = None  # None for classical fills
+    precision: str | None = None  # of a scale-free network's convolutions: int8, bf16 or fp32
 
     def __call__(
         self, rgb: RGB, sparse: Depth, intrinsics: NDArray[np.float64] | None = None
@@ -54,7 +55,7 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     network = load_network(path)
     if isinstance(network, ScaleFreeMSCSANet):
         completer = DepthCompleter(network, device, precision)
-        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), completer.network)
+        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), completer.network, completer.precision)
     return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)
 
 

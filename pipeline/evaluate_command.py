@@ -97,7 +97,7 @@ def evaluate(
             for model, predictor in predictors.items():
                 with Tally(trajectory=outputs.json is not None) as tally:
                     unit = _run(folder, kind, predictor, protocol, tally, progress.bar(f"{folder.name} {model}", None))
-                    records.append(_record(folder.name, model, protocol, tally, unit))
+                    records.append(_record(folder.name, model, predictor.precision, protocol, tally, unit))
                 rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
                 sights[Path(model).name] = tally.sights()
                 renamed += _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
@@ -152,12 +152,15 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
         calibration_plot(outputs.calibration, found)
 
 
-def _record(folder: str, model: str, protocol: Protocol, tally: Tally, unit: str) -> dict[str, Any]:
+def _record(
+    folder: str, model: str, precision: str | None, protocol: Protocol, tally: Tally, unit: str
+) -> dict[str, Any]:
     """Everything about one figure, for JSON."""
     calibration, simcol = tally.calibration(), tally.simcol3d()
     return {
         "folder": folder,
         "model": model,
+        "precision": precision,
         "unit": unit,
         "protocol": protocol.model_dump(),
         "mean": mean_errors(tally.scores, protocol).to_dict(),

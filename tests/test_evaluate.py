@@ -13,6 +13,7 @@ from completion.confidence import confidence_from_error, error_from_confidence
 from completion.errors import CompletionError
 from completion.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.frames import EvaluationFrame
+from completion.infer import choose_device, choose_precision
 from completion.predictors import load_predictor
 from completion.sparsify import features, like_sfm, uniform
 from phantom.config import EventsConfig
@@ -92,6 +93,10 @@ def test_a_frame_without_points_is_an_error_not_a_gap() -> None:
         list(evaluate_frames([blind], load_predictor("nearest"), Protocol(sampler="sfm")))
 
 
+def precision_here() -> str:
+    return choose_precision("auto", choose_device("auto"))
+
+
 def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     folder = generate(TINY, tmp_path / "phantom", threads=1)
     assert TINY.events == EventsConfig()
@@ -117,6 +122,7 @@ def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
         assert (tmp_path / f"attention_phantom_mscsa_uniform{points}.png").stat().st_size > 10_000
     assert not list(tmp_path.glob("attention_phantom_nearest*"))
     assert [r["calibration"] is not None for r in records] == [r["model"] == "mscsa" for r in records]
+    assert {(r["model"], r["precision"]) for r in records} == {("nearest", None), ("mscsa", precision_here())}
     by_points = [r["mean"]["abs_rel"] for r in records if r["model"] == "nearest"]
     assert by_points[1] < by_points[0]
     named = text.rsplit("one for each figure: ", 1)[1].split(", ")
