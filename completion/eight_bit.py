@@ -5,7 +5,7 @@ weights, so that channels of different reach do not share one step: with one ste
 to a quarter more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the
 standard deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al.,
 "Data-free quantization", ICCV 2019). Weights have 8 bits as well and a step for each output; sums are exact, in 32
-bits. The input, the attention and what comes from it stay in floating point.
+bits. The input, the attention and what comes from it, and the last features and the head stay in floating point.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def can_use_eight_bits() -> bool:
 
 
 class EightBitUNet(nn.Module):
-    """(B,in,H,W) in `input_dtype` -> (B,out,H,W) float32, nearly as the `UNet` it is made of; H, W as there."""
+    """(B,in,H,W) -> (B,out,H,W), both in `input_dtype`, nearly as the `UNet` it is made of; H, W as there."""
 
     def __init__(self, folded: UNet, reaches: list[tuple[Tensor, Tensor]], input_dtype: torch.dtype) -> None:
         """`folded`: with its normalisations folded. `reaches`: of the outputs of both convolutions of each encoder
@@ -55,18 +55,18 @@ class EightBitUNet(nn.Module):
         self.attention = folded.attention
         levels = len(folded.encoder)
         steps = [(a / LARGEST, b / LARGEST) for a, b in reaches]
-        plain = torch.ones_like(steps[levels - 1][1])  # the deepest features stay in floating point, in their own unit
-        steps[levels - 1] = steps[levels - 1][0], plain
         outputs = [torch.uint8] * (2 * levels - 1)  # of each block, the encoder's first
-        outputs[levels - 1] = torch.float32
+        for index, dtype in ((levels - 1, torch.float32), (-1, input_dtype)):
+            # The deepest features and the last stay in floating point, in their own unit.
+            steps[index] = steps[index][0], torch.ones_like(steps[index][1])
+            outputs[index] = dtype
         inputs = [None, *(b for _, b in steps[: levels - 1]), None]  # of each block; None: in floating point
         inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
         blocks = zip([*folded.encoder, *folded.decoder], inputs, steps, outputs, strict=True)
         made = [_eight_bit_block(block, given, step, out, input_dtype) for block, given, step, out in blocks]
         self.encoder, self.decoder = nn.ModuleList(made[:levels]), nn.ModuleList(made[levels:])
         self.register_buffer("deepest_skip_step", steps[levels - 2][1].view(1, -1, 1, 1).to(input_dtype))
-        last = steps[-1][1]
-        self.head = EightBitConv(folded.head, last, torch.ones(folded.head.out_channels), torch.float32, "none")
+        self.head = folded.head.to(input_dtype)
 
     def forward(self, x: Tensor) -> Tensor:
         skips = []
