@@ -33,11 +33,11 @@ def can_use_eight_bits() -> bool:
     supported = getattr(torch.cpu, "_is_vnni_supported", None)
     if not (supported and supported() and can_fuse(torch.float32)):
         return False
-    conv = nn.Conv2d(64, 16, 3, bias=True, device="meta").to_empty(device="cpu").requires_grad_(False)
+    conv = nn.Conv2d(64, 16, 3, device="meta").to_empty(device="cpu").requires_grad_(False)
     conv.weight.fill_(1)
     conv.bias.zero_()  # type: ignore[union-attr]
     try:
-        made = EightBitConv(conv, torch.ones(64), torch.ones(16), torch.float32, "relu")
+        made = EightBitConvReLU(conv, torch.ones(64), torch.ones(16), torch.float32)
         sums = made(torch.full((1, 64, 3, 3), LARGEST, dtype=torch.uint8))
     except (AttributeError, RuntimeError, TypeError):  # a PyTorch without these operators, or with others of the name
         return False
@@ -81,15 +81,15 @@ class EightBitUNet(nn.Module):
         return self.head(x)
 
 
-class EightBitConv(nn.Module):
-    """A convolution of 8-bit integers (B,in,H,W): `activation` of it, in `output` steps and the type asked for."""
+class EightBitConvReLU(nn.Module):
+    """ReLU of a convolution of 8-bit integers (B,in,H,W), in steps of `outputs` (out,) and of the type asked for."""
 
     scale: Tensor
     zero: Tensor
     weight: Tensor
     bias: Tensor
 
-    def __init__(self, conv: nn.Conv2d, inputs: Tensor, outputs: Tensor, dtype: torch.dtype, activation: str) -> None:
+    def __init__(self, conv: nn.Conv2d, inputs: Tensor, outputs: Tensor, dtype: torch.dtype) -> None:
         """`inputs` (in,), `outputs` (out,): the step of each channel of what goes in and comes out."""
         super().__init__()
         weight = conv.weight.detach().float() * inputs.view(1, -1, 1, 1) / outputs.view(-1, 1, 1, 1)
@@ -100,14 +100,14 @@ class EightBitConv(nn.Module):
         self.register_buffer("weight", integers.contiguous(memory_format=torch.channels_last))
         assert conv.bias is not None, "a folded convolution has a bias"
         self.register_buffer("bias", conv.bias.detach().float() / outputs)
-        self.dtype, self.activation = dtype, activation
+        self.dtype = dtype
         self._shape: Any = [list(conv.stride), list(conv.padding), list(conv.dilation), conv.groups]
         self._layouts = Layouts()
 
     def forward(self, x: Tensor) -> Tensor:
         weight = self._layouts.of(x, self._laid_out)
         given = x, 1.0, 0, weight, self.scale, self.zero, self.bias, *self._shape
-        return torch.ops.onednn.qconv_pointwise(*given, 1.0, 0, self.dtype, self.activation, [], "")
+        return torch.ops.onednn.qconv_pointwise(*given, 1.0, 0, self.dtype, "relu", [], "")
 
     def _laid_out(self, shape: list[int]) -> Tensor:
         return torch.ops.onednn.qconv_prepack(self.weight, self.scale, 1.0, 0, *self._shape, shape)
@@ -152,8 +152,8 @@ def _eight_bit_block(
     if inputs is None:
         rounded = RoundedConvReLU(first, steps[0], dtype)
     else:
-        rounded = EightBitConv(first, inputs, steps[0], torch.uint8, "relu")
-    return nn.Sequential(rounded, EightBitConv(second, *steps, output, "relu"))
+        rounded = EightBitConvReLU(first, inputs, steps[0], torch.uint8)
+    return nn.Sequential(rounded, EightBitConvReLU(second, *steps, output))
 
 
 def _halved(x: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -85,10 +86,8 @@ def evaluate_frames(
     With SfM-like points the frame's unknown factor is divided out of the prediction before it is judged, unless the
     protocol aligns the scale by other means.
     """
-    sampler, judged = get_sampler(protocol.sampler), 0
-    for place, frame in enumerate(frames):
-        if place % protocol.stride:
-            continue
+    sampler = get_sampler(protocol.sampler)
+    for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
         if protocol.depth_step:
             frame = replace(frame, depth=without_steps(frame.depth, protocol.depth_step))
         rng = np.random.default_rng([protocol.seed, place])
@@ -101,7 +100,6 @@ def evaluate_frames(
         errors = depth_errors(depth, frame.depth, protocol.alignment, known)
         aligned = depth * np.float32(errors.scale)
         yield FrameResult(frame.name, sparse.points, errors, frame.rgb, frame.depth, known, aligned, confidence)
-        judged += 1
         if advance:
             advance(judged)
 

@@ -36,11 +36,8 @@ class Layouts:
             self._kept = dict([*self._kept.items(), (shape, laid_out)][-SHAPES:])  # another thread may be reading
         return laid_out
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Layouts:
-        return Layouts()  # what is laid out can't be copied
-
     def __reduce__(self) -> tuple[type, tuple[()]]:
-        return Layouts, ()
+        return Layouts, ()  # what is laid out can't be copied
 
 
 class FusedConvReLU(nn.Module):

@@ -190,13 +190,12 @@ def choose_precision(precision: str, device: torch.device) -> str:
 
     CompletionError if int8 was asked for and can't be had.
     """
-    eight_bits = device.type == "cpu" and can_use_eight_bits()
-    if precision == "int8" and not eight_bits:
-        raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")
-    if precision != "auto":
+    if precision in ("bf16", "fp32"):
         return precision
-    if eight_bits:
+    if device.type == "cpu" and can_use_eight_bits():
         return "int8"
+    if precision == "int8":
+        raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")
     return "bf16" if has_fast_bfloat16(device) else "fp32"
 
 

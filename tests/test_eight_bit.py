@@ -17,7 +17,7 @@ from torch import nn
 
 from completion import DepthCompleter, infer
 from completion.eight_bit import (
-    EightBitConv,
+    EightBitConvReLU,
     EightBitUNet,
     RoundedConvReLU,
     beside_doubled,
@@ -39,12 +39,12 @@ def integers(*shape):
 
 
 @needs_vnni
-@pytest.mark.parametrize(("size", "relu"), [(3, True), (1, False)])
-def test_a_convolution_of_integers_is_scipys(size, relu):
+@pytest.mark.parametrize("size", [3, 1])
+def test_a_convolution_of_integers_is_scipys(size):
     torch.manual_seed(size)
     conv = nn.Conv2d(5, 4, size, padding=size // 2)
     steps, outputs = torch.rand(5) / 50 + 0.01, torch.rand(4) / 20 + 0.01
-    made = EightBitConv(conv, steps, outputs, torch.float32, "relu" if relu else "none")
+    made = EightBitConvReLU(conv, steps, outputs, torch.float32)
     weight = made.weight.numpy().astype(np.int64)
     np.testing.assert_array_equal(np.abs(weight).max(axis=(1, 2, 3)), 127)  # of all eight bits
     for shape in ((7, 9), (16, 16), (7, 9), (3, 4), (12, 5), (20, 2)):  # more than are kept
@@ -54,11 +54,9 @@ def test_a_convolution_of_integers_is_scipys(size, relu):
         expected = sums * made.scale.numpy()[:, None, None] + made.bias.numpy()[:, None, None]
         with torch.inference_mode():
             got = made(x)[0].numpy()
-        np.testing.assert_allclose(got, np.maximum(expected, 0) if relu else expected, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(got, np.maximum(expected, 0), rtol=1e-4, atol=1e-3)
         exact = conv(x * steps.view(1, -1, 1, 1)) / outputs.view(1, -1, 1, 1)
-        assert (
-            torch.corrcoef(torch.stack([made(x).flatten(), (exact.relu() if relu else exact).flatten()]))[0, 1] > 0.9999
-        )
+        assert torch.corrcoef(torch.stack([made(x).flatten(), exact.relu().flatten()]))[0, 1] > 0.9999
 
 
 @needs_vnni
@@ -68,8 +66,8 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255(dtype):
     conv, steps = nn.Conv2d(3, 6, 3, padding=1), torch.full((6,), 0.008)
     x = integers(2, 3, 8, 12)
     with torch.inference_mode():
-        exact = EightBitConv(conv, torch.full((3,), 0.02), steps, torch.float32, "relu")(x)
-        whole = EightBitConv(conv, torch.full((3,), 0.02), steps, torch.uint8, "relu")(x)
+        exact = EightBitConvReLU(conv, torch.full((3,), 0.02), steps, torch.float32)(x)
+        whole = EightBitConvReLU(conv, torch.full((3,), 0.02), steps, torch.uint8)(x)
         given = (0.02 * x).to(dtype)
         rounded = RoundedConvReLU(conv, steps, dtype)(given)
         by_hand = (conv(given.float()).relu() / 0.008).clamp(max=255)
@@ -94,9 +92,9 @@ def test_doubling_integers_is_bilinear_interpolation_rounded(seed, height, width
     assert (both[:, 2:] == (exact + 0.5).floor()).all()
 
 
-def trained(widths, attention=None):
+def trained(widths):
     """A U-Net of random weights with the running statistics of noise, and such noise."""
-    unet, x = UNet(5, 3, widths, attention), torch.randn(2, 5, 48, 64)
+    unet, x = UNet(5, 3, widths, None), torch.randn(2, 5, 48, 64)
     with torch.no_grad():
         for block in (*unet.encoder, *unet.decoder):
             for index in (1, 4):
