@@ -64,9 +64,10 @@ class DepthCompleter:
         if self.precision == "bf16":
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
                 part.to(torch.bfloat16)
-        copy.msc = LinearConfidence(copy.msc)
-        if copy.anchor is not None:
-            copy.anchor.msc = LinearConfidence(copy.anchor.msc)
+        if self.device.type == "cpu":
+            copy.msc = LinearConfidence(copy.msc)
+            if copy.anchor is not None:
+                copy.anchor.msc = LinearConfidence(copy.anchor.msc)
         copy = copy.to(self.device, memory_format=torch.channels_last)
         if self.precision == "int8":
             half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)

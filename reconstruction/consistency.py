@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.compiled import compiled
+from compiled import compiled
 
 MIN_VOTERS = 2
 MIN_SHARE_OF_VOTER = 0.1  # of the known pixels

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.compiled import compiled
+from compiled import compiled
 
 Values = NDArray[np.float32]
 

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MODULE = "from reconstruction.compiled import compiled\n\n\n@compiled\ndef times(x):\n    return x * {factor}\n"
+MODULE = "from compiled import compiled\n\n\n@compiled\ndef times(x):\n    return x * {factor}\n"
 CALL = """
 import resource
 {before}

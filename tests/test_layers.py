@@ -9,10 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 MAY_IMPORT = {
-    "pipeline": {"pipeline", "completion", "reconstruction", "phantom"},
-    "completion": {"completion"},
-    "reconstruction": {"reconstruction"},
+    "pipeline": {"pipeline", "completion", "reconstruction", "phantom", "compiled"},
+    "completion": {"completion", "compiled"},
+    "reconstruction": {"reconstruction", "compiled"},
     "phantom": {"phantom"},
+    "compiled": {"compiled"},
 }
 
 

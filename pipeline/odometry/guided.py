@@ -9,9 +9,9 @@ asked once for all pairs. See docs/front_end.md for what that is worth.
 import numpy as np
 from numpy.typing import NDArray
 
+from compiled import compiled
 from pipeline.odometry.places import RATIO
 from pipeline.odometry.poses import Array
-from reconstruction.compiled import compiled
 
 Descriptors = NDArray[np.float32]  # (N,128), of length one
 

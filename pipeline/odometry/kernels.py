@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.compiled import compiled
+from compiled import compiled
 
 Array = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
