@@ -8,12 +8,12 @@ import torch
 from numpy.typing import NDArray
 
 from completion.checkpoint import load_network
+from completion.compiled_look import compile_look, picture_planes
 from completion.confidence import confidence_from_error
 from completion.eight_bit import EightBitUNet, can_use_eight_bits, channel_reaches
 from completion.errors import CompletionError
 from completion.feedback import MOST_LOOKS, look_again
 from completion.fused_conv import can_fuse, fuse_convolutions
-from completion.linear_confidence import LinearConfidence
 from completion.look_norm import fold_batch_norm
 from completion.sampling import normalise_log
 from completion.scale_free import ScaleFreeMSCSANet, picture_inputs
@@ -65,9 +65,7 @@ class DepthCompleter:
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
                 part.to(torch.bfloat16)
         if self.device.type == "cpu":
-            copy.msc = LinearConfidence(copy.msc)
-            if copy.anchor is not None:
-                copy.anchor.msc = LinearConfidence(copy.anchor.msc)
+            compile_look(copy)
         copy = copy.to(self.device, memory_format=torch.channels_last)
         if self.precision == "int8":
             half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
@@ -140,14 +138,18 @@ class DepthCompleter:
         self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth and relative error (B,H,W) from (B,H,W,3), (B,H,W), (B,H,W)."""
-        image = torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
             looks = self.network.look, self.later.look
-            estimate = look_again(*looks, picture_inputs(image), log_sparse, weights, self.looks)
+            estimate = look_again(*looks, self._picture(rgb), log_sparse, weights, self.looks)
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
+
+    def _picture(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
+        if self.device.type == "cpu":
+            return picture_planes(rgb)
+        return picture_inputs(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255)
 
 
 def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:

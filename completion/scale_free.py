@@ -6,7 +6,9 @@ same pixels at a third of the cost.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -44,6 +46,14 @@ class ScaleFreeConfig:
         return asdict(self)
 
 
+class Steps(NamedTuple):
+    """What a look does around its U-Net. `compiled_look` has the same as compiled loops, for inference on a CPU."""
+
+    halve: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+    own_inputs: Callable[[Tensor, Tensor, Tensor], Tensor]
+    unfold: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
 class ScaleFreeMSCSANet(nn.Module):
     """MSC + U-Net + SA on median-normalised log depth, with a predicted error per pixel.
 
@@ -65,6 +75,7 @@ class ScaleFreeMSCSANet(nn.Module):
         if self.config.looks > 1:
             give_looks(self.unet)
         self.anchor = Anchor(self.config.msc_levels) if self.config.anchor else None
+        self.steps = Steps(halve_points, own_inputs, unfold)
 
     def forward(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: Grid = GRID
@@ -88,18 +99,21 @@ class ScaleFreeMSCSANet(nn.Module):
         unpadded = log_sparse.float(), trust.float()
         log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in unpadded)
         with torch.autocast(picture.device.type, enabled=False):
-            points = measured = halve_points(log_sparse, trust)
+            points = measured = self.steps.halve(log_sparse, trust)
             if last is not None:  # its points join before padding, since the margin has none
-                points = halve_points(*(pad_to_multiple(x, STRIDE) for x in with_own_points(*unpadded, last, grid)))
+                joined = with_own_points(*unpadded, last, grid)
+                points = self.steps.halve(*(pad_to_multiple(x, STRIDE) for x in joined))
             spread, confidence = self.msc(*points)
+            whole_spread = double(spread)
             channels = [picture, spread, log_of_confidence(confidence), *points]
-            if self.config.looks > 1:
-                channels.append(_own_inputs(last, spread, measured))
+            if last is not None:
+                log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
+                channels += [self.steps.own_inputs(log_depth, log_error, whole_spread), *measured]
+            elif self.config.looks > 1:  # zeros, which cost a hundredth to convolve
+                channels.append(torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1))
         # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
         out = self.unet(torch.cat(channels, dim=1).to(self.unet.input_dtype)).float()
-        residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
-        log_depth = double(spread) + residual
-        log_error = log_error.clamp(*LOG_ERROR_RANGE)
+        log_depth, log_error = self.steps.unfold(out, whole_spread)
         if self.anchor is not None:
             log_depth = log_depth + self.anchor(log_depth, log_error, log_sparse, trust, out[:, 8:])
         log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
@@ -124,14 +138,17 @@ def log_of_confidence(confidence: Tensor) -> Tensor:
     return torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
 
 
-def _own_inputs(last: Estimate | None, spread: Tensor, measured: tuple[Tensor, Tensor]) -> Tensor:
-    """What later looks give the U-Net besides, (B,OWN_INPUTS,H/2,W/2): the last estimate against MSC's, its error, and
-    which points were measured. Zeros for the first look; convolving them costs a hundredth."""
-    if last is None:
-        return torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1)
-    log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
-    off = F.pixel_unshuffle(log_depth - double(spread), 2)
-    return torch.cat([off, F.avg_pool2d(log_error, 2) / -LOG_ERROR_RANGE[0], *measured], dim=1)
+def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
+    """What later looks give the U-Net besides which points were measured: the last estimate against MSC's, (B,1,H,W)
+    all, and its error -> (B,5,H/2,W/2)."""
+    off = F.pixel_unshuffle(log_depth - whole_spread, 2)
+    return torch.cat([off, F.avg_pool2d(log_error, 2) / -LOG_ERROR_RANGE[0]], dim=1)
+
+
+def unfold(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
+    """The U-Net's output (B,9,H/2,W/2) and MSC's estimate (B,1,H,W) -> log depth and log error, (B,1,H,W)."""
+    residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
+    return whole_spread + residual, log_error.clamp(*LOG_ERROR_RANGE)
 
 
 class Anchor(nn.Module):
