@@ -42,8 +42,9 @@ class CompiledAnchor(nn.Module):
     def forward(self, log_depth: Tensor, log_error: Tensor, log_sparse: Tensor, trust: Tensor, gate: Tensor) -> Tensor:
         """As `Anchor.forward`."""
         halves = _halves(log_depth)
-        images = (_rows(x) for x in (log_depth, log_error, log_sparse, trust))
-        fill_disagreement(*images, self.log_tolerance, *(half.numpy()[:, 0] for half in halves))
+        values, weights = (half.numpy()[:, 0] for half in halves)
+        estimate, points = (_rows(log_depth), _rows(log_error)), (_rows(log_sparse), _rows(trust))
+        fill_disagreement(*estimate, *points, self.log_tolerance, values, weights)
         correction, _ = self.msc(*halves)
         return double(torch.sigmoid(gate) * correction)
 

@@ -16,7 +16,7 @@ from completion.feedback import MOST_LOOKS, look_again
 from completion.fused_conv import can_fuse, fuse_convolutions
 from completion.look_norm import fold_batch_norm
 from completion.sampling import normalise_log
-from completion.scale_free import ScaleFreeMSCSANet, picture_inputs
+from completion.scale_free import REACHES, SPREAD, ScaleFreeMSCSANet, picture_inputs
 from completion.shipped import check_looks, resolve_weights
 from completion.working_size import resized, resized_back, working_factor
 
@@ -70,7 +70,8 @@ class DepthCompleter:
         if self.precision == "int8":
             half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
             dtype = torch.bfloat16 if half else torch.float32
-            copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), dtype)
+            reaches = torch.tensor(REACHES[0] + (REACHES[1] if network.config.looks > 1 else ()))
+            copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), reaches, (SPREAD,), dtype)
         elif self.precision == "bf16" and self.device.type == "cpu" and can_fuse(torch.bfloat16):
             fuse_convolutions(copy.unet)  # in float32 it gains little
         return copy

@@ -26,6 +26,10 @@ STRIDE = 32  # half resolution, then four halvings of the U-Net and of both conf
 LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
 LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
 INPUTS, OWN_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: of every look, and those of later looks
+# How far those and these go: colours, log brightness, MSC's log depth and confidence, the points'; the last estimate
+# against MSC's, its error, the measured points. Where channels have 8 bits, what goes further is cut off.
+REACHES = (*12 * [0.5], *4 * [math.log(256)], 2.0, 1.0, 2.0, 1.0), (*4 * [1.0], 1.0, 2.0, 1.0)
+SPREAD = 16  # the channel of MSC's depth, of which 8 bits are too few
 
 
 @dataclass(frozen=True)
