@@ -15,23 +15,20 @@ import copy
 from functools import cache
 from typing import Any
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from compiled import compiled
+from completion.byte_loops import LARGEST, MIDDLE, WORD, beside_doubled, words_of
 from completion.fused_conv import Layouts, can_fuse
 from completion.network import UNet
 
 # The best of 4, 6, 8, 12 and 16 on 40 rendered frames kept for choosing: fewer cut off too much, more are coarser.
 DEVIATIONS = 8.0
-LARGEST = 255  # of an unsigned 8-bit integer
-MIDDLE, REACH = 128, 127  # zero of what has a sign, and the most steps from there
+REACH = LARGEST - MIDDLE  # the most steps from the middle
 # Of a step, in which the rest of a fine channel is given. More parts leave their weights too few of their own;
 # as good as 8 on those frames, better than 16.
 PARTS = 4
-HALF_UP, NONE, MOST = np.float32(MIDDLE + 0.5), np.float32(0), np.float32(LARGEST)
 
 
 @cache
@@ -56,9 +53,8 @@ def can_use_eight_bits() -> bool:
 
 
 class EightBitUNet(nn.Module):
-    """(B,in,H,W) float32 -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
+    """What `joined` makes of (B,in,H,W) -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
 
-    input_dtype = torch.float32
     input_reaches: Tensor
     deepest: Tensor
 
@@ -76,7 +72,7 @@ class EightBitUNet(nn.Module):
         """
         super().__init__()
         self.attention = folded.attention
-        self.fine = np.array(fine, dtype=np.int64)
+        self.fine = fine
         self.register_buffer("input_reaches", input_reaches)
         levels = len(folded.encoder)
         steps = [(a / LARGEST, b / LARGEST) for a, b in reaches]
@@ -106,8 +102,21 @@ class EightBitUNet(nn.Module):
         self.register_buffer("deepest", torch.cat([skips, torch.ones(len(deepest) - len(skips))]) / deepest)
         self.head = folded.head.to(dtype)
 
+    def joined(self, parts: list[Tensor]) -> Tensor:
+        """Channels (B,?,H,W) float32, one after the other, in 8 bits, and after them the rests of the fine ones."""
+        images = [image for part in parts for image in part.unbind(dim=1)]
+        per_unit = (REACH / self.input_reaches).tolist()
+        for channel in self.fine:
+            steps = images[channel] * per_unit[channel]
+            images.append(PARTS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
+            per_unit.append(1)
+        while len(images) % WORD:  # what is added has no weight
+            images.append(images[-1])
+            per_unit.append(0)
+        return words_of(images, per_unit)
+
     def forward(self, x: Tensor) -> Tensor:
-        x, skips = self._rounded(x), []
+        skips = []
         for level, block in enumerate(self.encoder):
             x = block(_halved(x) if level else x)
             skips.append(x)
@@ -119,24 +128,19 @@ class EightBitUNet(nn.Module):
             x = block(beside_doubled(skips.pop(), x))
         return self.head(x)
 
-    def _rounded(self, x: Tensor) -> Tensor:
-        """The input in 8 bits, and after it the rest of its fine channels."""
-        batch, channels, height, width = x.shape
-        out = torch.empty((batch, height, width, channels + len(self.fine)), dtype=torch.uint8)
-        fill_rounded(x.contiguous().numpy(), (REACH / self.input_reaches).numpy(), self.fine, out.numpy())
-        return out.permute(0, 3, 1, 2)
-
 
 def with_rests(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
-    """Steps (in,) of the input and of the rests."""
-    return torch.cat([steps, steps[list(fine)] / PARTS])
+    """Steps (in,) of the input, of the rests, and of what fills the last word."""
+    steps = torch.cat([steps, steps[list(fine)] / PARTS])
+    return F.pad(steps, (0, -len(steps) % WORD), value=1)
 
 
 def taking_rests(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
-    """A convolution that takes the rests too, with the weights of that of which they are."""
+    """A convolution that takes the rests too, with the weights of that of which they are, nothing of fillers."""
     made = copy.deepcopy(conv)
-    made.weight = nn.Parameter(torch.cat([conv.weight, conv.weight[:, list(fine)]], dim=1), requires_grad=False)
-    made.in_channels += len(fine)
+    weight = torch.cat([conv.weight, conv.weight[:, list(fine)]], dim=1)
+    weight = F.pad(weight, (0, 0, 0, 0, 0, -weight.shape[1] % WORD))
+    made.weight, made.in_channels = nn.Parameter(weight, requires_grad=False), weight.shape[1]
     return made
 
 
@@ -193,86 +197,3 @@ def _halved(x: Tensor) -> Tensor:
     """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers in channels_last."""
     rows = torch.maximum(x[..., ::2, :], x[..., 1::2, :])
     return torch.maximum(rows[..., ::2], rows[..., 1::2])
-
-
-def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
-    """Channels of `skip` (B,S,2h,2w) and, after them, those of `coarse` (B,C,h,w) enlarged as by `F.interpolate` with
-    "bilinear", rounded half up: all 8-bit integers. PyTorch's own enlarging of such is a quarter too high in the mean.
-    """
-    batch, channels, height, width = coarse.shape
-    both = skip.new_empty((batch, 2 * height, 2 * width, skip.shape[1] + channels))
-    word = np.uint8 if skip.shape[1] % 8 or channels % 8 else np.uint64  # eight channels are copied at once
-    sides = np.empty((2, width * channels), np.uint8)
-    for frame in range(batch):
-        into, fine, given = (
-            x.permute(1, 2, 0).numpy() for x in (both[frame].permute(2, 0, 1), skip[frame], coarse[frame])
-        )
-        words = sides.view(word).reshape(2, width, -1)
-        fill_beside_doubled(into.view(word), fine.view(word), given.reshape(height, -1), sides, words)
-    return both.permute(0, 3, 1, 2)
-
-
-@compiled
-def fill_beside_doubled(out, skip, coarse, sides, words):  # type: ignore[no-untyped-def]
-    """Fill `out` (2h,2w,s+c) with `skip` (2h,2w,s) and the bytes of `coarse` (h,w*C) enlarged, in words of one or of
-    eight bytes; `sides` (2,w*C) and `words` (2,w,c) are the same memory, for the pixels of even and of odd columns."""
-    channels = coarse.shape[1] // words.shape[1]
-    tall = np.empty(coarse.shape[1] + 2 * channels, np.uint16)  # a row between two, 4 times its value, and its ends
-    inner = tall[channels:-channels]
-    for row in range(len(out)):
-        near, far = row // 2, row // 2 + (1 if row % 2 else -1)
-        weigh(inner, coarse[near], coarse[min(max(far, 0), len(coarse) - 1)])
-        tall[:channels], tall[-channels:] = inner[:channels], inner[-channels:]
-        weigh_and_round(sides[0], inner, tall[: -2 * channels])
-        weigh_and_round(sides[1], inner, tall[2 * channels :])
-        for column in range(out.shape[1]):
-            for word in range(skip.shape[2]):
-                out[row, column, word] = skip[row, column, word]
-            for word in range(words.shape[2]):
-                out[row, column, skip.shape[2] + word] = words[column % 2, column // 2, word]
-
-
-@compiled
-def weigh(out, near, far):  # type: ignore[no-untyped-def]
-    """4 times what lies a quarter of the way from the bytes `near` to `far`. By itself, and in 16 bits, it is done in
-    as many bytes at once as the processor has lanes."""
-    for i in range(len(out)):
-        out[i] = np.uint16(3) * np.uint16(near[i]) + np.uint16(far[i])
-
-
-@compiled
-def weigh_and_round(out, near, far):  # type: ignore[no-untyped-def]
-    """What lies a quarter of the way from `near` to `far`, both 4 times their value."""
-    for i in range(len(out)):
-        out[i] = np.uint8((np.uint16(3) * near[i] + far[i] + np.uint16(8)) >> np.uint16(4))
-
-
-@compiled
-def fill_rounded(x, per_unit, fine, out):  # type: ignore[no-untyped-def]
-    """x (B,C,h,w), in `per_unit` (C,) steps from the middle, and the rest of the channels `fine` -> out (B,h,w,C+F)."""
-    frames, channels, height, width = x.shape
-    rows = np.empty((out.shape[3], width), np.uint8)
-    for frame in range(frames):
-        for row in range(height):
-            for channel in range(channels):
-                round_row(x[frame, channel, row], per_unit[channel], rows[channel])
-            for i in range(len(fine)):
-                rest_of_row(x[frame, fine[i], row], per_unit[fine[i]], rows[fine[i]], rows[channels + i])
-            for column in range(width):
-                for channel in range(len(rows)):
-                    out[frame, row, column, channel] = rows[channel, column]
-
-
-@compiled
-def round_row(x, per_unit, out):  # type: ignore[no-untyped-def]
-    """A row (w,) in steps from the middle."""
-    for i in range(len(x)):
-        out[i] = np.uint8(min(max(x[i] * per_unit + HALF_UP, NONE), MOST))
-
-
-@compiled
-def rest_of_row(x, per_unit, rounded, out):  # type: ignore[no-untyped-def]
-    """What `rounded` leaves of it, in parts of a step."""
-    for i in range(len(x)):
-        rest = x[i] * per_unit + np.float32(MIDDLE) - np.float32(rounded[i])
-        out[i] = np.uint8(min(max(rest * np.float32(PARTS) + HALF_UP, NONE), MOST))

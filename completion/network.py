@@ -48,9 +48,9 @@ class UNet(nn.Module):
         )
         self.head = nn.Conv2d(widths[0], out_channels, 1)
 
-    @property
-    def input_dtype(self) -> torch.dtype:
-        return self.head.weight.dtype
+    def joined(self, parts: list[Tensor]) -> Tensor:
+        """Its input of channels (B,?,H,W), one after the other."""
+        return torch.cat(parts, dim=1).to(self.head.weight.dtype)
 
     def forward(self, x: Tensor) -> Tensor:
         skips = []

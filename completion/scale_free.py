@@ -116,7 +116,7 @@ class ScaleFreeMSCSANet(nn.Module):
             elif self.config.looks > 1:  # zeros, which cost a hundredth to convolve
                 channels.append(torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1))
         # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
-        out = self.unet(torch.cat(channels, dim=1).to(self.unet.input_dtype)).float()
+        out = self.unet(self.unet.joined(channels)).float()
         log_depth, log_error = self.steps.unfold(out, whole_spread)
         if self.anchor is not None:
             log_depth = log_depth + self.anchor(log_depth, log_error, log_sparse, trust, out[:, 8:])

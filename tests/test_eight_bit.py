@@ -16,14 +16,13 @@ from scipy.signal import correlate
 from torch import nn
 
 from completion import DepthCompleter, infer
+from completion.byte_loops import beside_doubled
 from completion.eight_bit import (
     PARTS,
     EightBitConvReLU,
     EightBitUNet,
-    beside_doubled,
     can_use_eight_bits,
     channel_reaches,
-    fill_rounded,
 )
 from completion.errors import CompletionError
 from completion.infer import choose_precision, load_scale_free
@@ -75,24 +74,26 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
     assert (whole - exact.clamp(max=255)).abs().max() <= 0.5
 
 
-@pytest.mark.parametrize("fine", [(), (1,), (2, 0)])
-def test_an_input_is_held_in_steps_from_the_middle_and_its_rest(fine):
+@needs_vnni
+@pytest.mark.parametrize("fine", [(), (1,), (4, 0)])
+def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
     """Cut off beyond its reach; with the rest it is `PARTS` times as exact."""
     torch.manual_seed(3)
-    reaches = torch.tensor([1.0, 0.5, 4.0])
-    x = 1.4 * reaches.view(1, 3, 1, 1) * (2 * torch.rand(2, 3, 5, 7) - 1)
+    unet = trained((8, 12))[0]
+    made = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, fine, torch.float32)
+    x = 1.4 * REACHES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
     x[0, :, 0, 0] = 0
-    out = np.empty((2, 5, 7, 3 + len(fine)), np.uint8)
-    fill_rounded(x.numpy(), (127 / reaches).numpy(), np.array(fine, dtype=np.int64), out)
-    assert (out[0, 0, 0] == 128).all()
-    steps = (x * (127 / reaches).view(1, 3, 1, 1)).permute(0, 2, 3, 1).numpy()
-    held = out.astype(float) - 128
-    for channel in range(3):
-        rest = held[..., 3 + fine.index(channel)] / PARTS if channel in fine else 0
-        off = np.abs(held[..., channel] + rest - steps[..., channel])[np.abs(steps[..., channel]) <= 127]
+    out = made.joined([x[:, :1], x[:, 1:4], x[:, 4:]])
+    assert out.is_contiguous(memory_format=torch.channels_last)
+    assert out.shape == (2, 8, 6, 8)  # whole words
+    assert (out[0, :5, 0, 0] == 128).all()
+    steps, held = x * (127 / REACHES).view(1, 5, 1, 1), out.float() - 128
+    for channel in range(5):
+        rest = held[:, 5 + fine.index(channel)] / PARTS if channel in fine else 0
+        off = (held[:, channel] + rest - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
         assert off.max() <= (0.5 / PARTS if channel in fine else 0.5) + 1e-4
-    assert (held[..., :3][steps > 128] == 127).all()
-    assert (held[..., :3][steps < -128.5] == -128).all()
+    assert (held[:, :5][steps > 128] == 127).all()
+    assert (held[:, :5][steps < -128.5] == -128).all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -119,8 +120,9 @@ def trained(widths):
     return unet.eval(), x
 
 
-def in_eight_bits(unet, dtype=torch.float32):
-    return EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, FINE, dtype)
+def in_eight_bits(unet, x, dtype=torch.float32):
+    made = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, FINE, dtype)
+    return made(made.joined([x]))
 
 
 def by_hand(unet, x):
@@ -186,7 +188,7 @@ def test_the_whole_is_the_unet_with_each_value_rounded(widths):
     torch.manual_seed(len(widths))
     unet, x = trained(widths)[0], torch.randn(8, 5, 32, 48)
     with torch.no_grad():
-        got, coarser = in_eight_bits(unet)(x), in_eight_bits(unet, torch.bfloat16)(x)
+        got, coarser = in_eight_bits(unet, x), in_eight_bits(unet, x, torch.bfloat16)
         expected, exact = by_hand(unet, x), unet(x)
     assert (got.dtype, coarser.dtype) == (torch.float32, torch.bfloat16)
     off = (got - expected).flatten(1).std(dim=1)
@@ -202,12 +204,12 @@ def test_every_channel_has_a_step_of_its_own():
     torch.manual_seed(1)
     unet, x = trained((8, 12, 16))
     with torch.no_grad():
-        expected = in_eight_bits(unet)(x)
+        expected = in_eight_bits(unet, x)
         unet.encoder[0][4].weight[3] *= 1024
         unet.encoder[0][4].bias[3] *= 1024
         for block in (unet.encoder[1], unet.decoder[-1]):
             block[0].weight[:, 3] /= 1024
-        got = in_eight_bits(unet)(x)
+        got = in_eight_bits(unet, x)
     torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-4 * expected.std().item())
 
 
