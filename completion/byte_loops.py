@@ -26,7 +26,7 @@ def words_of(images: list[Tensor], per_unit: list[float]) -> Tensor:
 
 def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
     """Channels of `skip` (B,S,2h,2w) and, after them, those of `coarse` (B,C,h,w) enlarged as by `F.interpolate` with
-    "bilinear", rounded half up: all 8-bit integers. PyTorch's own enlarging of such is a quarter too high in the mean.
+    "bilinear", rounded half up: all 8-bit integers, in channels_last. PyTorch's own enlarging gives a quarter too much.
     """
     batch, channels, height, width = coarse.shape
     both = skip.new_empty((batch, 2 * height, 2 * width, skip.shape[1] + channels))
@@ -99,5 +99,5 @@ def fill_row(a, b, c, d, per_unit, words):  # type: ignore[no-untyped-def]
 
 @compiled
 def in_eight_bits(steps):  # type: ignore[no-untyped-def]
-    """The nearest integer from the middle on, cut off at both ends."""
+    """The nearest integer from the middle on, cut off at both ends; of finite steps."""
     return np.uint32(min(max(steps + HALF_UP, NONE), MOST))

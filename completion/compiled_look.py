@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from compiled import compiled
-from completion.linear_confidence import LinearConfidence
-from completion.scale_free import LOG_ERROR_RANGE, STRIDE, Anchor, ScaleFreeMSCSANet, Steps, double
+from completion.linear_confidence import LinearConfidence, rows
+from completion.scale_free import LEAST_TRUST, LOG_ERROR_RANGE, STRIDE, Anchor, ScaleFreeMSCSANet, Steps, double
 
-LOWEST, HIGHEST = (np.float32(bound) for bound in LOG_ERROR_RANGE)
-GUARD = np.float32(1e-12)  # as in `halve_points`
+# What the loops take of other files they are given: a change there would not compile them anew.
+GUARD = np.float32(LEAST_TRUST)
+ERROR_BOUNDS = np.array(LOG_ERROR_RANGE, np.float32)
 LEVELS = torch.arange(256) / 255  # of a channel in 8 bits
 TABLES = torch.stack([*3 * [LEVELS - 0.5], torch.log(LEVELS + 1 / 255)]).numpy()  # red, green, blue and brightness
 
@@ -43,8 +44,8 @@ class CompiledAnchor(nn.Module):
         """As `Anchor.forward`."""
         halves = _halves(log_depth)
         values, weights = (half.numpy()[:, 0] for half in halves)
-        estimate, points = (_rows(log_depth), _rows(log_error)), (_rows(log_sparse), _rows(trust))
-        fill_disagreement(*estimate, *points, self.log_tolerance, values, weights)
+        estimate, points = (rows(log_depth), rows(log_error)), (rows(log_sparse), rows(trust))
+        fill_disagreement(*estimate, *points, self.log_tolerance, GUARD, values, weights)
         correction, _ = self.msc(*halves)
         return double(torch.sigmoid(gate) * correction)
 
@@ -62,7 +63,7 @@ def picture_planes(rgb: NDArray[np.uint8]) -> Tensor:
 def halved_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
     """`halve_points`."""
     halves = _halves(values)
-    fill_halves(_rows(values), _rows(trust), *(half.numpy()[:, 0] for half in halves))
+    fill_halves(rows(values), rows(trust), GUARD, *(half.numpy()[:, 0] for half in halves))
     return halves
 
 
@@ -71,7 +72,7 @@ def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Te
     batch, _, height, width = log_depth.shape
     channels = torch.empty(batch, 5, height // 2, width // 2)
     share = np.float32(-1 / (4 * LOG_ERROR_RANGE[0]))
-    fill_own_inputs(_rows(log_depth), _rows(log_error), _rows(whole_spread), share, channels.numpy())
+    fill_own_inputs(rows(log_depth), rows(log_error), rows(whole_spread), share, channels.numpy())
     return channels
 
 
@@ -79,7 +80,7 @@ def unfolded(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
     """`unfold`."""
     log_depth, log_error = torch.empty_like(whole_spread), torch.empty_like(whole_spread)
     given = np.ascontiguousarray(out.permute(0, 2, 3, 1).numpy())
-    fill_unfolded(given, _rows(whole_spread), log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
+    fill_unfolded(given, rows(whole_spread), ERROR_BOUNDS, log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
     return log_depth, log_error
 
 
@@ -87,11 +88,6 @@ def _halves(image: Tensor) -> tuple[Tensor, Tensor]:
     batch, _, height, width = image.shape
     values, trust = torch.empty(2, batch, 1, height // 2, width // 2)
     return values, trust
-
-
-def _rows(image: Tensor) -> NDArray[np.float32]:
-    """(B,1,H,W) -> (B,H,W)."""
-    return np.ascontiguousarray(image[:, 0].numpy(), np.float32)
 
 
 @compiled
@@ -112,24 +108,24 @@ def look_up(out, table, source, first):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fill_halves(values, trust, half_values, half_trust):  # type: ignore[no-untyped-def]
+def fill_halves(values, trust, guard, half_values, half_trust):  # type: ignore[no-untyped-def]
     """Mean of each 2x2 block of (B,H,W), weighted by trust, and the block's greatest trust."""
     for frame in range(len(values)):
         for row in range(half_values.shape[1]):
             above, below = trust[frame, 2 * row], trust[frame, 2 * row + 1]
             halve_rows(
-                values[frame, 2 * row], values[frame, 2 * row + 1], above, below,
+                values[frame, 2 * row], values[frame, 2 * row + 1], above, below, guard,
                 half_values[frame, row], half_trust[frame, row],
             )  # fmt: skip
 
 
 @compiled
-def halve_rows(a, b, trust_a, trust_b, mean, most):  # type: ignore[no-untyped-def]
+def halve_rows(a, b, trust_a, trust_b, guard, mean, most):  # type: ignore[no-untyped-def]
     """Of a row of blocks. By itself it is done in as many as the processor has lanes."""
     for i in range(len(mean)):
         w, x, y, z = trust_a[2 * i], trust_a[2 * i + 1], trust_b[2 * i], trust_b[2 * i + 1]
         weighted = a[2 * i] * w + a[2 * i + 1] * x + b[2 * i] * y + b[2 * i + 1] * z
-        mean[i] = weighted / max(w + x + y + z, GUARD)
+        mean[i] = weighted / max(w + x + y + z, guard)
         most[i] = max(max(w, x), max(y, z))
 
 
@@ -162,8 +158,9 @@ def add_every_second(out, a, factor, first):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fill_unfolded(out, whole_spread, log_depth, log_error):  # type: ignore[no-untyped-def]
+def fill_unfolded(out, whole_spread, bounds, log_depth, log_error):  # type: ignore[no-untyped-def]
     """`out` (B,h,w,9): residuals of the four pixels of a block, their log errors, and a gate."""
+    lowest, highest = bounds
     for frame in range(len(out)):
         for row in range(whole_spread.shape[1]):
             given, pixel = out[frame, row // 2], 2 * (row % 2)
@@ -171,11 +168,11 @@ def fill_unfolded(out, whole_spread, log_depth, log_error):  # type: ignore[no-u
             for column in range(len(given)):
                 for side in range(2):
                     depth[2 * column + side] = spread[2 * column + side] + given[column, pixel + side]
-                    error[2 * column + side] = min(max(given[column, 4 + pixel + side], LOWEST), HIGHEST)
+                    error[2 * column + side] = min(max(given[column, 4 + pixel + side], lowest), highest)
 
 
 @compiled
-def fill_disagreement(log_depth, log_error, log_sparse, trust, log_tolerance, values, weights):  # type: ignore[no-untyped-def]
+def fill_disagreement(log_depth, log_error, log_sparse, trust, log_tolerance, guard, values, weights):  # type: ignore[no-untyped-def]
     """`fill_halves` of what points say against the estimate, with Cauchy's weight of how far that is off."""
     total = np.empty(values.shape[2], np.float32)
     for frame in range(len(values)):
@@ -192,11 +189,11 @@ def fill_disagreement(log_depth, log_error, log_sparse, trust, log_tolerance, va
                         weighted[column // 2] += off * weight
                         total[column // 2] += weight
                         most[column // 2] = max(most[column // 2], weight)
-            divide(weighted, total)
+            divide(weighted, total, guard)
 
 
 @compiled
-def divide(row, by):  # type: ignore[no-untyped-def]
+def divide(row, by, guard):  # type: ignore[no-untyped-def]
     """In place."""
     for i in range(len(row)):
-        row[i] /= max(by[i], GUARD)
+        row[i] /= max(by[i], guard)

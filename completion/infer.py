@@ -64,9 +64,9 @@ class DepthCompleter:
         if self.precision == "bf16":
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
                 part.to(torch.bfloat16)
+        copy = copy.to(self.device, memory_format=torch.channels_last)
         if self.device.type == "cpu":
             compile_look(copy)
-        copy = copy.to(self.device, memory_format=torch.channels_last)
         if self.precision == "int8":
             half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
             dtype = torch.bfloat16 if half else torch.float32

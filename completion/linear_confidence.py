@@ -1,4 +1,4 @@
-"""`MultiScaleConfidence` for inference on a CPU: the same function, down to confidences of 1e-18.
+"""`MultiScaleConfidence` for inference on a CPU: the same function, to rounding down to confidences of 1e-16.
 
 A layer of normalised convolution gives c' = K c and z' = K(z c) / c' + b, and the next one asks for c' and z' c' alone.
 That product is K(z c) + b K c: linear, without a division. So depth is carried as z c beside c, and only the last layer
@@ -21,7 +21,6 @@ from completion.nconv import DIVISION_GUARD, MultiScaleConfidence, NormalizedCon
 Planes = NDArray[np.float32]  # (4, h + 2 MARGIN, w + 2 MARGIN)
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # kernel (in, rows, out, columns) and bias (out,)
 MARGIN = 2  # px, of zeros: as far as the kernels reach
-GUARD = np.float32(DIVISION_GUARD)
 QUARTER = np.float32(1 / 4)
 
 
@@ -34,15 +33,16 @@ class LinearConfidence(nn.Module):
         self.lift, self.densify, self.refine = (_layer(part) for part in (msc.lift, msc.densify, msc.refine))
         self.merge = [_layer(part) for part in msc.merge]
         kernel, bias = _layer(msc.project)
-        self.project, self.bias = kernel.reshape(2), bias[0]
+        self.project, self.bias, self.guard = kernel.reshape(2), bias[0], np.float32(DIVISION_GUARD)
 
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """As `MultiScaleConfidence.forward`."""
+        assert not any(side % 2**self.levels for side in depth.shape[2:]), "the loops take two rows and columns at once"
         dense = np.empty((2, *depth.shape), np.float32)
-        points = (_rows(depth), _rows(confidence))
+        points = (rows(depth), rows(confidence))
         for index, (frame_depth, frame_confidence) in enumerate(zip(*points, strict=True)):
             planes = self._pyramid(started(frame_depth, frame_confidence))
-            finish(planes, self.project, self.bias, dense[0, index, 0], dense[1, index, 0])
+            finish(planes, self.project, self.bias, self.guard, dense[0, index, 0], dense[1, index, 0])
         return torch.from_numpy(dense[0]), torch.from_numpy(dense[1])
 
     def _pyramid(self, points: Planes) -> Planes:
@@ -62,13 +62,14 @@ def _layer(layer: NormalizedConv2d) -> Layer:
     return np.ascontiguousarray(kernel), layer.bias.detach().float().numpy().copy()
 
 
-def _rows(image: Tensor) -> NDArray[np.float32]:
+def rows(image: Tensor) -> NDArray[np.float32]:
+    """(B,1,H,W) -> (B,H,W), as the loops take it."""
     return np.ascontiguousarray(image[:, 0].numpy(), np.float32)
 
 
 @compiled
 def started(depth, confidence):  # type: ignore[no-untyped-def]
-    """Confidence and depth (h,w) -> planes of one channel each, c and z c."""
+    """Depth and confidence (h,w) -> planes of one channel each, c and z c."""
     height, width = depth.shape
     planes = np.zeros((2, height + 2 * MARGIN, width + 2 * MARGIN), np.float32)
     for y in range(height):
@@ -180,12 +181,12 @@ def doubled(planes, shape):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def finish(planes, kernel, bias, depth, confidence):  # type: ignore[no-untyped-def]
+def finish(planes, kernel, bias, guard, depth, confidence):  # type: ignore[no-untyped-def]
     """The last layer, 1x1 to one channel, and the division, into `depth` and `confidence` (h,w)."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             row, column = y + MARGIN, x + MARGIN
             known = kernel[0] * planes[0, row, column] + kernel[1] * planes[1, row, column]
             weighted = kernel[0] * planes[2, row, column] + kernel[1] * planes[3, row, column]
-            depth[y, x] = weighted / max(known, GUARD) + bias
+            depth[y, x] = weighted / max(known, guard) + bias
             confidence[y, x] = known

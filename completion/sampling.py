@@ -13,6 +13,8 @@ from torch import Tensor
 from completion.confidence import confidence_from_error
 from completion.errors import CompletionError
 
+FARTHEST = 20.0  # |log(depth / median)| of a point: far beyond any outlier, and what follows from it stays finite
+
 
 def _pick(score: Tensor, counts: Tensor) -> Tensor:
     """Boolean (B,1,H,W): the counts[b] pixels of highest score; never one whose score is -inf."""
@@ -136,6 +138,6 @@ def median_of_points(sparse: Tensor) -> Tensor:
 
 
 def normalise_log(sparse: Tensor) -> tuple[Tensor, Tensor]:
-    """Sparse depth -> (log(depth / median) with 0 where there is none, median (B,1,1,1))."""
+    """Sparse depth -> (log(depth / median) with 0 where there is none, median (B,1,1,1)); finite for any point."""
     median = median_of_points(sparse)
-    return torch.log(torch.where(sparse > 0, sparse / median, 1.0)), median
+    return torch.log(torch.where(sparse > 0, sparse / median, 1.0)).clamp(-FARTHEST, FARTHEST), median

@@ -1,8 +1,11 @@
 """Compiled functions are kept on disk, and nothing about the disk can stop or falsify them."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 MODULE = "from compiled import compiled\n\n\n@compiled\ndef times(x):\n    return x * {factor}\n"
@@ -53,3 +56,44 @@ def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(tmp_path):
     before = "import numba.core.caching as c; c.CompileResultCacheImpl._locator_classes = []"
     assert run(tmp_path, 3, before) == ["6.0", "0"]
     assert run(tmp_path, 3, before) == ["6.0", "0"]
+
+
+def names_in(node: ast.AST) -> set[str]:
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+
+
+def is_compiled(node: ast.stmt) -> bool:
+    return isinstance(node, ast.FunctionDef) and any("compiled" in names_in(made) for made in node.decorator_list)
+
+
+USERS = [
+    path
+    for path in ROOT.glob("*/**/*.py")
+    if "from compiled import" in path.read_text() and path.parent.name != "tests"
+]
+
+
+@pytest.mark.parametrize("path", USERS, ids=lambda path: path.stem)
+def test_nothing_compiled_uses_what_another_file_says(path):
+    """A change there would not be noticed: what is kept bears the hash of its own file alone."""
+    tree = ast.parse(path.read_text())
+    imported = {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        and str(node.module).split(".")[0] in {"completion", "reconstruction", "pipeline"}
+        for alias in node.names
+    }
+    assigned = {
+        name: names_in(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        for name in names_in(target)
+    }
+    foreign = imported | {name for name, given in assigned.items() if given & imported}
+    loops = [node for node in tree.body if is_compiled(node)]
+    assert loops
+    for loop in loops:
+        used = set().union(*(names_in(statement) for statement in loop.body))
+        assert not used & foreign, f"{loop.name} must be given {used & foreign}"

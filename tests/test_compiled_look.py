@@ -12,7 +12,7 @@ from completion.feedback import look_again
 from completion.infer import load_scale_free
 from completion.look_norm import fold_batch_norm
 from completion.sampling import normalise_log
-from completion.scale_free import LOG_ERROR_RANGE, Anchor, halve_points, picture_inputs, unfold
+from completion.scale_free import LOG_ERROR_RANGE, REACHES, SPREAD, Anchor, halve_points, picture_inputs, unfold
 from completion.scale_free import own_inputs as own_inputs_in_torch
 
 SIDES = st.tuples(st.integers(1, 2), st.just(1), *2 * [st.integers(1, 9).map(lambda half: 2 * half)])
@@ -44,7 +44,7 @@ def test_what_goes_in_again_and_what_comes_out_is_laid_out_alike(shape, seed):
     for layout in (out, out.contiguous(memory_format=torch.channels_last)):
         (depth, error), expected = unfolded(layout, spread), unfold(layout, spread)
         torch.testing.assert_close((depth, error), expected)
-        assert (error.min(), error.max()) >= (LOG_ERROR_RANGE[0], error.min())
+        assert LOG_ERROR_RANGE[0] <= error.min() <= error.max() <= LOG_ERROR_RANGE[1]
     assert unfolded(out + 100, spread)[1].unique().tolist() == [LOG_ERROR_RANGE[1]]
 
 
@@ -93,3 +93,32 @@ def test_a_frame_is_completed_as_by_the_network_itself():
     np.testing.assert_allclose(
         completer(rgb[0], sparse[0])[0], depth, rtol=0.02
     )  # its brightness is not quite as asked
+
+
+def test_the_unet_is_given_what_the_reaches_are_of(monkeypatch):
+    """Channels in the order of `REACHES`, MSC's depth at `SPREAD`, all within reach on an ordinary frame."""
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:96, :128] / 96 - 0.5
+    depth = 8 / np.maximum(np.hypot(x, y), 0.08)
+    rgb = np.clip(3e4 / depth**2 + rng.normal(0, 4, depth.shape), 0, 255).astype(np.uint8)[..., None].repeat(3, axis=2)
+    sparse = np.where(rng.random(depth.shape) < 0.02, depth, 0).astype(np.float32)
+    completer = DepthCompleter.load("mscsa", precision="fp32", device="cpu")
+    given, spreads = [], []
+    for network in (completer.network, completer.later):
+        joined, spread = network.unet.joined, network.msc.forward
+        monkeypatch.setattr(network.unet, "joined", lambda parts, made=joined: given.append(parts) or made(parts))
+        monkeypatch.setattr(
+            network.msc, "forward", lambda *points, made=spread: spreads.append(made(*points)) or spreads[-1]
+        )
+    completer(rgb, sparse)
+    reaches = torch.tensor(REACHES[0] + REACHES[1])
+    for parts, (spread, _) in zip(given, spreads, strict=True):
+        channels = torch.cat(parts, dim=1)
+        assert torch.equal(channels[:, SPREAD : SPREAD + 1], spread)
+        largest = channels.abs().amax(dim=(0, 2, 3))
+        assert (largest <= reaches * 1.001).all()
+    used = largest > 0.1 * reaches  # by the later look
+    assert used[[0, 4, 8, 12, SPREAD, 17, 18, 19, 24, 25, 26]].all()
+    trusts = torch.stack([channels[:, 19], channels[:, 26]])
+    assert (trusts.amin(), trusts.amax()) == (0, 1)
+    assert not ((channels[:, 25] != 0) & (channels[:, 26] == 0)).any()

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.signal import correlate
 from torch import nn
 
-from completion import DepthCompleter, infer
+from completion import DepthCompleter, infer, scale_free
 from completion.byte_loops import beside_doubled
 from completion.eight_bit import (
     PARTS,
@@ -28,6 +28,7 @@ from completion.errors import CompletionError
 from completion.infer import choose_precision, load_scale_free
 from completion.look_norm import fold_batch_norm
 from completion.network import UNet
+from completion.scale_free import SPREAD
 
 needs_vnni = pytest.mark.skipif(not can_use_eight_bits(), reason="this processor or PyTorch has no fast 8-bit integers")
 # Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
@@ -97,14 +98,14 @@ def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 9), st.integers(1, 5), st.integers(1, 3))
-def test_doubling_integers_is_bilinear_interpolation_rounded(seed, height, width, channels, batch):
+@given(st.integers(0, 2**32 - 1), *2 * [st.integers(1, 9)], *2 * [st.sampled_from([1, 3, 8, 24])], st.integers(1, 3))
+def test_doubling_integers_is_bilinear_interpolation_rounded(seed, height, width, channels, beside, batch):
     torch.manual_seed(seed)
-    coarse, skip = integers(batch, channels, height, width), integers(batch, 2, 2 * height, 2 * width)
+    coarse, skip = integers(batch, channels, height, width), integers(batch, beside, 2 * height, 2 * width)
     both = beside_doubled(skip, coarse)
-    assert (both[:, :2] == skip).all()
+    assert (both[:, :beside] == skip).all()
     exact = F.interpolate(coarse.double(), scale_factor=2, mode="bilinear", align_corners=False)
-    assert (both[:, 2:] == (exact + 0.5).floor()).all()
+    assert (both[:, beside:] == (exact + 0.5).floor()).all()
 
 
 def trained(widths):
@@ -240,6 +241,38 @@ def test_the_shipped_model_in_eight_bits_agrees_with_float32():
     np.testing.assert_allclose(both, [eight(rgb, sparse)[0], eight(black, sparse)[0]], rtol=1e-5)
     for again in (copy.deepcopy(eight), pickle.loads(pickle.dumps(eight))):  # noqa: S301 - our own
         np.testing.assert_array_equal(again(rgb, sparse)[0], eight(rgb, sparse)[0])
+
+
+@needs_vnni
+def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(40, 200, (64, 96, 3), dtype=np.uint8)
+    sparse = np.where(rng.random((64, 96)) < 0.1, rng.uniform(10, 40, (64, 96)), 0).astype(np.float32)
+    completer = DepthCompleter.load("mscsa", precision="int8")
+    given = []
+    for network in (completer.network, completer.later):
+        made = network.unet.joined
+        monkeypatch.setattr(
+            network.unet, "joined", lambda parts, made=made: given.append((parts, made(parts))) or given[-1][1]
+        )
+    completer(rgb, sparse)
+    assert len(given) == 2
+    for parts, out in given:
+        steps = torch.cat(parts, dim=1)[:, SPREAD] * 127 / scale_free.REACHES[0][SPREAD]
+        held = out.float() - 128
+        assert (held[:, SPREAD] - steps).abs().max() > 0.4
+        assert (held[:, SPREAD] + held[:, 27] / PARTS - steps).abs().max() < 0.5 / PARTS + 1e-4
+
+
+@needs_vnni
+def test_a_point_beyond_all_numbers_leaves_depth_finite():
+    rgb, sparse = np.full((64, 64, 3), 90, np.uint8), np.zeros((64, 64), np.float32)
+    sparse[::9, ::7] = 20
+    sparse[9, 7], sparse[18, 7] = 1e-45, 3e38
+    for precision in ("int8", "bf16", "fp32"):
+        depth, confidence = DepthCompleter.load("mscsa", precision=precision)(rgb, sparse)
+        assert np.isfinite(depth).all()
+        assert np.isfinite(confidence).all()
 
 
 @needs_vnni
