@@ -164,10 +164,10 @@ def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:
 def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Bring the mean brightness of the lit area to that of the training frames, within a factor of two."""
     brightest = np.maximum.reduce(cv2.split(rgb))
-    lit = brightest > 16  # video black: the border is not part of the picture
+    lit = (brightest > 16).view(np.uint8)  # video black: the border is not part of the picture
     if not lit.any():
         return rgb
-    gain = np.clip(TYPICAL_BRIGHTNESS / brightest[lit].mean(), *GAIN_RANGE)
+    gain = np.clip(TYPICAL_BRIGHTNESS / cv2.mean(brightest, lit)[0], *GAIN_RANGE)
     return cv2.convertScaleAbs(rgb, alpha=float(gain))
 
 

@@ -140,4 +140,4 @@ def median_of_points(sparse: Tensor) -> Tensor:
 def normalise_log(sparse: Tensor) -> tuple[Tensor, Tensor]:
     """Sparse depth -> (log(depth / median) with 0 where there is none, median (B,1,1,1)); finite for any point."""
     median = median_of_points(sparse)
-    return torch.log(torch.where(sparse > 0, sparse / median, 1.0)).clamp(-FARTHEST, FARTHEST), median
+    return torch.where(sparse > 0, sparse / median, 1.0).log_().clamp_(-FARTHEST, FARTHEST), median
