@@ -2,8 +2,8 @@
 
     haustra train SHARDS [SHARDS ...] --out weights.safetensors --seed 0 --steps 12000
 
-Killed at any time it goes on from its last checkpoint (`OUT.checkpoint`, every few minutes) when called again with
-the same arguments. Beside the weights lie the files of `train_log.py`. Several processes share the batch:
+Killed at any time it goes on from its last checkpoint (`OUT.checkpoint`, every few minutes and at Ctrl-C) when called
+again with the same arguments. Beside the weights lie the files of `train_log.py`. Several processes share the batch:
 
     torchrun --nproc-per-node 2 --no-python haustra train SHARDS --out weights.safetensors
 """
@@ -34,6 +34,7 @@ from completion.checkpoint import (
 from completion.dataset import Batch, Shard, augment
 from completion.errors import CompletionError
 from completion.infer import choose_device
+from completion.interruption import Interruption
 from completion.tasks import make_task
 from completion.team import Team
 from completion.train_config import TrainConfig
@@ -184,17 +185,22 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
     if log and run.step:
         say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
     saved, losses = time.monotonic(), []
-    while run.step < config.steps:
-        losses.append(train_step(run, shards, splits))
-        if advance and log:
-            advance(run.step, config.steps)
-        if log and (run.step % LOG_EVERY == 0 or run.step == config.steps):
-            held_out = validate(run, shards) if run.step % VALIDATE_EVERY == 0 else None
-            rate = learning_rate(run.step - 1, config)
-            log.write(run.step, config.steps, float(np.mean(losses[-1 - (run.step - 1) % LOG_EVERY :])), rate, held_out)
-        if log and time.monotonic() - saved > config.checkpoint_seconds:
-            run.save()
-            saved = time.monotonic()
+    with Interruption(run.team.size == 1) as interruption:
+        while run.step < config.steps and not interruption.asked:
+            losses.append(train_step(run, shards, splits))
+            if advance and log:
+                advance(run.step, config.steps)
+            if log and (run.step % LOG_EVERY == 0 or run.step == config.steps):
+                held_out = validate(run, shards) if run.step % VALIDATE_EVERY == 0 else None
+                rate = learning_rate(run.step - 1, config)
+                lately = float(np.mean(losses[-1 - (run.step - 1) % LOG_EVERY :]))
+                log.write(run.step, config.steps, lately, rate, held_out)
+            if log and time.monotonic() - saved > config.checkpoint_seconds:
+                run.save()
+                saved = time.monotonic()
+    if run.step < config.steps:
+        run.save()
+        raise KeyboardInterrupt
     if log:
         run.save()
         about = {"steps": run.step, "seed": config.seed, "held_out_abs_rel": validate(run, shards)}

@@ -1,6 +1,7 @@
 """Two steps of training on made-up shards; stopping in between changes nothing; wrong weight files are named."""
 
 import csv
+import signal
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ from completion.checkpoint import load_network, load_tensors, save_network, save
 from completion.dataset import Batch, Shard, augment
 from completion.errors import CompletionError
 from completion.infer import DepthCompleter, load_scale_free
+from completion.interruption import Interruption
 from completion.network import MSCSANet
 from completion.predictors import load_predictor
 from completion.scale_free import ScaleFreeConfig, ScaleFreeMSCSANet
@@ -134,6 +136,30 @@ def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypa
     assert said[0].startswith("going on from step 2 of 4")
     for name, tensor in load_tensors(unbroken)[0].items():
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
+
+
+def test_ctrl_c_ends_the_step_and_saves_it(shards, tmp_path):
+    """No checkpoint was due; a second Ctrl-C would not wait."""
+    before = signal.getsignal(signal.SIGINT)
+    unbroken = train(config(shards, tmp_path / "a.safetensors", steps=4))
+
+    def stop_at_the_third(step, steps):
+        if step == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config(shards, tmp_path / "b.safetensors", steps=4), advance=stop_at_the_third)
+    assert signal.getsignal(signal.SIGINT) == before
+    said: list[str] = []
+    resumed = train(config(shards, tmp_path / "b.safetensors", steps=4), say=said.append)
+    assert said[0].startswith("going on from step 3 of 4")
+    for name, tensor in load_tensors(unbroken)[0].items():
+        assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
+    with Interruption() as interruption:
+        signal.raise_signal(signal.SIGINT)
+        assert interruption.asked
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_wrong_weight_files_are_one_sentence(tmp_path):
