@@ -1,6 +1,6 @@
 """Loops that NumPy would make in a dozen passes, compiled by Numba at their first call.
 
-What is compiled, some seconds for all of them, is kept beside the module or in the user's cache. No fast mathematics:
+What is compiled, some seconds for each package, is kept beside the module or in the user's cache. No fast mathematics:
 sums run in the order in which they are written, so that the same numbers give the same bytes. A compiled function must
 not use globals or functions of other files: a change there would not be noticed.
 """

@@ -22,10 +22,11 @@ LAST = ("last_log_depth", "last_log_error")
 DESCRIPTION = (
     "rgb: (B,3,H,W) in [0,1]; a picture whose lit pixels (brightest channel over 16/255) are not 130/255 bright in "
     "the mean is first multiplied by a factor from 0.5 to 2 that makes them so, and rounded to 255ths. log_sparse: "
-    "(B,1,H,W), log(depth / median), 0 where there is no point; median: of the frame's sparse depths, the lower of the middle "
-    "two. trust: (B,1,H,W), 0 where there is no point, 1 at points, or e0^2 / (e0^2 + e^2) with e0 = 0.03 where a "
-    "point's relative error e is known. Depth = median * exp(log_depth); exp(log_error) is the relative error that is "
-    "expected. A picture that is completed at another size is resized before, points by (p + 0.5) * factor."
+    "(B,1,H,W), log(depth / median), 0 where there is no point; median: of the frame's sparse depths, the lower of "
+    "the middle two. trust: (B,1,H,W), 0 where there is no point, 1 at points, or e0^2 / (e0^2 + e^2) with e0 = "
+    "0.03 where a point's relative error e is known. Depth = median * exp(log_depth); exp(log_error) is the "
+    "relative error that is expected. A picture that is completed at another size is resized before, points by (p +"
+    " 0.5) * factor."
 )
 AGAIN = " To look again, run the graph exported for that: as last_log_depth and last_log_error it takes what came out."
 
