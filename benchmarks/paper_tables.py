@@ -151,19 +151,21 @@ def chosen_rows(number: int, labels: list[str] | None) -> dict[str, str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("table", type=int, choices=ROWS)
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n")[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("table", type=int, choices=ROWS, help="1: all networks; 2: MSCSA-Net's ablation")
     parser.add_argument("folders", type=Path, nargs="+", help="training frames of one scene each")
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True, help="folder of weights, checkpoints and tables")
     parser.add_argument("--joint", action="store_true", help="one network for all scenes instead of one for each")
-    parser.add_argument("--steps", type=int, default=3000)
-    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--steps", type=int, default=3000, help="of each training, 10 frames each")
+    parser.add_argument("--seeds", type=int, default=2, help="as many trainings of each network: 0, 1, ...")
     parser.add_argument(
         "--points", type=int, default=100, help="per frame, in training and judging; the paper's are 100"
     )
     parser.add_argument("--row", action="append", help="only this row of the table, by its label; again for more")
-    parser.add_argument("--size", choices=["paper", "small"], default="small")
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--size", choices=["paper", "small"], default="small", help="of the networks")
+    parser.add_argument("--threads", type=int, default=2, help="of the CPU")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows = chosen_rows(arguments.table, arguments.row)

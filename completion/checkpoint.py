@@ -39,6 +39,8 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any
     partial = path.with_name(path.name + ".partial")
     contiguous = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
     save_file(contiguous, partial, metadata={"haustra": json.dumps(metadata)})
+    os.umask(umask := os.umask(0))  # which can only be read by setting it
+    partial.chmod(0o666 & ~umask)  # as any other file; safetensors keeps it from everybody else
     os.replace(partial, path)
 
 

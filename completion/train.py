@@ -76,8 +76,9 @@ class Run:
         if not self.checkpoint.exists():
             return
         tensors, metadata = load_tensors(self.checkpoint)
-        if metadata["config"] != self._identity():
-            raise CompletionError(f"{self.checkpoint} is of a run with other settings; give another --out")
+        before, now = metadata["config"], self._identity()
+        if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
+            raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
         for name, module in (("network.", self.task.network), ("average.", self.average)):
             module.load_state_dict({n[len(name) :]: t for n, t in tensors.items() if n.startswith(name)})
         restore_optimizer(self.optimizer, tensors)

@@ -101,7 +101,8 @@ def evaluate(
                 rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
                 sights[Path(model).name] = tally.sights()
                 renamed += _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
-            about = f"{len(tally.scores)} frames, {protocol}"
+            precisions = sorted({p.precision for p in predictors.values() if p.precision})
+            about = ", ".join([f"{len(tally.scores)} frames", str(protocol), *precisions])
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"

@@ -35,7 +35,7 @@ def shards(tmp_path):
 
 
 def config(shards, out, **changes):
-    return TrainConfig(shards=(shards,), out=out, batch=2, width=4, warm_up=1, threads=1, **changes)
+    return TrainConfig(shards=(shards,), out=out, width=4, warm_up=1, threads=1, **{"batch": 2, **changes})
 
 
 def test_training_is_repeatable_and_resumes(shards, tmp_path):
@@ -49,8 +49,9 @@ def test_training_is_repeatable_and_resumes(shards, tmp_path):
     # A checkpoint of the finished run: resuming it trains no further and writes the same weights.
     before = whole.read_bytes()
     assert train(config(shards, whole, steps=4)).read_bytes() == before
-    with pytest.raises(CompletionError, match="other settings"):
-        train(config(shards, whole, steps=4, seed=1))
+    assert whole.stat().st_mode == (shards / "colon.npy").stat().st_mode  # readable as other files are
+    with pytest.raises(CompletionError, match="of a run with other batch, seed; give another"):
+        train(config(shards, whole, steps=4, seed=1, batch=4))
 
 
 def test_the_log_is_the_same_in_csv_and_in_tensorboard(tmp_path):
