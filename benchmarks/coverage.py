@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from pipeline.camera import read_camera
 from pipeline.compare import compare_run
-from pipeline.coverage import seen_picture
+from pipeline.coverage import half_view, seen_picture
+from pipeline.odometry.rays import RayTable
 from pipeline.rectify import make_rectifier
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_truth import CoverageErrors, coverage_errors, read_true_wall
@@ -60,12 +61,12 @@ def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageError
     if wall is None:
         raise SystemExit(f"{folder}/mesh.ply does not know what was not seen")
     lens = read_camera(folder / "camera.json")
-    camera = make_rectifier(lens, WIDEST_DEG).camera
+    rays, pinhole = RayTable(lens), make_rectifier(lens, WIDEST_DEG).camera
     (mesh, content), (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
-    half_view, picture = min(camera.field_of_view()) / 2, seen_picture(lens, content)
+    half, picture = half_view(rays, pinhole, content), seen_picture(rays, content)
 
     def errors(fringe: float, picture: Picture | None) -> CoverageErrors:
-        return coverage_errors(measure_coverage(mesh, poses, half_view, "mm", fringe * VOXEL_MM, picture), wall)
+        return coverage_errors(measure_coverage(mesh, poses, half, "mm", fringe * VOXEL_MM, picture), wall)
 
     return {fringe: errors(fringe, picture) for fringe in FRINGES}, errors(USED_FRINGE, None)
 

@@ -30,6 +30,8 @@ SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
 SEGMENT_RADII = 2.0
+SECTORS = 120  # around the axis; the edge of each is where its picture reaches farthest, past a thin line of text
+NARROWEST_DEG = 10.0  # off the axis; a picture that ends nearer to it has its axis on the border
 
 
 @dataclass(frozen=True)
@@ -89,17 +91,30 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
     for row in part.rows:
         depth, confidence, _ = part.depth(int(row))
         witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
-    half_view = min(part.camera.field_of_view()) / 2  # wall beyond it leaves the picture on some side
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()
-    picture = seen_picture(structure_camera(frames.camera, part.submap), frames.content)
-    return measure_coverage(believed, submap.world_from_camera, half_view, unit, FRINGE * voxel, picture), believed
+    rays = RayTable(structure_camera(frames.camera, part.submap))
+    half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
+    return measure_coverage(believed, submap.world_from_camera, half, unit, FRINGE * voxel, picture), believed
 
 
-def seen_picture(camera: Camera, content: NDArray[np.uint8]) -> Picture:
+def seen_picture(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
     """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
-    rays = RayTable(camera)
     return Picture(rays.seen_at, rays.masked(content) > 0)
+
+
+def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:
+    """Degrees off the axis beyond which wall leaves the picture on some side: where what `content` (H,W) leaves of the
+    lens's picture is narrowest, or the `pinhole` picture in which depth is completed, if that is narrower.
+
+    Border and burned-in text end a picture as its own edge does.
+    """
+    row, column = np.nonzero(rays.masked(content))
+    x, y = rays.look_up(np.stack([column, row], axis=1) + 0.5)[0].T
+    sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
+    outermost = np.zeros(SECTORS)
+    np.maximum.at(outermost, sector, np.degrees(np.arctan(np.hypot(x, y))))
+    return max(NARROWEST_DEG, min(float(outermost.min()), min(pinhole.field_of_view()) / 2))
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:

@@ -11,6 +11,7 @@ from test_coverage import HOLE, RADIUS, cameras, straight, tube
 
 from pipeline.camera import Camera
 from pipeline.coverage import seen_picture
+from pipeline.odometry.rays import RayTable
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_picture import draw_coverage
 from reconstruction.mesh import SurfaceMesh
@@ -215,7 +216,7 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
     camera = Camera(model, SIZE, SIZE, params, True)
     content = np.zeros((SIZE, SIZE), np.uint8)
     content[20:80, 10:90] = 255
-    picture = seen_picture(camera, content)
+    picture = seen_picture(RayTable(camera), content)
     rng = np.random.default_rng(0)
     angle, turn = np.radians(rng.uniform(0, 70, 4000)), rng.uniform(0, 2 * np.pi, 4000)
     rays = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
