@@ -99,6 +99,22 @@ def test_the_features_lie_on_the_wall(finished):
     assert np.median(off) < 0.01 * RADIUS
 
 
+def test_wall_beyond_the_followed_corners_gets_points_too(finished):
+    """Near wall at the picture's edge, where no corner was followed: its features lie on the wall."""
+    local_map = copy.deepcopy(finished)
+    half = min(MASK.shape) / 2
+    for keyframe in local_map.keyframes:
+        keyframe.keep(np.linalg.norm(keyframe.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) < 0.7 * half)
+    assert refit(local_map, KeyframeFeatures(read))
+    submap = to_submap(local_map.of_features(), CAMERA.params)
+    point = submap.observations[:, 1]
+    out = np.linalg.norm(submap.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) > 0.85 * half
+    assert out.sum() > 5 * len(local_map.keyframes)
+    aligned = align_umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
+    points = submap.points[np.unique(point[out])] @ aligned[:3, :3].T + aligned[:3, 3]
+    assert np.median(np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)) < 0.01 * RADIUS
+
+
 def sliding(found, wider_than):
     """The features, the wide ones 1.5 px farther from the picture's centre: as if the wall there were nearer."""
     outward = found.pixels - np.array(MASK.shape[::-1]) / 2

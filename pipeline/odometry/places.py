@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from pipeline.loop_pairs import vlad
 from pipeline.odometry.local_map import LocalMap
@@ -119,8 +119,11 @@ def sift(rgb: NDArray[np.uint8], mask: NDArray[np.uint8], contrast: float) -> Fe
     return Features(pixels, descriptors.astype(np.uint8), np.array([k.size for k in keypoints]))
 
 
-def place_of(local_map: LocalMap, number: int, find: FindFeatures) -> Place:
-    """SIFT features within the hull of the keyframe's map points, where the lens has rays."""
+def place_of(local_map: LocalMap, number: int, find: FindFeatures, beyond: bool = False) -> Place:
+    """SIFT features within the hull of the keyframe's map points, where the lens has rays.
+
+    `beyond` the hull, too, as deep as the nearest of those points: a guess, for who looks whether it is borne out.
+    """
     keyframe = local_map.keyframes[number]
     found = find(keyframe.frame)
     x, y = np.floor(found.pixels).astype(int).T
@@ -131,7 +134,11 @@ def place_of(local_map: LocalMap, number: int, find: FindFeatures) -> Place:
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]
     front = depth > 0
-    inverse_depth = inverse_depth_at(found.pixels, triangulated(keyframe.pixels[known][front]), depth[front])
+    depth, pixels = depth[front], keyframe.pixels[known][front]
+    inverse_depth = inverse_depth_at(found.pixels, triangulated(pixels), depth)
+    if beyond and len(depth):
+        outside = ~np.isfinite(inverse_depth)
+        inverse_depth[outside] = 1 / depth[cKDTree(pixels).query(found.pixels[outside])[1]]
     good = np.isfinite(inverse_depth)
     seen, _ = local_map.rays.look_up(found.pixels[good])
     local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]

@@ -135,7 +135,8 @@ class Matched:
 def _matched(local_map: LocalMap, find: FindFeatures, advance: Advance) -> Matched:
     keyframes = range(len(local_map.keyframes))
     with ThreadPoolExecutor(THREADS) as threads:
-        placed = threads.map(lambda number: place_of(local_map, number, find), keyframes)
+        # At the picture's edge is the nearest wall, which the frame's depth needs most, and corners end before it.
+        placed = threads.map(lambda number: place_of(local_map, number, find, beyond=True), keyframes)
         places = list(_counted(placed, len(keyframes), "finding features", advance))
         pairs = _near(local_map)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
