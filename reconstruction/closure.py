@@ -32,7 +32,9 @@ STRAY = 0.15  # a closing farther from the mesh than this follows none of it
 POISSON_SCALE = 1.1  # cube of the octree over the samples' bounding cube
 DEEPEST = 11  # levels of the octree
 FEWEST_FACES = 100  # of a mesh that can be judged
-SQUARE_DEG = 70.0  # between ray and normal: wall that no camera sees squarer is not in plain view
+# Between ray and normal: wall that no camera sees squarer is not in plain view. The normal is the closing's guess, so
+# more is asked than of wall that was measured.
+SQUARE_DEG = 60.0
 IN_SIGHT = 5.0  # nor is wall that is farther: down the lumen, too much that stands between may be missing in the mesh
 BEHIND = 1.0  # nor is what cameras look through, if they meet wall so far behind it
 APART = 0.05  # of two cameras that count as two
