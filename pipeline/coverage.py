@@ -31,7 +31,7 @@ LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
 SEGMENT_RADII = 2.0
 SECTORS = 120  # around the axis; the edge of each is where its picture reaches farthest, past a thin line of text
-NARROWEST_DEG = 10.0  # off the axis; a picture that ends nearer to it has its axis on the border
+NARROWEST_DEG = 10.0  # off the axis; wall where such a picture ends is nearly six radii ahead, past what is judged
 
 
 @dataclass(frozen=True)
@@ -107,14 +107,20 @@ def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> fl
     """Degrees off the axis beyond which wall leaves the picture on some side: where what `content` (H,W) leaves of the
     lens's picture is narrowest, or the `pinhole` picture in which depth is completed, if that is narrower.
 
-    Border and burned-in text end a picture as its own edge does.
+    Border and burned-in text end a picture as its own edge does; but not text of less than a sector's width, three
+    degrees around the axis. Raises `NotATube` where the picture ends at its axis.
     """
     row, column = np.nonzero(rays.masked(content))
     x, y = rays.look_up(np.stack([column, row], axis=1) + 0.5)[0].T
     sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
     outermost = np.zeros(SECTORS)
     np.maximum.at(outermost, sector, np.degrees(np.arctan(np.hypot(x, y))))
-    return max(NARROWEST_DEG, min(float(outermost.min()), min(pinhole.field_of_view()) / 2))
+    edge = float(outermost.min())
+    if edge < NARROWEST_DEG:
+        raise NotATube(f"the picture ends {edge:.0f} degrees off its axis, too near to tell what the camera passed")
+    (fx, fy), (cx, cy) = pinhole.focal, pinhole.centre
+    side = min(cx / fx, (pinhole.width - cx) / fx, cy / fy, (pinhole.height - cy) / fy)
+    return min(edge, float(np.degrees(np.arctan(side))))
 
 
 def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:

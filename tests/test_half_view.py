@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.camera import Camera
-from pipeline.coverage import NARROWEST_DEG, half_view
+from pipeline.coverage import half_view
 from pipeline.odometry.rays import RayTable
 from pipeline.rectify import make_rectifier
+from reconstruction.centreline import NotATube
 
 SIZE = 200
 LENS = Camera("PINHOLE", SIZE, SIZE, (100.0, 100.0, 100.0, 100.0), True)
@@ -65,6 +66,8 @@ def test_a_thin_line_from_the_border_does_not_end_it():
     content = whole()
     content[96:100, :60] = 0  # text beside the picture, whose last letters lie over it
     assert measured(LENS, content) > 43
+    content[80:120, :60] = 0  # a block of it does
+    assert measured(LENS, content) < 25
 
 
 def test_depth_that_is_completed_in_a_narrower_picture_ends_it():
@@ -73,7 +76,14 @@ def test_depth_that_is_completed_in_a_narrower_picture_ends_it():
     assert measured(FISHEYE, whole()) > measured(FISHEYE, whole(), 80.0) + 5
 
 
-def test_a_picture_that_ends_at_its_axis_has_an_edge_still():
+@pytest.mark.parametrize("columns", [slice(0, 100), slice(0, 200), slice(60, 140)])
+def test_a_picture_that_ends_at_its_axis_is_not_judged(columns):
     content = whole()
-    content[:, :100] = 0
-    assert measured(LENS, content) == NARROWEST_DEG
+    content[:, columns] = 0
+    with pytest.raises(NotATube, match="off its axis"):
+        measured(LENS, content)
+
+
+def test_off_centre_it_is_the_nearer_side():
+    camera = Camera("PINHOLE", SIZE, SIZE, (100.0, 100.0, 70.0, 110.0), True)
+    assert measured(camera, whole()) == pytest.approx(np.degrees(np.arctan(0.7)), abs=PIXEL_DEG)

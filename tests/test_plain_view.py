@@ -12,6 +12,7 @@ from test_coverage import HOLE, RADIUS, cameras, straight, tube
 from pipeline.camera import Camera
 from pipeline.coverage import seen_picture
 from pipeline.odometry.rays import RayTable
+from reconstruction.closure import Closure
 from reconstruction.coverage import measure_coverage
 from reconstruction.coverage_picture import draw_coverage
 from reconstruction.mesh import SurfaceMesh
@@ -168,7 +169,7 @@ def test_a_hole_outside_the_picture_is_still_missed():
 
 
 def test_the_pocket_behind_a_fold_stays_missed():
-    """As in tests/test_coverage.py: no camera has it squarer than 70 degrees."""
+    """As in tests/test_coverage.py: no camera has it square enough."""
 
     def fold(s, angle):
         crescent = np.clip(np.cos(angle - np.pi), 0, 1) ** 0.5
@@ -234,3 +235,17 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
     shown = picture.shows(rays * rng.uniform(1, 9, (4000, 1)))
     assert 300 < on[clear].sum() < 3500
     np.testing.assert_array_equal(shown[clear], on[clear])
+
+
+@pytest.mark.parametrize(("slant", "seen"), [(30, True), (57, True), (63, False), (75, False)])
+def test_more_than_sixty_degrees_off_the_normal_is_no_plain_view(slant, seen):
+    """One triangle ahead of two cameras, which the mesh does not hold and nothing hides."""
+    turn = Rotation.from_euler("y", slant, degrees=True).as_matrix()
+    corners = np.array([[0, 0.02, 0], [0.02, -0.02, 0], [-0.02, -0.02, 0]]) @ turn.T + (0, 0, 2)
+    one = np.array([True])
+    closure = Closure(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one)
+    assert closure.surface.face_normals[0] @ (0, 0, 1) == pytest.approx(-np.cos(np.radians(slant)))
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 1, 3] = 0.1
+    behind = SurfaceMesh.from_triangles([[-9.0, -9, -5], [9, -9, -5], [0, 9, -5]], [[0, 1, 2]])
+    assert closure.seen_by(behind, poses, PICTURE, 1.0).unmeasured[0] == seen

@@ -47,13 +47,14 @@ FindFeatures = Callable[[int], Features]  # of a frame, by its number
 @dataclass(frozen=True)
 class Place:
     """keyframe: its number in the map. pixels (N,2), descriptors (N,128) as SIFT gives them, whole numbers below 256,
-    points (N,3) in the map's world, sizes (N,) in pixels."""
+    points (N,3) in the map's world, sizes (N,) in pixels; guessed (N,): points whose depth is another's, None: none."""
 
     keyframe: int
     pixels: Array
     descriptors: NDArray[np.uint8]
     points: Array
     sizes: Array
+    guessed: NDArray[np.bool_] | None = None
 
     @property
     def rooted(self) -> NDArray[np.float32]:
@@ -136,14 +137,14 @@ def place_of(local_map: LocalMap, number: int, find: FindFeatures, beyond: bool 
     front = depth > 0
     depth, pixels = depth[front], keyframe.pixels[known][front]
     inverse_depth = inverse_depth_at(found.pixels, triangulated(pixels), depth)
-    if beyond and len(depth):
-        outside = ~np.isfinite(inverse_depth)
+    outside = ~np.isfinite(inverse_depth)
+    if beyond and len(depth) >= MIN_POINTS:
         inverse_depth[outside] = 1 / depth[cKDTree(pixels).query(found.pixels[outside])[1]]
     good = np.isfinite(inverse_depth)
     seen, _ = local_map.rays.look_up(found.pixels[good])
     local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]
     points = in_camera(inverse(keyframe.pose), local)
-    return Place(number, found.pixels[good], found.descriptors[good], points, found.sizes[good])
+    return Place(number, found.pixels[good], found.descriptors[good], points, found.sizes[good], outside[good])
 
 
 def triangulated(pixels: Array) -> Delaunay | None:

@@ -53,10 +53,12 @@ def refit(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -
     local_map.forget_features()
     matched = _matched(local_map, find, advance)
     for widest in (widest_narrow(local_map.rays.camera.width), np.inf):
-        moving = _map_of(local_map, matched, False, widest)
+        tracks = matched.tracks(False, widest)
+        moving = _map_of(local_map, matched.places, tracks)
         before = _adjusted(moving, advance)
         if before is not None:
-            _take_over(local_map, _map_of(local_map, matched, True, widest))
+            before[_guessed(matched.places, tracks)] = np.nan  # they say nothing of how the map grew
+            _take_over(local_map, _map_of(local_map, matched.places, matched.tracks(True, widest)))
             _follow(local_map, moving, before)
             return widest
     return None
@@ -156,15 +158,22 @@ def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> I
         yield result
 
 
-def _map_of(local_map: LocalMap, matched: Matched, wide: bool, widest: float) -> LocalMap:
-    """The same keyframes, which see the tracks of narrow features, or of the others, and nothing else."""
-    tracks = matched.tracks(wide, widest)
+def _guessed(places: list[Place], tracks: Tracks) -> NDArray[np.int64]:
+    """Numbers of the tracks of which any feature's point is a guess."""
+    starts = np.cumsum([0, *(len(place.points) for place in places)])
+    none = [np.zeros(len(place.points), bool) if place.guessed is None else place.guessed for place in places]
+    guessed = np.concatenate([np.zeros(0, bool), *none])
+    return np.unique(tracks.track[guessed[starts[tracks.place] + tracks.feature]])
+
+
+def _map_of(local_map: LocalMap, places: list[Place], tracks: Tracks) -> LocalMap:
+    """The same keyframes, which see these tracks of features and nothing else."""
     fitted = LocalMap(local_map.rays)
     fitted.reserve(len(tracks.points))
     fitted.points[: len(tracks.points)] = tracks.points
     fitted.known[: len(tracks.points)] = True
     starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))
-    for number, (keyframe, place) in enumerate(zip(local_map.keyframes, matched.places, strict=True)):
+    for number, (keyframe, place) in enumerate(zip(local_map.keyframes, places, strict=True)):
         mine = slice(starts[number], starts[number + 1])
         fitted.add_keyframe(keyframe.frame, keyframe.pose, tracks.track[mine], place.pixels[tracks.feature[mine]])
     return fitted
@@ -194,7 +203,7 @@ def _incidence(local_map: LocalMap) -> csr_array:
 def _follow(local_map: LocalMap, fitted: LocalMap, before: Array) -> None:
     """Take over the keyframes' poses; frames between them and the old points follow, the features join the points.
 
-    before: the features' points (T,3) from before the adjustment.
+    before: the features' points (T,3) from before the adjustment, NaN where they were guesses.
     """
     old, scale = [keyframe.pose for keyframe in local_map.keyframes], _scales(local_map, fitted, before)
     fixed = np.flatnonzero(np.isfinite(scale))
@@ -215,7 +224,7 @@ def _scales(local_map: LocalMap, fitted: LocalMap, before: Array) -> Array:
     """(K,) by how much each keyframe's features moved away from it, in the median; NaN where too few fix it."""
     scale = np.full(len(fitted.keyframes), np.nan)
     for number, (keyframe, old) in enumerate(zip(fitted.keyframes, local_map.keyframes, strict=True)):
-        ids = keyframe.ids[fitted.known[keyframe.ids]]
+        ids = keyframe.ids[fitted.known[keyframe.ids] & np.isfinite(before[keyframe.ids, 0])]
         if len(ids) >= MIN_SEEN:
             scale[number] = growth(in_camera(old.pose, before[ids]), in_camera(keyframe.pose, fitted.points[ids]))
     return scale
