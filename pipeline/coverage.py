@@ -87,14 +87,15 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
     """The same, and that wall: what is drawn must be what was measured."""
     factor = surface.scale.factor
     submap = part.submap.scaled(factor)
+    # Before the depth maps are read: a picture that cannot be judged need not wait for them.
+    rays = RayTable(structure_camera(frames.camera, part.submap))
+    half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
     witness = SurfaceWitness(surface.mesh)
     for row in part.rows:
         depth, confidence, _ = part.depth(int(row))
         witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()
-    rays = RayTable(structure_camera(frames.camera, part.submap))
-    half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
     return measure_coverage(believed, submap.world_from_camera, half, unit, FRINGE * voxel, picture), believed
 
 

@@ -43,7 +43,9 @@ def test_the_size_of_a_feature_is_that_of_its_blob(sigma):
 
 
 def place(seed: int, points: np.ndarray, sizes: np.ndarray) -> Place:
-    return Place(seed, points[:, :2], np.zeros((len(points), 128), np.uint8), points, sizes)
+    return Place(
+        seed, points[:, :2], np.zeros((len(points), 128), np.uint8), points, sizes, np.zeros(len(points), bool)
+    )
 
 
 def test_only_matches_of_narrow_features_may_move_the_map():

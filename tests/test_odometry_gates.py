@@ -95,7 +95,9 @@ def test_the_first_prediction_knows_the_stride(stride):
 def place_of(local_map, number, rows, codes):
     keyframe: Keyframe = local_map.keyframes[number]
     points = local_map.points[keyframe.ids[rows]]
-    return Place(number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0))
+    return Place(
+        number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0), np.zeros(len(points), bool)
+    )
 
 
 def linked(count=60, wrong=0, points=None, others=None):

@@ -47,14 +47,14 @@ FindFeatures = Callable[[int], Features]  # of a frame, by its number
 @dataclass(frozen=True)
 class Place:
     """keyframe: its number in the map. pixels (N,2), descriptors (N,128) as SIFT gives them, whole numbers below 256,
-    points (N,3) in the map's world, sizes (N,) in pixels; guessed (N,): points whose depth is another's, None: none."""
+    points (N,3) in the map's world, sizes (N,) in pixels; guessed (N,): points whose depth is another's."""
 
     keyframe: int
     pixels: Array
     descriptors: NDArray[np.uint8]
     points: Array
     sizes: Array
-    guessed: NDArray[np.bool_] | None = None
+    guessed: NDArray[np.bool_]
 
     @property
     def rooted(self) -> NDArray[np.float32]:
@@ -130,7 +130,7 @@ def place_of(local_map: LocalMap, number: int, find: FindFeatures, beyond: bool 
     x, y = np.floor(found.pixels).astype(int).T
     found = found.at(local_map.rays.usable[y, x] > 0)
     known = local_map.known[keyframe.ids]
-    nowhere = Place(number, np.zeros((0, 2)), found.descriptors[:0], np.zeros((0, 3)), np.zeros(0))
+    nowhere = Place(number, np.zeros((0, 2)), found.descriptors[:0], np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
     if known.sum() < MIN_POINTS or len(found.pixels) == 0:
         return nowhere
     depth = in_camera(keyframe.pose, local_map.points[keyframe.ids[known]])[:, 2]

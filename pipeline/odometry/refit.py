@@ -161,8 +161,7 @@ def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> I
 def _guessed(places: list[Place], tracks: Tracks) -> NDArray[np.int64]:
     """Numbers of the tracks of which any feature's point is a guess."""
     starts = np.cumsum([0, *(len(place.points) for place in places)])
-    none = [np.zeros(len(place.points), bool) if place.guessed is None else place.guessed for place in places]
-    guessed = np.concatenate([np.zeros(0, bool), *none])
+    guessed = np.concatenate([np.zeros(0, bool), *(place.guessed for place in places)])
     return np.unique(tracks.track[guessed[starts[tracks.place] + tracks.feature]])
 
 
