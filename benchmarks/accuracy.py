@@ -1,7 +1,7 @@
 """Path and surface error of an RGB-D folder fed as `video.mp4`, one run of `reconstruct` for each seed.
 
-    python benchmarks/accuracy.py ../shared/data/ctcolon --seeds 10 --json accuracy.json
-    python benchmarks/accuracy.py ../shared/data/ctcolon --seeds 3 --front-end odometry
+    python -m benchmarks.accuracy ../shared/data/ctcolon --seeds 10 --json accuracy.json
+    python -m benchmarks.accuracy ../shared/data/ctcolon --seeds 3 --front-end odometry
 
 ATE: RMSE of camera centres after Sim(3). Surface: F-score at 1 mm against the observed truth (every true depth map
 back-projected), moved by the same Sim(3). A run is wrong if its median rotation error exceeds 5 degrees.
@@ -12,11 +12,11 @@ import tempfile
 from pathlib import Path
 from typing import Any, get_args
 
-from inputs import encode_video
+from benchmarks.inputs import encode_video
+from benchmarks.record import spread, write
 from pipeline.compare import compare_run
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from record import spread, write
 
 FRONT_ENDS = get_args(Config.model_fields["front_end"].annotation)
 

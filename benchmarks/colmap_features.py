@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-import cv2  # noqa: F401 - before pycolmap: see pipeline/colmap_worker.py
+import cv2  # noqa: F401 - before pycolmap: see pipeline/frontend/colmap/worker.py
 import pycolmap
 
-from pipeline.camera import read_camera
+from haustra.core.camera import read_camera
 
 OVERLAP, PEAK_THRESHOLD, MAX_FEATURES = 8, 0.002, 2048  # as `reconstruct` has them
 

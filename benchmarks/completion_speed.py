@@ -1,6 +1,6 @@
 """Milliseconds per frame of depth completion: the default model beside the rivals and interpolation, in turn.
 
-    python benchmarks/completion_speed.py --runs 20 --json completion_speed.json
+    python -m benchmarks.completion_speed --runs 20 --json completion_speed.json
 
 One 320x320 frame, 100 points, every core; then the default model over image sizes, points, looks and working sizes.
 Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole of
@@ -18,17 +18,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.record import spread, write
 from completion import DepthCompleter
-from completion.classical import CLASSICAL
-from completion.eight_bit import can_use_eight_bits
-from completion.infer import load_scale_free
-from completion.models import build_model
-from completion.onnx_export import export_onnx
-from completion.sampling import normalise_log
-from completion.scale_free import ScaleFreeMSCSANet
-from completion.working_size import SIDE_FOR_MANY
-from pipeline.allocator import keep_freed_memory
-from record import spread, write
+from completion.data.sampling_training import normalise_log
+from completion.inference.completer import load_scale_free
+from completion.inference.cpu.int8_unet import can_use_eight_bits
+from completion.inference.onnx_export import export_onnx
+from completion.inference.resolution import SIDE_FOR_MANY
+from completion.networks.classical import CLASSICAL
+from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+from completion.networks.registry import build_model
+from pipeline.run_folder.malloc import keep_freed_memory
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
 SIZES, POINTS = (160, 240, 320, 480), (10, 100, 1000)

@@ -1,12 +1,12 @@
 """Coverage against the phantom's own flags: error of the percentage, missed regions found, not found, false.
 
-    python benchmarks/coverage.py SUITE/* --json coverage.json        # true depth at true poses, fused
-    python benchmarks/coverage.py SUITE/flexure --run RUN             # a finished run of that film, end to end
+    python -m benchmarks.coverage SUITE/* --json coverage.json        # true depth at true poses, fused
+    python -m benchmarks.coverage SUITE/flexure --run RUN             # a finished run of that film, end to end
 
 The first isolates the coverage code from the front end: every frame's true depth, made a pinhole's, is fused at the
 true pose, so what is left is how voxels end short of what was seen and how the closing stands for hidden wall. Its
 figures are given for several fringes, in voxels; `measure_coverage` is used with one. "Frontier alone" leaves plain
-view out. Definitions of found and false are in `reconstruction/coverage_truth.py`.
+view out. Definitions of found and false are in `reconstruction/evaluation/coverage_metrics.py`.
 """
 
 import argparse
@@ -18,18 +18,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera import read_camera
+from benchmarks.record import write
+from haustra.core.camera import read_camera
+from haustra.core.ray_table import RayTable
 from pipeline.compare import compare_run
-from pipeline.coverage import half_view, seen_picture
-from pipeline.odometry.rays import RayTable
-from pipeline.rectify import make_rectifier
-from reconstruction.coverage import measure_coverage
-from reconstruction.coverage_truth import CoverageErrors, coverage_errors, read_true_wall
-from reconstruction.fusion import FusionSettings, SurfaceFusion
-from reconstruction.mesh import SurfaceMesh, drop_small_components
-from reconstruction.plain_view import Picture
-from reconstruction.trajectory import read_tum
-from record import write
+from pipeline.depth.rectification import make_rectifier
+from pipeline.surface.coverage_stage import half_view, seen_picture
+from reconstruction.coverage.coverage import measure_coverage
+from reconstruction.coverage.visibility import Picture
+from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
+from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
 VOXEL_MM = 0.7
 TRUNCATION = 5  # voxels; true depth needs no more

@@ -1,6 +1,6 @@
 """How well the lamp is divided out: one place of the wall in two pictures should have one colour.
 
-    python benchmarks/delighting.py RUN RGBD_FOLDER --json delighting.json
+    python -m benchmarks.delighting RUN RGBD_FOLDER --json delighting.json
 
 RUN is a finished run of the folder's frames (pinhole camera); up to 24 of its keyframes, each with the three after it.
 Every fourth pixel of one is carried into the other by *true* depth and poses; kept where it meets the true depth there
@@ -24,14 +24,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.dense import planned_keyframes
-from pipeline.frames import load_frames
-from pipeline.refinement import refined_keyframes
-from pipeline.structure import load_structure
-from pipeline.workspace import open_workspace
-from reconstruction.lamp import BURNT, DARK, GAMMA, LUMA, MIN_COSINE, Lamp, fit_lamp, geometry
-from reconstruction.trajectory import read_tum
-from record import write
+from benchmarks.record import write
+from pipeline.depth.completion_stage import planned_keyframes
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import load_frames
+from pipeline.loop_closing.close_loops import refined_keyframes
+from pipeline.run_folder.workspace import open_workspace
+from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.fusion.photometry import BURNT, DARK, GAMMA, LUMA, MIN_COSINE, Lamp, fit_lamp, geometry
 
 KEYFRAMES, AFTER, STRIDE = 24, 3, 4
 SAME, CHANGED = 0.02, 0.1  # relative: depth that meets the truth, distance that has changed

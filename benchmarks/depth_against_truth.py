@@ -1,6 +1,6 @@
 """Surface of a sequence that has true depth maps but no poses (SimCol3D's ten frames).
 
-    python benchmarks/depth_against_truth.py ../shared/data/simcol3d --camera simcol3d --json simcol.json
+    python -m benchmarks.depth_against_truth ../shared/data/simcol3d --camera simcol3d --json simcol.json
 
 The mesh is ray-cast from every posed frame and compared with the true depth of that frame, pixel by pixel, after one
 scale for the whole sequence (ratio of median depths). Pixels where the mesh is open do not count as errors but are
@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from completion.readers import read_evaluation_frames
-from pipeline.camera import read_camera
+from benchmarks.record import write
+from completion.data.readers import read_evaluation_frames
+from haustra.core.camera import read_camera
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from reconstruction.export import read_mesh
-from reconstruction.open3d_import import import_open3d
-from reconstruction.trajectory import read_tum
-from record import write
+from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.mesh.mesh_io import read_mesh
+from reconstruction.mesh.open3d_import import import_open3d
 
 
 def cast_depths(mesh, camera, poses):

@@ -1,6 +1,6 @@
 """abs.REL of the shipped model beside linear interpolation on folders with true depth.
 
-    python benchmarks/depth_completion.py ../shared/data/ctcolon ../shared/data/simcol3d --json completion.json
+    python -m benchmarks.depth_completion ../shared/data/ctcolon ../shared/data/simcol3d --json completion.json
 
 Samplers: `uniform` takes pixels at random with true depth. `sfm` takes SIFT keypoints (OpenCV, contrast threshold
 0.005) at random, multiplies depth by 1 + 0.03 N(0,1), 3 % of the points by U(0.5, 2), and all points of a frame by
@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.record import say, write
 from completion import DepthCompleter
-from completion.classical import linear
-from completion.frames import EvaluationFrame
-from completion.infer import load_scale_free
-from completion.metrics import depth_errors
-from completion.readers import read_evaluation_frames
-from completion.sparsify import get_sampler
-from record import say, write
+from completion.data.evaluation_frame import EvaluationFrame
+from completion.data.readers import read_evaluation_frames
+from completion.data.sampling_benchmark import get_sampler
+from completion.evaluation.metrics import depth_errors
+from completion.inference.completer import load_scale_free
+from completion.networks.classical import linear
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))
 

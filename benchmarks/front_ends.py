@@ -1,8 +1,8 @@
 """Both front ends of `reconstruct` on sequences with true poses: what they pose, how well, and how fast.
 
     haustra phantom SUITE --suite
-    python benchmarks/front_ends.py SUITE/* ../shared/data/ctcolon --seeds 3 --json front_ends.json
-    python benchmarks/front_ends.py FOLDER --front-ends odometry --frames 150
+    python -m benchmarks.front_ends SUITE/* ../shared/data/ctcolon --seeds 3 --json front_ends.json
+    python -m benchmarks.front_ends FOLDER --front-ends odometry --frames 150
 
 Frames are read from `rgb/` with the folder's own camera. Per sequence, front end and seed: frames that were worth
 tracking (`used`), the share of them that is posed in any submap, submaps; then errors, after a Sim(3) alignment of each
@@ -29,21 +29,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera import Camera, guess_camera
+from benchmarks.record import spread, write
+from haustra.core.camera import Camera, guess_camera
+from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
+from haustra.core.ray_table import RayTable
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
-from pipeline.errors import HaustraError
-from pipeline.frames import Frames, read_frames
-from pipeline.odometry.keyframe_features import ReadFrame
-from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.odometry import Odometry
-from pipeline.odometry.rays import RayTable
-from pipeline.progress import SilentProgress
-from pipeline.structure import solve_structure
-from pipeline.submap import Submap
-from pipeline.video import Source
-from pipeline.workspace import Workspace, create_workspace
-from reconstruction.trajectory import read_tum, trajectory_errors
-from record import spread, write
+from pipeline.frontend.odometry.state_machine import Odometry
+from pipeline.frontend.select import solve_structure
+from pipeline.input.frames import Frames, read_frames
+from pipeline.input.video import Source
+from pipeline.mapping.local_map import LocalMap
+from pipeline.mapping.submap import Submap
+from pipeline.matching.sift_cache import ReadFrame
+from pipeline.run_folder.workspace import Workspace, create_workspace
+from reconstruction.evaluation.trajectory_metrics import read_tum, trajectory_errors
 
 WRONG_DEG = 5.0
 MIN_FRAMES = 3  # for an alignment

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
 from completion import DepthCompleter
-from completion.predictors import Predictor, load_predictor
-from completion.scale_free import ScaleFreeMSCSANet
-from pipeline.dense import Keyframe
-from pipeline.rectify import Rectifier
-from pipeline.sparse_depth import SparseDepth
+from completion.evaluation.predictors import Predictor, load_predictor
+from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+from pipeline.depth.completion_stage import Keyframe
+from pipeline.depth.rectification import Rectifier
+from pipeline.depth.sparse_depth import SparseDepth
 
 Depth = NDArray[np.float32]
 Completed = tuple[Depth, Depth | None]

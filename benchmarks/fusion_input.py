@@ -1,6 +1,6 @@
 """What depth, and each part of the fusion, is worth to the mesh: finished runs fused anew and measured against truth.
 
-    python benchmarks/fusion_input.py RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
+    python -m benchmarks.fusion_input RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
 
 RUN must be a finished run of the RGB-D folder's frames. Its keyframes, poses and voxels are fused with linear
 interpolation of its sparse points, what each `--model` makes of them, the depth that the run wrote, and true depth;
@@ -19,10 +19,10 @@ import time
 from pathlib import Path
 
 import cv2
-from fusion_depths import depth_sources
-from fusion_parts import UNMOVED, VARIANTS, Figures, MeasuredRun
 
-from record import write
+from benchmarks.fusion_depths import depth_sources
+from benchmarks.fusion_parts import UNMOVED, VARIANTS, Figures, MeasuredRun
+from benchmarks.record import write
 
 COLUMNS = [*VARIANTS, UNMOVED]
 NOISE = 0.1  # points of F; the mesh sampled by five other seeds gave a standard deviation of 0.04

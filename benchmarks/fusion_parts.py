@@ -11,24 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fusion_depths import Completed, DepthSource, KeyframeView, completed
 from numpy.typing import NDArray
 
-from pipeline.camera import Camera
+from benchmarks.fusion_depths import Completed, DepthSource, KeyframeView, completed
+from haustra.core.camera import Camera
 from pipeline.config import Config
-from pipeline.consistency import ConsistencyCheck
-from pipeline.dense import DenseSubmap, planned_keyframes
-from pipeline.frames import Frames, load_frames
-from pipeline.refinement import refined_keyframes
-from pipeline.sparse_depth import SparseDepthMaker
-from pipeline.structure import load_structure
-from pipeline.surface import fusion_settings
-from pipeline.workspace import open_workspace
-from reconstruction.fusion import FusionSettings, SurfaceFusion
-from reconstruction.mesh import SurfaceMesh, drop_small_components
-from reconstruction.observed_truth import ObservedTruth, observed_truth
-from reconstruction.surface_metrics import surface_errors
-from reconstruction.trajectory import align_poses, associate, read_tum
+from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
+from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import Frames, load_frames
+from pipeline.loop_closing.close_loops import refined_keyframes
+from pipeline.run_folder.workspace import open_workspace
+from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.fusion_stage import fusion_settings
+from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.surface_metrics import surface_errors
+from reconstruction.evaluation.trajectory_metrics import align_poses, associate, read_tum
+from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
 TAU = 1.0  # mm
 

@@ -1,6 +1,6 @@
 """How long a frame takes to fuse: ours beside Open3D's two, same frames, same voxels, same truncation, one run.
 
-    python benchmarks/fusion_speed.py ../shared/data/ctcolon --voxel-mm 0.5 --json fusion_speed.json
+    python -m benchmarks.fusion_speed ../shared/data/ctcolon --voxel-mm 0.5 --json fusion_speed.json
 
 RGB-D folder with true depth and poses. Peers: Open3D's tensor `VoxelBlockGrid.integrate` (with the search for the
 blocks that a frame touches, without which it cannot be called) and the legacy `ScalableTSDFVolume.integrate`. Neither
@@ -18,14 +18,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.camera import read_camera
-from reconstruction.fusion import FusionSettings, SurfaceFusion
-from reconstruction.open3d_import import import_open3d
-from reconstruction.trajectory import read_tum
-from record import spread, write
+from benchmarks.record import spread, write
+from haustra.core.camera import read_camera
+from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.mesh.open3d_import import import_open3d
 
 LUMEN_MM = 46.0
-BLOCK_BYTES = 14 * 1024  # reconstruction/voxel_grid.py
+BLOCK_BYTES = 14 * 1024  # reconstruction/fusion/voxel_grid.py
 Integrate = Callable[[np.ndarray, np.ndarray, np.ndarray], object]  # rgb, depth mm, world_from_camera
 
 

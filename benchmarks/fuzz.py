@@ -1,7 +1,7 @@
 """Corrupted and adversarial inputs: each must end in a result or in one clear sentence, never in a crash.
 
-    python benchmarks/fuzz.py --inputs 200 --json fuzz.json
-    python benchmarks/fuzz.py --only 17 --inputs 200      # one of them again, with its traceback
+    python -m benchmarks.fuzz --inputs 200 --json fuzz.json
+    python -m benchmarks.fuzz --only 17 --inputs 200      # one of them again, with its traceback
 
 Each input is a stretch of the demo clip, damaged in one or two of the ways of `corruptions.py`: its frames, its file or
 its camera file. The whole of `reconstruct` runs on it at 160 px. Counted: reconstructed, refused with a sentence, fault
@@ -25,11 +25,11 @@ from typing import Any
 import av
 import numpy as np
 
-from corruptions import OF_FRAMES, Frames, damage_file, left_alone, wrong_camera
+from benchmarks.corruptions import OF_FRAMES, Frames, damage_file, left_alone, wrong_camera
+from benchmarks.record import write
+from haustra.core.errors import HaustraError
 from pipeline.config import Config, FrameSettings
-from pipeline.errors import HaustraError
 from pipeline.run import reconstruct
-from record import write
 
 DEMO = Path(__file__).parents[1] / "pipeline" / "demo"
 STRETCH = 40  # frames of an input

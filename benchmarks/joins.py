@@ -1,6 +1,6 @@
 """Submaps of one film with frames missing in the middle: are they joined, and rightly? And are other films' never?
 
-    python benchmarks/joins.py SUITE/* ../shared/data/ctcolon --gaps 10 20 40 --json joins.json
+    python -m benchmarks.joins SUITE/* ../shared/data/ctcolon --gaps 10 20 40 --json joins.json
 
 Of each RGB-D folder the middle frames are left out, as a red-out would; either part is tracked for itself and adjusted
 to its features, as `odometry` does, and the maps are joined where the evidence allows. Way: the length that the camera
@@ -20,19 +20,21 @@ from typing import Any
 import cv2
 import numpy as np
 
-from front_ends import store, tracked_maps
+from benchmarks.front_ends import store, tracked_maps
+from benchmarks.record import write
+from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.frames import Frames
-from pipeline.odometry.front_end import adjust_maps, frame_reader, join_maps
-from pipeline.odometry.keyframe_features import KeyframeFeatures, ReadFrame
-from pipeline.odometry.links import Shown, find_links, joint_similarity, sure_links
-from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.outcome import to_submap
-from pipeline.odometry.places import FindFeatures, find_places
-from pipeline.odometry.similarity import scale_of
-from pipeline.progress import SilentProgress
-from reconstruction.trajectory import align_poses, read_tum, trajectory_errors
-from record import write
+from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.frontend.odometry.front_end import adjust_maps, join_maps
+from pipeline.input.frames import Frames
+from pipeline.mapping.global_adjustment import to_submap
+from pipeline.mapping.lift_features import find_places
+from pipeline.mapping.local_map import LocalMap
+from pipeline.mapping.submap_matching import Shown, find_links, joint_similarity, sure_links
+from pipeline.matching.keyframe_features import FindFeatures
+from pipeline.matching.sift_cache import KeyframeFeatures, ReadFrame
+from pipeline.matching.sim3_ransac import scale_of
+from reconstruction.evaluation.trajectory_metrics import align_poses, read_tum, trajectory_errors
 
 Held = tuple[LocalMap, float | None]  # and how wide the features that moved it were; None where they do not hold it
 

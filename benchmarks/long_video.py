@@ -1,7 +1,7 @@
 """A long video through odometry: peak memory against the number of frames, submaps, and drift per length of path.
 
     haustra phantom FILM --config benchmarks/long_video.yaml --size 160     # 10,000 frames of a 1.5 m colon
-    python benchmarks/long_video.py FILM --frames 1000 10000 --json long_video.json
+    python -m benchmarks.long_video FILM --frames 1000 10000 --json long_video.json
 
 Each number of frames runs in a process of its own (decoding and judging the frames, tracking, mapping, joining,
 evidence; no depth), whose peak resident memory is printed: Python and its libraries included, COLMAP not, as it does
@@ -23,13 +23,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from front_ends import errors_of, store
+from benchmarks.front_ends import errors_of, store
+from benchmarks.record import write
+from haustra.core.progress import SilentProgress
 from pipeline.config import Config, FrameSettings
-from pipeline.progress import SilentProgress
-from pipeline.structure import solve_structure
-from pipeline.submap import Submap
-from reconstruction.trajectory import align_poses, read_tum
-from record import write
+from pipeline.frontend.select import solve_structure
+from pipeline.mapping.submap import Submap
+from reconstruction.evaluation.trajectory_metrics import align_poses, read_tum
 
 FITTED = 0.25  # of a stretch
 MIN_FITTED = 5  # frames

@@ -1,6 +1,6 @@
 """Both front ends and COLMAP's two mappers alone, on sequences with true poses, one run for each seed.
 
-    python benchmarks/mapper_seeds.py SUITE/* ../shared/data/ctcolon --seeds 10 --json mapper_seeds.json
+    python -m benchmarks.mapper_seeds SUITE/* ../shared/data/ctcolon --seeds 10 --json mapper_seeds.json
 
 Seed by seed over all sequences; every run is written down, with its commit, as it ends, and a call with the same file
 goes on where the one before it stopped. Features and matches of COLMAP are made once for each sequence, with seed 0,
@@ -23,15 +23,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from front_ends import errors_of, processor_seconds, run, store
+from benchmarks.front_ends import errors_of, processor_seconds, run, store
+from benchmarks.record import environment, spread, write
+from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
-from pipeline.frames import Frames
-from pipeline.isolation import run_isolated
-from pipeline.progress import SilentProgress
-from pipeline.structure import WORKER, Judged, believed, best_mapper, colmap_job, is_doubtful, map_by_colmap
-from pipeline.workspace import Workspace
-from reconstruction.trajectory import read_tum
-from record import environment, spread, write
+from pipeline.frontend.select import WORKER, Judged, believed, best_mapper, colmap_job, is_doubtful, map_by_colmap
+from pipeline.input.frames import Frames
+from pipeline.run_folder.subprocesses import run_isolated
+from pipeline.run_folder.workspace import Workspace
+from reconstruction.evaluation.trajectory_metrics import read_tum
 
 METHODS = ("odometry", "odometry-fast", "sfm", "global", "incremental")
 COLMAP = ("global", "incremental")

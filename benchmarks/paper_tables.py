@@ -1,16 +1,16 @@
 """The paper's Tables I and II on the phantom's scenes: every network trained on the same frames in the same order.
 
     haustra phantom DATA/colon --training 4000 --scene colon --size 160 --seed 51   # small_intestine 52, ccd 53, csd 54
-    python benchmarks/paper_tables.py 2 DATA/colon DATA/small_intestine --out RUNS --steps 3000 --seeds 2
-    python benchmarks/paper_tables.py 1 DATA/* --joint --out RUNS --steps 3000
+    python -m benchmarks.paper_tables 2 DATA/colon DATA/small_intestine --out RUNS --steps 3000 --seeds 2
+    python -m benchmarks.paper_tables 1 DATA/* --joint --out RUNS --steps 3000
 
 Paper's preset: Adam 1e-3, L1, batch 10, 100 uniform points; for the last 30 % of the steps a tenth of the rate,
 as "a decaying factor of 10" is read here: a short run that ends at the full rate is judged at a random moment.
-Each network of `--size small` (what that cuts is in completion/models.py) or `paper`. Each scene is trained for itself,
+Each network of `--size small` (what that cuts is in networks/registry.py) or `paper`. Each scene is trained for itself,
 as in the paper, or with `--joint` one network for all of them. Judged on meshes that were never trained on, 100 uniform
 points, each frame on its own, then the mean over frames (the paper's lineage); then mean and spread over seeds. Linear
 interpolation, which needs no training, is the floor. "residual": the U-Net corrects MSC's depth, which is not in the
-paper (completion/network.py). A stopped run goes on where it was, unless the frames are others than then.
+paper (completion/networks/mscsa.py). A stopped run goes on where it was, unless the frames are others than then.
 """
 
 import argparse
@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from completion.dataset import Shard
-from completion.evaluate import Protocol, evaluate_frames, markdown_table, mean_errors
-from completion.frames import EvaluationFrame
-from completion.predictors import Predictor, load_predictor
-from completion.tally import Tally
-from completion.train import train
-from completion.train_config import TrainConfig, make_config
-from record import environment
+from benchmarks.record import environment
+from completion.data.evaluation_frame import EvaluationFrame
+from completion.data.shards import Shard
+from completion.evaluation.accumulator import Tally
+from completion.evaluation.evaluate import Protocol, evaluate_frames, markdown_table, mean_errors
+from completion.evaluation.predictors import Predictor, load_predictor
+from completion.training.config import TrainConfig, make_config
+from completion.training.train import train
 
 ROWS = {
     1: {

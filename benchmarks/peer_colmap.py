@@ -1,6 +1,6 @@
 """What people glue together today: COLMAP, linear interpolation, Open3D's own TSDF. The peer of `throughput.py`.
 
-    python benchmarks/peer_colmap.py RGBD_FOLDER OUT
+    python -m benchmarks.peer_colmap RGBD_FOLDER OUT
 
 COLMAP's incremental mapper with the features and the matching overlap that `reconstruct` uses (so that the peer is not
 slowed by worse settings), every posed frame's own points interpolated (Delaunay), all posed frames fused.
@@ -9,15 +9,15 @@ slowed by worse settings), every posed frame's own points interpolated (Delaunay
 import sys
 from pathlib import Path
 
-import cv2  # before pycolmap: see pipeline/colmap_worker.py
+import cv2  # before pycolmap: see pipeline/frontend/colmap/worker.py
 import numpy as np
 import pycolmap
 from scipy.interpolate import LinearNDInterpolator
 
-from colmap_features import extract_and_match
-from pipeline.camera import read_camera
-from reconstruction.fusion import choose_voxel_size
-from reconstruction.open3d_import import import_open3d
+from benchmarks.colmap_features import extract_and_match
+from haustra.core.camera import read_camera
+from reconstruction.fusion.tsdf import choose_voxel_size
+from reconstruction.mesh.open3d_import import import_open3d
 
 
 def map_frames(folder: Path, out: Path) -> pycolmap.Reconstruction:

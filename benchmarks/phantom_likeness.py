@@ -1,6 +1,6 @@
 """How like the phantom is to pictures that nobody here made: a sheet to look at, and statistics of both.
 
-    python benchmarks/phantom_likeness.py ../shared/data --sheet likeness.png --json likeness.json
+    python -m benchmarks.phantom_likeness ../shared/data --sheet likeness.png --json likeness.json
 
 Every source is cut to its centre square and brought to 320 px. The phantom's looks were tuned by eye beside these
 very pictures, so the distances say how far tuning has come, not how well it would carry over. Nothing is trained here.
@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 from scipy.stats import spearmanr, wasserstein_distance
 
-from phantom.config import PhantomConfig
-from phantom.render import Phantom
-from phantom.scenes import SCENES, scene_config
-from phantom.script import write_script
-from record import spread, write
+from benchmarks.record import spread, write
+from haustra.phantom.config import PhantomConfig
+from haustra.phantom.dataset.scenes import SCENES, scene_config
+from haustra.phantom.dataset.script import write_script
+from haustra.phantom.imaging.render import Phantom
 
 SIZE = 320  # px
 GAMMA = 2.2

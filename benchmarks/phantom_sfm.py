@@ -1,7 +1,7 @@
 """How plain COLMAP fares on the phantom's evaluation sequences, beside a sequence that the phantom did not make.
 
     haustra phantom SUITE --suite
-    python benchmarks/phantom_sfm.py SUITE/* ../shared/data/ctcolon --json phantom_sfm.json
+    python -m benchmarks.phantom_sfm SUITE/* ../shared/data/ctcolon --json phantom_sfm.json
 
 A phantom that is much easier or much harder than real video would make every later benchmark on it worthless. Both of
 COLMAP's mappers get the same SIFT features (peak threshold 0.002, at most 2048) and the same verified matches of each
@@ -16,13 +16,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import cv2  # before pycolmap: see pipeline/colmap_worker.py
+import cv2  # before pycolmap: see pipeline/frontend/colmap/worker.py
 import numpy as np
 import pycolmap
 
-from colmap_features import extract_and_match
-from reconstruction.trajectory import read_tum, trajectory_errors
-from record import write
+from benchmarks.colmap_features import extract_and_match
+from benchmarks.record import write
+from reconstruction.evaluation.trajectory_metrics import read_tum, trajectory_errors
 
 DARKEST = 12  # of 255: pixels that never get brighter lie outside the border mask
 

@@ -1,6 +1,6 @@
 """How fast the phantom films, with everything on, beside the bare ray casting that it cannot do without.
 
-    python benchmarks/phantom_speed.py --runs 3 --json phantom_speed.json
+    python -m benchmarks.phantom_speed --runs 3 --json phantom_speed.json
 
 Whole frames as `haustra phantom` writes them: geometry, two lights with shadows, light between walls, texture, stool,
 fluid, defocus, motion blur, sharpening, noise, text, mask, 4:2:0, JPEG, PNG of picture and depth, H.264; then the same
@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from phantom.config import PhantomConfig
-from phantom.generate import film_into
-from phantom.raycaster import RayCaster
-from phantom.render import Phantom
-from phantom.scenes import film_of
-from phantom.script import Script, write_script
-from phantom.suite import config_from
-from record import spread, write
+from benchmarks.record import spread, write
+from haustra.phantom.config import PhantomConfig
+from haustra.phantom.dataset.generate import film_into
+from haustra.phantom.dataset.scenes import film_of
+from haustra.phantom.dataset.script import Script, write_script
+from haustra.phantom.dataset.suite import config_from
+from haustra.phantom.imaging.render import Phantom
+from haustra.phantom.raycaster import RayCaster
 
 EVERYTHING = {
     "scene": "colon",

@@ -1,6 +1,6 @@
 """What the errors of SfM-like points cost the shipped model: abs.REL as they are, and with parts of them taken out.
 
-    python benchmarks/point_errors.py ../shared/data/ctcolon ../shared/data/simcol3d --points 500 --json errors.json
+    python -m benchmarks.point_errors ../shared/data/ctcolon ../shared/data/simcol3d --points 500 --json errors.json
 
 Points and figure of `depth_completion.py`'s sfm rows (`--stride 4 --draws 1`), in percent, means over frames. An
 outlier is a point further from the truth than four times the sampler's noise. "told" keeps every error but says how
@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.depth_completion import absolute_relative, judged_frames
+from benchmarks.record import say, write
 from completion import DepthCompleter
 from completion.confidence import error_from_confidence
-from completion.sparsify import NOISE, like_sfm
-from depth_completion import absolute_relative, judged_frames
-from record import say, write
+from completion.data.sampling_benchmark import NOISE, like_sfm
 
 OUTLIER_ERROR = 0.5  # relative error told of an outlier
 Case = tuple[NDArray[np.float32], NDArray[np.float32] | None]  # sparse depth in the truth's unit, error that is told

@@ -1,8 +1,8 @@
 """What closing loops is worth: drift, path and surface before and after, and whether any loop is false.
 
     haustra phantom LOOPS --suite --config benchmarks/loops.yaml
-    python benchmarks/pose_graph.py LOOPS/* SUITE/* ../shared/data/ctcolon --surface --json pose_graph.json
-    python benchmarks/pose_graph.py LOOPS/long_c SUITE/easy_withdrawal --kidnapped --json kidnapped.json
+    python -m benchmarks.pose_graph LOOPS/* SUITE/* ../shared/data/ctcolon --surface --json pose_graph.json
+    python -m benchmarks.pose_graph LOOPS/long_c SUITE/easy_withdrawal --kidnapped --json kidnapped.json
 
 Each folder's frames go through `odometry` and completion with the folder's own camera; then the largest submap's loops
 are closed: `graph` is what the pose graph alone makes of it, `after` is adjusted to the images. End to start: each of
@@ -24,26 +24,26 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.record import write
+from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
 from pipeline.config import Config, FrameSettings
-from pipeline.consistency import ConsistencyCheck
-from pipeline.dense import DenseSubmap, complete_depth
-from pipeline.errors import HaustraError
-from pipeline.frames import Frames, read_frames
-from pipeline.keyframe_graph import close_loops, join
-from pipeline.loop_bundle import adjust_loops
-from pipeline.loops import Link, Place, find_links, find_places, join_candidates, loop_candidates
-from pipeline.progress import SilentProgress
-from pipeline.structure import solve_structure
-from pipeline.surface import fusion_settings
-from pipeline.video import Source
-from pipeline.workspace import create_workspace
-from reconstruction.fusion import SurfaceFusion
-from reconstruction.mesh import drop_small_components
-from reconstruction.observed_truth import ObservedTruth, observed_truth
+from pipeline.depth.completion_stage import DenseSubmap, complete_depth
+from pipeline.frontend.select import solve_structure
+from pipeline.input.frames import Frames, read_frames
+from pipeline.input.video import Source
+from pipeline.loop_closing.detection import Link, Place, find_links, find_places, join_candidates, loop_candidates
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, join
+from pipeline.loop_closing.loop_adjustment import adjust_loops
+from pipeline.run_folder.workspace import create_workspace
+from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.fusion_stage import fusion_settings
+from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.surface_metrics import surface_errors
+from reconstruction.evaluation.trajectory_metrics import align_poses, read_tum, trajectory_errors
+from reconstruction.fusion.tsdf import SurfaceFusion
+from reconstruction.mesh.surface_mesh import drop_small_components
 from reconstruction.pose_graph import scale_of
-from reconstruction.surface_metrics import surface_errors
-from reconstruction.trajectory import align_poses, read_tum, trajectory_errors
-from record import write
 
 ENDS = 0.15  # of the frames
 RETURNS_MM = 15.0  # between first and last camera of a film that comes back

@@ -1,7 +1,7 @@
 """35 in-vivo sinus frames against the poses that their authors published.
 
-    python benchmarks/real_endoscopy.py ../shared/data/sinus --json sinus.json
-    python benchmarks/real_endoscopy.py ../shared/data/sinus --front-end odometry
+    python -m benchmarks.real_endoscopy ../shared/data/sinus --json sinus.json
+    python -m benchmarks.real_endoscopy ../shared/data/sinus --front-end odometry
 
 The authors' poses are themselves SfM (`motion.yaml`, no unit), so the figure is an agreement, not an error: distances
 of camera centres after Sim(3), as a share of the authors' path length and of its extent; angles of orientations after
@@ -17,11 +17,11 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from inputs import encode_video
+from benchmarks.inputs import encode_video
+from benchmarks.record import write
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from reconstruction.trajectory import read_tum, simcol3d_errors, trajectory_errors
-from record import write
+from reconstruction.evaluation.trajectory_metrics import read_tum, simcol3d_errors, trajectory_errors
 
 FPS = 30
 

@@ -1,6 +1,6 @@
 """Dense registration of keyframes, and why the pose graph has no such factors: measured against truth.
 
-    python benchmarks/registration.py RUN RGBD_FOLDER --json registration.json
+    python -m benchmarks.registration RUN RGBD_FOLDER --json registration.json
 
 RUN must be a finished run of the folder's frames by a pinhole camera. Keyframes 1, 2, 5 and 10 apart are laid on each
 other from the run's own relative pose, with the run's completed depth and, to show that the method works, with true
@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline.dense import DenseSubmap, planned_keyframes
-from pipeline.frames import load_frames
-from pipeline.structure import load_structure
-from pipeline.workspace import open_workspace
-from reconstruction.consistency import DepthView
-from reconstruction.trajectory import read_tum, trajectory_errors
-from record import write
+from benchmarks.record import write
+from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import load_frames
+from pipeline.run_folder.workspace import open_workspace
+from reconstruction.evaluation.trajectory_metrics import read_tum, trajectory_errors
+from reconstruction.fusion.depth_consistency import DepthView
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """How far off the sparse points of finished runs are, and how far off they say they are, in each kind of point.
 
-    python benchmarks/sparse_points.py RUNS/ctcolon=DATA/ctcolon RUNS/flexure=SUITE/flexure --json points.json
+    python -m benchmarks.sparse_points RUNS/ctcolon=DATA/ctcolon RUNS/flexure=SUITE/flexure --json points.json
 
 RUN must be a finished run of the RGB-D folder's frames. A point's depth in each keyframe that saw it is compared with
 the true depth at its pixel, after the one scale of the path. `found`: features that each keyframe found for itself;
@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fusion_depths import KeyframeView, true_depth
-from fusion_input import pair
-from fusion_parts import MeasuredRun
 from numpy.typing import NDArray
 
-from pipeline.sparse_depth import SparseDepthMaker
-from record import write
+from benchmarks.fusion_depths import KeyframeView, true_depth
+from benchmarks.fusion_input import pair
+from benchmarks.fusion_parts import MeasuredRun
+from benchmarks.record import write
+from pipeline.depth.sparse_depth import SparseDepthMaker
 
 NORMAL_MEDIAN = 0.6745  # of |N(0,1)|
 GROSS = 0.1  # relative

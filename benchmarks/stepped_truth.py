@@ -1,9 +1,9 @@
 """What true depth that is stored in coarse steps does to a judgement of depth and of predicted errors.
 
-    python benchmarks/stepped_truth.py ../shared/data/ctcolon ../shared/data/simcol3d
+    python -m benchmarks.stepped_truth ../shared/data/ctcolon ../shared/data/simcol3d
 
 The first folder's fine depth is rounded to the steps in which the second's is stored, as shares of their median depths,
-then brought back by `completion/stepped_depth.py`: what that is worth. The second's is judged as it is stored and
+then brought back by `data/quantized_depth.py`: what that is worth. The second's is judged as it is stored and
 brought back likewise. Points are drawn of what is then called true, or of the depth as stored though it is judged
 without its steps; the same pixels each time. SimCol3D stores 200 mm in 255 steps.
 """
@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from completion.evaluate import Protocol, evaluate_frames, mean_errors
-from completion.frames import Depth, EvaluationFrame
-from completion.metrics import depth_errors
-from completion.predictors import Predictor, load_predictor
-from completion.readers import read_evaluation_frames
-from completion.stepped_depth import without_steps
-from completion.tally import Tally
-from depth_completion import judged_frames
-from record import say, write
+from benchmarks.depth_completion import judged_frames
+from benchmarks.record import say, write
+from completion.data.evaluation_frame import Depth, EvaluationFrame
+from completion.data.quantized_depth import without_steps
+from completion.data.readers import read_evaluation_frames
+from completion.evaluation.accumulator import Tally
+from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
+from completion.evaluation.metrics import depth_errors
+from completion.evaluation.predictors import Predictor, load_predictor
 
 SIMCOL3D_STEP = 200 / 255  # mm
 POINTS = (("uniform", 100), ("uniform", 500), ("sfm", 100), ("sfm", 500))

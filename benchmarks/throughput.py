@@ -1,6 +1,6 @@
 """Speed and peak memory of the whole `reconstruct` beside COLMAP + interpolation + TSDF, run in turn.
 
-    python benchmarks/throughput.py ../shared/data/ctcolon --runs 3 --json throughput.json
+    python -m benchmarks.throughput ../shared/data/ctcolon --runs 3 --json throughput.json
 
 Both start from the same RGB-D folder and read its images only. Wall time is of the whole process, start-up and report
 included; memory is the largest resident sum of the process and its children, sampled twenty times a second.
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from record import spread, write
+from benchmarks.record import spread, write
 
 PEER = Path(__file__).with_name("peer_colmap.py")
 

@@ -1,6 +1,6 @@
 """Bundle adjustment of odometry's windows: ours beside Ceres (by pycolmap) and GTSAM, on the same windows.
 
-    python benchmarks/window_adjustment.py SUITE/loop SUITE/low_texture --json windows.json
+    python -m benchmarks.window_adjustment SUITE/loop SUITE/low_texture --json windows.json
 
 The windows are those that tracking a film meets, every `--every`-th of those that two cameras or more hold, as they are
 before they are adjusted. Films must have a pinhole's lens, since residuals are then the same pixels for all three; that
@@ -23,22 +23,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2  # before pycolmap: see pipeline/colmap_worker.py
+import cv2  # before pycolmap: see pipeline/frontend/colmap/worker.py
 import gtsam
 import numpy as np
 import pycolmap
 from gtsam.symbol_shorthand import L, X
 from threadpoolctl import threadpool_limits
 
-from front_ends import store, tracked_maps
-from pipeline.camera import Camera
+from benchmarks.front_ends import store, tracked_maps
+from benchmarks.record import spread, write
+from haustra.core.camera import Camera
 from pipeline.config import Config
-from pipeline.odometry import local_map
-from pipeline.odometry.bundle import Bundle, adjust
-from pipeline.odometry.front_end import frame_reader
-from pipeline.odometry.kernels import robust_cost
-from pipeline.odometry.local_map import LOSS_PX, WINDOW_ITERATIONS
-from record import spread, write
+from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.mapping import local_map
+from pipeline.mapping.local_map import LOSS_PX, WINDOW_ITERATIONS
+from pipeline.optimization.bundle_adjustment import Bundle, adjust
+from pipeline.optimization.kernels import robust_cost
 
 CONVERGED, MOST = 1e-3, 20
 HELD_SIGMA = 1e-6

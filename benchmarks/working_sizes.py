@@ -1,9 +1,9 @@
 """abs.REL of a completion model by the size it works at and how often it looks, on rendered frames kept for choosing.
 
     haustra phantom E --training 160 --size 480 --seed 750000
-    python benchmarks/working_sizes.py E --size 320 --size 448 --looks 1 --looks 2 --json sizes.json
-    python benchmarks/working_sizes.py E --picture 320 --size 320 --size 448   # frames reduced to 320 px first
-    python benchmarks/working_sizes.py E --precision bf16 --precision int8
+    python -m benchmarks.working_sizes E --size 320 --size 448 --looks 1 --looks 2 --json sizes.json
+    python -m benchmarks.working_sizes E --picture 320 --size 320 --size 448   # frames reduced to 320 px first
+    python -m benchmarks.working_sizes E --precision bf16 --precision int8
 
 Every `--stride`-th frame, points of `haustra evaluate`'s samplers, seeded by the frame, the same for every row; a size
 of 0 is the one that `DepthCompleter` chooses. Means over the frames, in percent, and the standard error of the paired
@@ -18,12 +18,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.record import say, write
 from completion import DepthCompleter
-from completion.dataset import Shard
-from completion.infer import load_scale_free
-from completion.metrics import depth_errors
-from completion.sparsify import get_sampler
-from record import say, write
+from completion.data.sampling_benchmark import get_sampler
+from completion.data.shards import Shard
+from completion.evaluation.metrics import depth_errors
+from completion.inference.completer import load_scale_free
 
 POINTS = (("sfm", 30), ("uniform", 100), ("sfm", 100), ("sfm", 500), ("sfm", 1500), ("features", 1000))
 MAX_DEPTH, FEWEST = 250.0, 15  # mm; points under which a frame is left out

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from completion.infer import DepthCompleter as DepthCompleter
+    from completion.inference.completer import DepthCompleter as DepthCompleter
 
 __all__ = ["DepthCompleter"]
 
@@ -11,7 +11,7 @@ __all__ = ["DepthCompleter"]
 def __getattr__(name: str) -> Any:
     """`DepthCompleter` on first use: importing torch takes seconds, `--help` should not."""
     if name == "DepthCompleter":
-        from completion.infer import DepthCompleter
+        from completion.inference.completer import DepthCompleter
 
         return DepthCompleter
     raise AttributeError(f"module 'completion' has no attribute '{name}'")

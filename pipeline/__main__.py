@@ -1,5 +1,5 @@
 """`python -m pipeline` is `reconstruct`."""
 
-from pipeline.cli import reconstruct_main
+from pipeline.cli.main import reconstruct_main
 
 reconstruct_main()

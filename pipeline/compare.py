@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.coverage import measure_submap
-from pipeline.dense import planned_keyframes
-from pipeline.errors import HaustraError
-from pipeline.frames import load_frames
-from pipeline.refinement import refined_keyframes
-from pipeline.structure import load_structure
-from pipeline.surface import load_surfaces
-from pipeline.workspace import Workspace, damage_named, open_workspace
-from reconstruction.centreline import NotATube
-from reconstruction.coverage_truth import CoverageErrors, coverage_errors, read_true_wall
-from reconstruction.export import read_mesh
-from reconstruction.observed_truth import ObservedTruth, observed_truth
-from reconstruction.surface_metrics import SurfaceErrors, surface_errors
-from reconstruction.trajectory import (
+from haustra.core.errors import HaustraError
+from pipeline.depth.completion_stage import planned_keyframes
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import load_frames
+from pipeline.loop_closing.close_loops import refined_keyframes
+from pipeline.run_folder.workspace import Workspace, damage_named, open_workspace
+from pipeline.surface.coverage_stage import measure_submap
+from pipeline.surface.fusion_stage import load_surfaces
+from reconstruction.coverage.centreline import NotATube
+from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
+from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.surface_metrics import SurfaceErrors, surface_errors
+from reconstruction.evaluation.trajectory_metrics import (
     SimCol3DErrors,
     TrajectoryErrors,
     align_poses,
@@ -30,6 +29,7 @@ from reconstruction.trajectory import (
     simcol3d_errors,
     trajectory_errors,
 )
+from reconstruction.mesh.mesh_io import read_mesh
 
 
 @dataclass(frozen=True)

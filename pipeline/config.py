@@ -10,7 +10,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
-from pipeline.errors import HaustraError
+from haustra.core.errors import HaustraError
 
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/front_end.md
 

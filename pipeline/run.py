@@ -2,21 +2,21 @@
 
 from pathlib import Path
 
-from completion.infer import choose_device
-from completion.shipped import check_weights
-from pipeline.calibration import check_choice
+from completion.inference.completer import choose_device
+from completion.weights.shipped import check_weights
+from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
-from pipeline.coverage import judge_coverage
-from pipeline.dense import complete_depth
-from pipeline.frames import read_frames
-from pipeline.progress import Progress, SilentProgress
-from pipeline.refinement import refine_poses
-from pipeline.report import RunResult, write_report
-from pipeline.scale import check_scale_file
-from pipeline.structure import solve_structure
-from pipeline.surface import fuse_depth
-from pipeline.video import Source
-from pipeline.workspace import create_workspace, resume_workspace
+from pipeline.depth.completion_stage import complete_depth
+from pipeline.frontend.select import solve_structure
+from pipeline.input.calibration import check_choice
+from pipeline.input.frames import read_frames
+from pipeline.input.video import Source
+from pipeline.loop_closing.close_loops import refine_poses
+from pipeline.report.report import RunResult, write_report
+from pipeline.run_folder.workspace import create_workspace, resume_workspace
+from pipeline.surface.coverage_stage import judge_coverage
+from pipeline.surface.fusion_stage import fuse_depth
+from pipeline.surface.scale import check_scale_file
 
 
 def reconstruct(

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.errors import ReconstructionError
+from haustra.core.errors import ReconstructionError
 
 Array = NDArray[np.float64]
 

@@ -15,15 +15,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from pipeline.dense import planned_keyframes
-from pipeline.frames import load_frames
-from pipeline.refinement import refined_keyframes
-from pipeline.sparse_depth import SparseDepthMaker
-from pipeline.structure import load_structure
-from pipeline.surface import load_surfaces
-from pipeline.workspace import Workspace, open_workspace
-from reconstruction.pictures import render_mesh
-from reconstruction.trajectory import read_tum
+from pipeline.depth.completion_stage import planned_keyframes
+from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import load_frames
+from pipeline.loop_closing.close_loops import refined_keyframes
+from pipeline.run_folder.workspace import Workspace, open_workspace
+from pipeline.surface.fusion_stage import load_surfaces
+from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.mesh.rendering import render_mesh
 
 CLAY = (214, 178, 160)
 BACK = 0.85  # of the median distance to the surface: how far behind the first camera the first view stands

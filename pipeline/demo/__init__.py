@@ -6,8 +6,8 @@ Made by `python -m phantom.demo`; `camera.json`, `trajectory.txt` and `mesh.ply`
 from importlib import resources
 from pathlib import Path
 
+from haustra.core.progress import Progress
 from pipeline.config import Config
-from pipeline.progress import Progress
 
 FOLDER = Path(str(resources.files("pipeline.demo")))
 CAMERA = FOLDER / "camera.json"

@@ -1,0 +1,117 @@
+"""Training frames from memory-mapped shards.
+
+A shard folder holds `images.npy` (N,H,W,3) uint8 RGB, `depths.npy` (N,H,W) float16 mm and `colon.npy` (N) int, the
+mesh that each frame shows. Validation takes whole meshes, never single frames of a mesh that is trained on.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from haustra.core.errors import CompletionError
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Memory-mapped frames of one size; indices are into `images`."""
+
+    images: NDArray[np.uint8]
+    depths: NDArray[np.float16]
+    colon: NDArray[np.int32]
+    lenses: NDArray[np.float32] | None = None  # (N,4) fx fy cx cy px, where the folder has them
+
+    @classmethod
+    def open(cls, folder: Path) -> "Shard":
+        try:
+            arrays = [np.load(folder / f"{n}.npy", mmap_mode="r") for n in ("images", "depths", "colon")]
+            path = folder / "intrinsics.npy"
+            lenses = np.load(path, mmap_mode="r") if path.exists() else None
+        except (OSError, ValueError) as error:
+            raise CompletionError(f"{folder} is not a folder of training shards: {error}") from error
+        if len({len(array) for array in (*arrays, lenses) if array is not None}) != 1:
+            raise CompletionError(f"the arrays in {folder} differ in length")
+        return cls(arrays[0], arrays[1], arrays[2], lenses)
+
+    def split(self, validation_share: float = 0.05) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(training, validation) frame indices; the last meshes by number are for validation."""
+        meshes = np.unique(self.colon)
+        held_out = meshes[len(meshes) - max(1, round(validation_share * len(meshes))) :]
+        validation = np.isin(self.colon, held_out)
+        return np.flatnonzero(~validation), np.flatnonzero(validation)
+
+    def batch(self, index: NDArray[np.int64]) -> "Batch":
+        """Frames of sorted indices."""
+        order = np.sort(index)
+        rgb = torch.from_numpy(self.images[order]).permute(0, 3, 1, 2).float() / 255
+        depth = torch.from_numpy(self.depths[order].astype(np.float32))[:, None]
+        return Batch(rgb, depth, None if self.lenses is None else torch.from_numpy(self.lenses[order]))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """rgb (B,3,H,W) float in [0,1]; depth (B,1,H,W) float32 mm, 0 = none; lens (B,4) fx fy cx cy px or None."""
+
+    rgb: Tensor
+    depth: Tensor
+    lens: Tensor | None
+
+    def to(self, device: torch.device) -> "Batch":
+        """On a device, channels last."""
+        lens = None if self.lens is None else self.lens.to(device)
+        rgb = self.rgb.to(device).contiguous(memory_format=torch.channels_last)
+        return Batch(rgb, self.depth.to(device).contiguous(), lens)
+
+
+def augment(batch: Batch, generator: torch.Generator) -> Batch:
+    """Flips, transpositions and enlarged parts of image, depth and lens; colours and noise of the image only."""
+    rgb, depth, lens = batch.rgb, batch.depth, batch.lens
+    height, width = rgb.shape[2:]
+    flip = torch.rand(3, generator=generator) < 0.5
+    for dim, centre, side in ((2, 3, height), (3, 2, width)):
+        if flip[dim - 2]:
+            rgb, depth = rgb.flip(dim), depth.flip(dim)
+            if lens is not None:
+                lens = lens.clone()
+                lens[:, centre] = side - lens[:, centre]
+    if flip[2] and height == width:
+        rgb, depth = rgb.transpose(2, 3), depth.transpose(2, 3)
+        lens = None if lens is None else lens[:, [1, 0, 3, 2]]
+    rgb, depth, lens = _zoomed(rgb, depth, lens, generator)
+    return Batch(_recolour(rgb, generator), depth.contiguous(), lens)
+
+
+def _zoomed(
+    rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """In half of the batches a part of the picture, up to 1.6 times enlarged: structures of other sizes in pixels."""
+    chance, amount, down, right = torch.rand(4, generator=generator).tolist()
+    if chance < 0.5:
+        return rgb, depth, lens
+    height, width = rgb.shape[2:]
+    zoom = 1 + 0.6 * amount
+    rows, columns = round(height / zoom), round(width / zoom)
+    top, left = round(down * (height - rows)), round(right * (width - columns))
+    part = (..., slice(top, top + rows), slice(left, left + columns))
+    rgb = F.interpolate(rgb[part], size=(height, width), mode="bilinear", align_corners=False)
+    depth = F.interpolate(depth[part], size=(height, width), mode="nearest-exact")
+    if lens is not None:
+        lens = (lens - lens.new_tensor([0, 0, left, top])) * lens.new_tensor([width / columns, height / rows] * 2)
+    return rgb, depth, lens
+
+
+def _recolour(rgb: Tensor, generator: torch.Generator) -> Tensor:
+    batch = len(rgb)
+
+    def draw(low: float, high: float, channels: int = 1) -> Tensor:
+        return low + (high - low) * torch.rand(batch, channels, 1, 1, generator=generator)
+
+    rgb = rgb.clamp_min(1e-4) ** draw(0.7, 1.4) * draw(0.7, 1.35) * draw(0.85, 1.15, 3)
+    grey = rgb.mean(1, keepdim=True)
+    rgb = grey + (rgb - grey) * draw(0.3, 1.5) + draw(0, 0.05)
+    rgb = rgb + draw(0, 0.02) * torch.randn(rgb.shape, generator=generator)
+    return rgb.clamp(0, 1)

@@ -1,0 +1,74 @@
+"""What is kept of an evaluation while its frames pass by: figures of all of them, pictures of a few."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from completion.confidence import error_from_confidence
+from completion.evaluation.evaluate import Array, FrameResult, Score
+from completion.evaluation.metrics import SimCol3DDepthErrors, simcol3d_errors
+from completion.evaluation.uncertainty import DECILES, Calibration, PixelErrors, calibrate, pixel_errors
+
+PICTURES = 6
+
+
+class Tally:
+    """Scores of every frame, the calibration's pixels, and whole results of 6 to 12 frames spread evenly.
+
+    With `trajectory`, depth maps lie in a temporary file meanwhile: SimCol3D's figures need them a second time.
+    """
+
+    def __init__(self, trajectory: bool = False) -> None:
+        self.scores: list[Score] = []
+        self._pixels: list[PixelErrors] = []
+        self._sights: list[FrameResult] = []
+        self._every = 1
+        self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
+
+    def __enter__(self) -> Tally:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._maps:
+            self._maps.close()
+
+    def add(self, result: FrameResult) -> None:
+        """Take in the next frame."""
+        if len(self.scores) % self._every == 0:
+            self._sights.append(result)
+        if len(self._sights) == 2 * PICTURES:
+            self._sights, self._every = self._sights[::2], 2 * self._every
+        self.scores.append(Score(result.name, result.points, result.errors))
+        if result.confidence is not None:
+            error = error_from_confidence(result.confidence)
+            self._pixels.append(pixel_errors(result.prediction, result.truth, error))
+        if self._maps:
+            np.save(self._maps, result.prediction, allow_pickle=False)
+            np.save(self._maps, result.truth, allow_pickle=False)
+
+    def add_all(self, results: Iterable[FrameResult]) -> Tally:
+        for result in results:
+            self.add(result)
+        return self
+
+    def sights(self) -> list[FrameResult]:
+        """At most `PICTURES` frames from the first to the last."""
+        places = np.linspace(0, len(self._sights) - 1, min(PICTURES, len(self._sights))).round().astype(int)
+        return [self._sights[place] for place in places]
+
+    def calibration(self) -> Calibration | None:
+        """None for a model that does not predict its error, or for too few pixels."""
+        return calibrate(self._pixels) if sum(len(p.depth) for p in self._pixels) >= DECILES else None
+
+    def simcol3d(self) -> SimCol3DDepthErrors | None:
+        """SimCol3D's own figures, taking the frames for one trajectory; None without their maps."""
+        return simcol3d_errors(self._depth_pairs) if self._maps else None
+
+    def _depth_pairs(self) -> Iterator[tuple[Array, Array]]:
+        assert self._maps
+        self._maps.seek(0)
+        for _ in self.scores:
+            yield np.load(self._maps, allow_pickle=False), np.load(self._maps, allow_pickle=False)

@@ -1,0 +1,138 @@
+"""Per-frame errors of depth completion: a sampler, a model, a convention, and every number said with its protocol.
+
+Drawn per frame from (seed, frame's place), so that two models, or two runs, see the same points.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from completion.data.evaluation_frame import EvaluationFrame
+from completion.data.quantized_depth import without_steps
+from completion.data.sampling_benchmark import get_sampler
+from completion.evaluation.metrics import Alignment, Averaging, DepthErrors, average, depth_errors
+from completion.evaluation.predictors import Predictor
+from haustra.core.errors import CompletionError
+
+Array = NDArray[np.floating]
+COLUMNS = ("rmse", "abs_rel", "mae", "delta_1", "delta_2", "delta_3", "scale", "pixels", "missing")
+
+
+class Protocol(BaseModel):
+    """What a figure depends on besides the model and the frames."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    sampler: str = "uniform"
+    points: int = Field(100, ge=0)
+    alignment: Alignment = "none"
+    averaging: Averaging = "per_frame"
+    seed: int = Field(0, ge=0)
+    stride: int = Field(1, ge=1)
+    depth_step: float = Field(0.0, ge=0)
+    """In the truth's unit: it was stored in such steps, and is judged without them (0: as it is)."""
+
+    def __str__(self) -> str:
+        untouched = "no scale alignment"
+        if self.sampler == "sfm":  # its points have an unknown factor, noise and outliers; see `sparsify.like_sfm`
+            untouched = "their unknown scale given back by its true value"
+        scaled = {"none": untouched, "points": "scale from the sparse points"}
+        return (
+            f"{self.points} {self.sampler} points, {scaled.get(self.alignment, self.alignment + ' scale')}, "
+            f"{self.averaging.replace('_', '-')} mean, seed {self.seed}{self._truth}"
+        )
+
+    @property
+    def _truth(self) -> str:
+        return f", truth without its steps of {self.depth_step:g}" if self.depth_step else ""
+
+
+@dataclass(frozen=True)
+class Score:
+    """One frame's errors, and how many points it really had."""
+
+    name: str
+    points: int
+    errors: DepthErrors
+
+
+@dataclass(frozen=True)
+class FrameResult(Score):
+    """A score with what is needed to look at it."""
+
+    rgb: NDArray[np.uint8]
+    truth: Array
+    sparse: Array
+    prediction: Array  # aligned as the protocol says, in the truth's unit
+    confidence: Array | None
+
+
+def evaluate_frames(
+    frames: Iterable[EvaluationFrame],
+    predict: Predictor,
+    protocol: Protocol,
+    advance: Callable[[int], None] | None = None,
+) -> Iterable[FrameResult]:
+    """Results one by one. Frames in which the sampler finds no point are said as an error, never skipped silently.
+
+    With SfM-like points the frame's unknown factor is divided out of the prediction before it is judged, unless the
+    protocol aligns the scale by other means.
+    """
+    sampler = get_sampler(protocol.sampler)
+    for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
+        if protocol.depth_step:
+            frame = replace(frame, depth=without_steps(frame.depth, protocol.depth_step))
+        rng = np.random.default_rng([protocol.seed, place])
+        sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
+        if not sparse.points:
+            raise CompletionError(f"frame {frame.name}: the sampler {protocol.sampler!r} finds no point with truth")
+        depth, confidence = predict(frame.rgb, sparse.depth, frame.intrinsics)
+        depth = depth / np.float32(sparse.factor)
+        known = sparse.depth / np.float32(sparse.factor)
+        errors = depth_errors(depth, frame.depth, protocol.alignment, known)
+        aligned = depth * np.float32(errors.scale)
+        yield FrameResult(frame.name, sparse.points, errors, frame.rgb, frame.depth, known, aligned, confidence)
+        if advance:
+            advance(judged)
+
+
+def mean_errors(results: Sequence[Score], protocol: Protocol) -> DepthErrors:
+    """The figure that a table shows."""
+    return average([result.errors for result in results], protocol.averaging)
+
+
+def write_csv(path: Path, results: Iterable[Score]) -> None:
+    """One line per frame."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "points", *COLUMNS])
+        for result in results:
+            row = result.errors.to_dict()
+            writer.writerow([result.name, result.points, *(f"{row[name]:.6g}" for name in COLUMNS)])
+
+
+def paper_row(errors: DepthErrors, unit: str) -> dict[str, str]:
+    """The paper's five columns as it prints them: abs.REL in percent (its table says cm; the values are percent)."""
+    return {
+        f"RMSE [{unit}]": f"{errors.rmse:.4f}",
+        "abs.REL [%]": f"{100 * errors.abs_rel:.4f}",
+        f"MAE [{unit}]": f"{errors.mae:.4f}",
+        "delta_1": f"{errors.delta_1:.4f}",
+        "delta_2": f"{errors.delta_2:.4f}",
+    }
+
+
+def markdown_table(rows: Sequence[tuple[str, dict[str, str]]], first: str = "method") -> str:
+    """Rows of equal columns as a Markdown table."""
+    columns = list(rows[0][1])
+    lines = [f"| {first} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    lines += [f"| {name} | {' | '.join(cells[column] for column in columns)} |" for name, cells in rows]
+    return "\n".join(lines)

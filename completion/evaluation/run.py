@@ -1,0 +1,230 @@
+"""`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import astuple, dataclass
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from completion.data.evaluation_frame import EvaluationFrame
+from completion.data.readers import read_evaluation_frames
+from completion.data.sampling_benchmark import SAMPLERS
+from completion.evaluation.accumulator import Tally
+from completion.evaluation.evaluate import (
+    FrameResult,
+    Protocol,
+    evaluate_frames,
+    markdown_table,
+    mean_errors,
+    paper_row,
+    write_csv,
+)
+from completion.evaluation.metrics import Alignment, Averaging
+from completion.evaluation.plots import attention_sheet, calibration_plot, comparison_sheet, contact_sheet, sweep_plot
+from completion.evaluation.predictors import Predictor, load_predictor
+from completion.evaluation.uncertainty import Calibration
+from haustra.core.errors import CompletionError
+from haustra.core.progress import Advance, Progress
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where to write; None writes nothing."""
+
+    csv: Path | None = None
+    json: Path | None = None
+    sheet: Path | None = None
+    sweep: Path | None = None
+    calibration: Path | None = None
+    compare: Path | None = None
+    attention: Path | None = None
+
+    def make_way(self) -> None:
+        """Folders for all of them; CompletionError for one that cannot be written, before any work is done for it."""
+        for path in filter(None, astuple(self)):
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise CompletionError(f"cannot write {path}: {error.strerror}") from None
+            if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+                raise CompletionError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not allowed'}")
+
+
+def protocol_of(
+    sampler: str, points: int, align: str, averaging: str, seed: int, stride: int, depth_step: float = 0.0
+) -> Protocol:
+    """Checked by name, so that a slip is one sentence."""
+    for name, value, known in (
+        ("sampler", sampler, tuple(SAMPLERS)),
+        ("alignment", align, get_args(Alignment)),
+        ("averaging", averaging, get_args(Averaging)),
+    ):
+        if value not in known:
+            raise CompletionError(f"no {name} {value!r}; known: {', '.join(known)}")
+    values: dict[str, Any] = {"alignment": align, "averaging": averaging, "depth_step": depth_step}
+    return Protocol(sampler=sampler, points=points, seed=seed, stride=stride, **values)
+
+
+def evaluate(
+    folders: Sequence[Path],
+    models: Sequence[str],
+    protocols: Sequence[Protocol],
+    outputs: Outputs,
+    kind: str | None,
+    progress: Progress,
+) -> str:
+    """Markdown tables, one per folder and protocol, a row per model; files as `outputs` says, with the names of those
+    that had to be told apart below the tables."""
+    for kind_of, names in (("model", [Path(m).name for m in models]), ("folder", [f.name for f in folders])):
+        if len(set(names)) < len(names):
+            raise CompletionError(f"two {kind_of}s have the same name, and the tables would not tell them apart")
+    outputs.make_way()
+    predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
+    several = len(folders) * len(protocols) > 1
+    tables: list[str] = []
+    renamed: list[Path] = []
+    records: list[dict[str, Any]] = []
+    for folder in folders:
+        for protocol in protocols:
+            rows, sights = [], {}
+            for model, predictor in predictors.items():
+                with Tally(trajectory=outputs.json is not None) as tally:
+                    unit = _run(folder, kind, predictor, protocol, tally, progress.bar(f"{folder.name} {model}", None))
+                    records.append(_record(folder.name, model, predictor.precision, protocol, tally, unit))
+                rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
+                sights[Path(model).name] = tally.sights()
+                renamed += _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
+            precisions = sorted({p.precision for p in predictors.values() if p.precision})
+            about = ", ".join([f"{len(tally.scores)} frames", str(protocol), *precisions])
+            tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
+            if outputs.compare:
+                label = f"{folder.name}_{protocol.sampler}{protocol.points}"
+                path = _named(outputs.compare, label, several)
+                comparison_sheet(path, sights, f"{folder.name}: {about}")
+                renamed += [path] * several
+    _write_summaries(outputs, records)
+    if renamed:
+        tables.append("written, one for each figure: " + ", ".join(map(str, renamed)))
+    return "\n\n".join(tables)
+
+
+def _run(
+    folder: Path,
+    kind: str | None,
+    predictor: Predictor,
+    protocol: Protocol,
+    tally: Tally,
+    bar: AbstractContextManager[Advance],
+) -> str:
+    """Judge every frame, one in memory at a time; returns the unit of the truth."""
+    unit = ""
+
+    def frames() -> Iterator[EvaluationFrame]:
+        nonlocal unit
+        for frame in read_evaluation_frames(folder, kind):
+            unit = frame.unit
+            yield frame
+
+    with bar as advance:
+        tally.add_all(evaluate_frames(frames(), predictor, protocol, advance))
+    if not tally.scores:
+        raise CompletionError(f"{folder} has no frames")
+    return unit
+
+
+def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> None:
+    """What is about all figures together."""
+    if outputs.json:
+        outputs.json.write_text(json.dumps(records, indent=1) + "\n")
+    if outputs.sweep:
+        averaging = records[0]["protocol"]["averaging"]
+        sweep_plot(outputs.sweep, _curves(records), f"{len(records[0]['frames'])} frames; {averaging} mean")
+    if outputs.calibration:
+        found = {_label(r): Calibration(**r["calibration"]) for r in records if r["calibration"]}
+        if not found:
+            raise CompletionError("none of these models predicts its own error: nothing to calibrate")
+        calibration_plot(outputs.calibration, found)
+
+
+def _record(
+    folder: str, model: str, precision: str | None, protocol: Protocol, tally: Tally, unit: str
+) -> dict[str, Any]:
+    """Everything about one figure, for JSON."""
+    calibration, simcol = tally.calibration(), tally.simcol3d()
+    return {
+        "folder": folder,
+        "model": model,
+        "precision": precision,
+        "unit": unit,
+        "protocol": protocol.model_dump(),
+        "mean": mean_errors(tally.scores, protocol).to_dict(),
+        "simcol3d": simcol.__dict__ if simcol else None,
+        "calibration": calibration.to_dict() if calibration else None,
+        "points": {"least": min(r.points for r in tally.scores), "most": max(r.points for r in tally.scores)},
+        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in tally.scores],
+    }
+
+
+def _write_pictures(
+    outputs: Outputs, tally: Tally, predictor: Predictor, record: dict[str, Any], several: bool
+) -> list[Path]:
+    """CSV and sheets of one figure; with several figures each file's name says which it is, and is returned."""
+    label = _label(record)
+    title = f"{record['folder']}, {record['model']}: {Protocol(**record['protocol'])}"
+    csv, sheet, attention = (
+        path and _named(path, label, several) for path in (outputs.csv, outputs.sheet, outputs.attention)
+    )
+    if csv:
+        write_csv(csv, tally.scores)
+    if sheet:
+        contact_sheet(sheet, tally.sights(), title, record["unit"])
+    frames = _attention(predictor, tally.sights()) if attention else []  # asked of the models that have one
+    if attention and frames:
+        attention_sheet(attention, frames, title)
+    return [path for path in (csv, sheet, attention if frames else None) if path and several]
+
+
+def _attention(
+    predictor: Predictor, sights: Sequence[FrameResult]
+) -> list[tuple[FrameResult, NDArray[np.floating], NDArray[np.floating]]]:
+    """Each frame with its features before and after structure awareness; empty for a model that has none."""
+    from completion.networks.channel_attention import attention_features
+
+    frames = []
+    for sight in sights:
+        found = predictor.network and attention_features(
+            predictor.network, partial(predictor, sight.rgb, sight.sparse, None)
+        )
+        if found:
+            frames.append((sight, found[0].numpy(), found[1].numpy()))
+    return frames
+
+
+def _label(record: dict[str, Any]) -> str:
+    protocol = record["protocol"]
+    model = Path(record["model"]).name
+    return f"{record['folder']}_{model}_{protocol['sampler']}{protocol['points']}"
+
+
+def _named(path: Path, label: str, several: bool) -> Path:
+    return path.with_name(f"{path.stem}_{label}{path.suffix}") if several else path
+
+
+def _curves(records: Sequence[dict[str, Any]]) -> dict[str, dict[int, float]]:
+    """abs.REL by points for each (folder, model, sampler)."""
+
+    def key(record: dict[str, Any]) -> str:
+        return f"{record['folder']}, {record['model']}, {record['protocol']['sampler']}"
+
+    ordered = sorted(records, key=lambda record: (key(record), record["protocol"]["points"]))
+    return {
+        name: {record["protocol"]["points"]: record["mean"]["abs_rel"] for record in group}
+        for name, group in groupby(ordered, key)
+    }

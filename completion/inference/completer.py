@@ -1,0 +1,211 @@
+"""`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from completion.confidence import confidence_from_error
+from completion.data.sampling_training import normalise_log
+from completion.inference.cpu.fused_conv import can_fuse, fuse_convolutions
+from completion.inference.cpu.int8_unet import EightBitUNet, can_use_eight_bits, channel_reaches
+from completion.inference.cpu.numba_mscsa import compile_look, picture_planes
+from completion.inference.resolution import resized, resized_back, working_factor
+from completion.networks.checkpoint import load_network
+from completion.networks.mscsa_sfm import REACHES, SPREAD, ScaleFreeMSCSANet, picture_inputs
+from completion.networks.recurrence import MOST_LOOKS, look_again
+from completion.networks.recurrent_norm import fold_batch_norm
+from completion.weights.shipped import check_looks, resolve_weights
+from haustra.core.errors import CompletionError
+
+# Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
+TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
+GAIN_RANGE = (0.5, 2.0)
+
+
+class DepthCompleter:
+    """Dense depth in the unit of the sparse depth, whatever that unit is.
+
+    >>> completer = DepthCompleter.load("mscsa")
+    >>> depth, confidence = completer(rgb, sparse_depth)      # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        network: ScaleFreeMSCSANet,
+        device: str = "auto",
+        precision: str = "auto",
+        working_side: int | None = None,
+        looks: int | None = None,
+    ) -> None:
+        """`working_side`: px, longer side that every picture is brought to, however small it is; None chooses by looks
+        and points (`completion.inference.resolution`).
+
+        `looks`: how often the network completes a frame, each time with its last estimate
+        (`networks.recurrence`), and time grows with it; None: as often as it was trained for, at most `MOST_LOOKS`.
+        """
+        if precision not in ("auto", "int8", "bf16", "fp32"):
+            raise CompletionError(f"precision is auto, int8, bf16 or fp32, not {precision!r}")
+        self.looks = min(MOST_LOOKS, network.config.looks) if looks is None else looks
+        if self.looks < 1 or (working_side is not None and working_side < 1):
+            raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
+        check_looks(self.looks, network.config.looks)
+        self.device = choose_device(device)
+        self.working_side = working_side
+        self.precision = choose_precision(precision, self.device)
+        self.network = self._for_inference(network, again=False)
+        self.later = self._for_inference(network, again=True) if self.looks > 1 else self.network
+
+    def _for_inference(self, network: ScaleFreeMSCSANet, again: bool) -> ScaleFreeMSCSANet:
+        """A copy without what only training needs, its U-Net's convolutions in int8 or bfloat16 where fast."""
+        copy = fold_batch_norm(network, again)
+        if self.precision == "bf16":
+            for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
+                part.to(torch.bfloat16)
+        copy = copy.to(self.device, memory_format=torch.channels_last)
+        if self.device.type == "cpu":
+            compile_look(copy)
+        if self.precision == "int8":
+            half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
+            dtype = torch.bfloat16 if half else torch.float32
+            reaches = torch.tensor(REACHES[0] + (REACHES[1] if network.config.looks > 1 else ()))
+            copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), reaches, (SPREAD,), dtype)
+        elif self.precision == "bf16" and self.device.type == "cpu" and can_fuse(torch.bfloat16):
+            fuse_convolutions(copy.unet)  # in float32 it gains little
+        return copy
+
+    @classmethod
+    def load(
+        cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto", looks: int | None = None
+    ) -> "DepthCompleter":
+        """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
+        return cls(load_scale_free(model), device, precision, looks=looks)
+
+    def __call__(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        sparse_error: NDArray[np.float32] | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Complete one frame.
+
+        rgb: (H,W,3) uint8. sparse_depth: (H,W), 0, negative or NaN = none. sparse_error: (H,W) relative standard
+        deviation of each point, or None. Returns depth (H,W) float32 and confidence (H,W) float32 in [0,1]. Without
+        a single point there is no scale: depth and confidence are zero everywhere.
+        """
+        errors = None if sparse_error is None else sparse_error[None]
+        depth, confidence = self.batch(rgb[None], sparse_depth[None], errors)
+        return depth[0], confidence[0]
+
+    def batch(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        sparse_error: NDArray[np.float32] | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Complete B frames of one size at once: as `__call__`, each array with a first axis B."""
+        _check_shapes(rgb, sparse_depth, sparse_error)
+        sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
+        trust = (sparse > 0).astype(np.float32)
+        if sparse_error is not None:
+            trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
+        points = np.count_nonzero(sparse, axis=(1, 2))
+        factors = np.array([self._factor(sparse.shape[1:], int(count)) for count in points])
+        depth, error = np.zeros((2, *sparse.shape), np.float32)
+        for factor in np.unique(factors):
+            here = factors == factor
+            depth[here], error[here] = self._resized(float(factor), rgb[here], sparse[here], trust[here])
+        known = points[:, None, None] > 0
+        return depth * known, confidence_from_error(error) * known
+
+    def _factor(self, shape: tuple[int, ...], points: int) -> float:
+        if self.working_side is not None:
+            return self.working_side / max(shape)
+        return working_factor(max(shape), points, self.looks)
+
+    def _resized(
+        self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Depth and relative error (B,H,W), made at `factor` times the pictures' size."""
+        frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
+        depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
+        size = (sparse.shape[2], sparse.shape[1])
+        back = [resized_back(d, e, size) for d, e in zip(depth, error, strict=True)]
+        return np.stack([d for d, _ in back]), np.stack([e for _, e in back])
+
+    def _predict(
+        self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Depth and relative error (B,H,W) from (B,H,W,3), (B,H,W), (B,H,W)."""
+        points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
+        with torch.inference_mode():
+            log_sparse, median = normalise_log(points)
+            looks = self.network.look, self.later.look
+            estimate = look_again(*looks, self._picture(rgb), log_sparse, weights, self.looks)
+            depth = torch.exp(estimate.log_depth) * median
+        return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
+
+    def _picture(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
+        if self.device.type == "cpu":
+            return picture_planes(rgb)
+        return picture_inputs(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255)
+
+
+def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:
+    """The network of a shipped name or a weight file; CompletionError if it is one of the paper's metric ones."""
+    network = load_network(resolve_weights(model))
+    if not isinstance(network, ScaleFreeMSCSANet):
+        raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-free one")
+    return network
+
+
+def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Bring the mean brightness of the lit area to that of the training frames, within a factor of two."""
+    brightest = np.maximum.reduce(cv2.split(rgb))
+    lit = (brightest > 16).view(np.uint8)  # video black: the border is not part of the picture
+    if not lit.any():
+        return rgb
+    gain = np.clip(TYPICAL_BRIGHTNESS / cv2.mean(brightest, lit)[0], *GAIN_RANGE)
+    return cv2.convertScaleAbs(rgb, alpha=float(gain))
+
+
+def choose_device(device: str) -> torch.device:
+    if device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise CompletionError("no CUDA device is available here; use --device cpu")
+    return torch.device(device)
+
+
+def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
+    if rgb.ndim != 4 or rgb.shape[3] != 3 or rgb.dtype != np.uint8:
+        raise CompletionError(f"the image must be (H, W, 3) uint8, not {rgb.shape[1:]} {rgb.dtype}")
+    if not rgb.size:
+        raise CompletionError(f"there is no picture in images of shape {rgb.shape}")
+    for name, array in (("sparse depth", sparse), ("sparse error", error)):
+        if array is not None and array.shape != rgb.shape[:3]:
+            raise CompletionError(f"the {name} must have the image's size {rgb.shape[1:3]}, not {array.shape[1:]}")
+
+
+def choose_precision(precision: str, device: torch.device) -> str:
+    """Of the U-Net's convolutions: int8 on CPUs that multiply 8-bit integers fast, else bf16 where that is, else fp32.
+
+    CompletionError if int8 was asked for and can't be had.
+    """
+    if precision in ("bf16", "fp32"):
+        return precision
+    if device.type == "cpu" and can_use_eight_bits():
+        return "int8"
+    if precision == "int8":
+        raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")
+    return "bf16" if has_fast_bfloat16(device) else "fp32"
+
+
+def has_fast_bfloat16(device: torch.device) -> bool:
+    """True on a GPU and on CPUs with native bfloat16; emulated bfloat16 is slower than float32."""
+    if device.type != "cpu":
+        return True
+    capability = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
+    return bool(capability and capability())

@@ -1,0 +1,103 @@
+"""Images of 8-bit integers, made and enlarged by compiled loops: what lies between the convolutions of `eight_bit`."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from haustra.core.numba_cache import compiled
+
+LARGEST, MIDDLE = 255, 128  # of an unsigned 8-bit integer; what stands for zero in what has a sign
+WORD = 4  # channels that are written at once
+HALF_UP, NONE, MOST = np.float32(MIDDLE + 0.5), np.float32(0), np.float32(LARGEST)
+
+
+def words_of(images: list[Tensor], per_unit: list[float]) -> Tensor:
+    """Images (B,H,W) float32, as many as fill whole words, as `per_unit` steps from the middle -> (B,C,H,W)."""
+    batch, height, width = images[0].shape
+    out = np.empty((batch, height, width, len(images) // WORD), np.uint32)
+    for word in range(out.shape[3]):
+        four = slice(WORD * word, WORD * (word + 1))
+        a, b, c, d = (np.ascontiguousarray(image.numpy()) for image in images[four])
+        fill_words(a, b, c, d, np.array(per_unit[four], np.float32), out[..., word])
+    return torch.from_numpy(out.view(np.uint8)).permute(0, 3, 1, 2)
+
+
+def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
+    """Channels of `skip` (B,S,2h,2w) and, after them, those of `coarse` (B,C,h,w) enlarged as by `F.interpolate` with
+    "bilinear", rounded half up: all 8-bit integers, in channels_last. PyTorch's own enlarging gives a quarter too much.
+    """
+    batch, channels, height, width = coarse.shape
+    both = skip.new_empty((batch, 2 * height, 2 * width, skip.shape[1] + channels))
+    word = np.uint8 if skip.shape[1] % 8 or channels % 8 else np.uint64  # eight channels are copied at once
+    sides = np.empty((2, width * channels), np.uint8)
+    for frame in range(batch):
+        into, fine, given = (
+            x.permute(1, 2, 0).numpy() for x in (both[frame].permute(2, 0, 1), skip[frame], coarse[frame])
+        )
+        words = sides.view(word).reshape(2, width, -1)
+        fill_beside_doubled(into.view(word), fine.view(word), given.reshape(height, -1), sides, words)
+    return both.permute(0, 3, 1, 2)
+
+
+@compiled
+def fill_beside_doubled(out, skip, coarse, sides, words):  # type: ignore[no-untyped-def]
+    """Fill `out` (2h,2w,s+c) with `skip` (2h,2w,s) and the bytes of `coarse` (h,w*C) enlarged, in words of one or of
+    eight bytes; `sides` (2,w*C) and `words` (2,w,c) are the same memory, for the pixels of even and of odd columns."""
+    channels = coarse.shape[1] // words.shape[1]
+    tall = np.empty(coarse.shape[1] + 2 * channels, np.uint16)  # a row between two, 4 times its value, and its ends
+    inner = tall[channels:-channels]
+    for row in range(len(out)):
+        near, far = row // 2, row // 2 + (1 if row % 2 else -1)
+        weigh(inner, coarse[near], coarse[min(max(far, 0), len(coarse) - 1)])
+        tall[:channels], tall[-channels:] = inner[:channels], inner[-channels:]
+        weigh_and_round(sides[0], inner, tall[: -2 * channels])
+        weigh_and_round(sides[1], inner, tall[2 * channels :])
+        for column in range(out.shape[1]):
+            for word in range(skip.shape[2]):
+                out[row, column, word] = skip[row, column, word]
+            for word in range(words.shape[2]):
+                out[row, column, skip.shape[2] + word] = words[column % 2, column // 2, word]
+
+
+@compiled
+def weigh(out, near, far):  # type: ignore[no-untyped-def]
+    """4 times what lies a quarter of the way from the bytes `near` to `far`. By itself, and in 16 bits, it is done in
+    as many bytes at once as the processor has lanes."""
+    for i in range(len(out)):
+        out[i] = np.uint16(3) * np.uint16(near[i]) + np.uint16(far[i])
+
+
+@compiled
+def weigh_and_round(out, near, far):  # type: ignore[no-untyped-def]
+    """What lies a quarter of the way from `near` to `far`, both 4 times their value."""
+    for i in range(len(out)):
+        out[i] = np.uint8((np.uint16(3) * near[i] + far[i] + np.uint16(8)) >> np.uint16(4))
+
+
+@compiled
+def fill_words(a, b, c, d, per_unit, out):  # type: ignore[no-untyped-def]
+    """Four images (B,h,w) as `per_unit` (4,) steps from the middle, a byte of `out` (B,h,w) each."""
+    words = np.empty(a.shape[2], np.uint32)
+    for frame in range(len(a)):
+        for row in range(a.shape[1]):
+            fill_row(a[frame, row], b[frame, row], c[frame, row], d[frame, row], per_unit, words)
+            for column in range(len(words)):
+                out[frame, row, column] = words[column]
+
+
+@compiled
+def fill_row(a, b, c, d, per_unit, words):  # type: ignore[no-untyped-def]
+    """By itself it is done in as many as the processor has lanes."""
+    of_a, of_b, of_c, of_d = per_unit
+    for i in range(len(words)):
+        first, second = in_eight_bits(a[i] * of_a), in_eight_bits(b[i] * of_b)
+        third, fourth = in_eight_bits(c[i] * of_c), in_eight_bits(d[i] * of_d)
+        words[i] = first | second << np.uint32(8) | third << np.uint32(16) | fourth << np.uint32(24)
+
+
+@compiled
+def in_eight_bits(steps):  # type: ignore[no-untyped-def]
+    """The nearest integer from the middle on, cut off at both ends; of finite steps."""
+    return np.uint32(min(max(steps + HALF_UP, NONE), MOST))

@@ -1,0 +1,199 @@
+"""The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
+
+After a ReLU every channel c is held as round(x / s_c), cut off at 255, and s_c goes into the next convolution's
+weights, so that channels of different reach do not share one step: with one step for all of a layer depth erred by up
+to a quarter more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the
+standard deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al.,
+"Data-free quantization", ICCV 2019). What has a sign, the input and what comes from the attention, is held as 128 and
+steps from there. Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The attention, the
+last features and the head stay in floating point.
+"""
+
+from __future__ import annotations
+
+import copy
+from functools import cache
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from completion.inference.cpu.fused_conv import Layouts, can_fuse
+from completion.inference.cpu.int8_resize import LARGEST, MIDDLE, WORD, beside_doubled, words_of
+from completion.networks.mscsa import UNet
+
+# The best of 4, 6, 8, 12 and 16 on 40 rendered frames kept for choosing: fewer cut off too much, more are coarser.
+DEVIATIONS = 8.0
+REACH = LARGEST - MIDDLE  # the most steps from the middle
+# Of a step, in which the rest of a fine channel is given. More parts leave their weights too few of their own;
+# as good as 8 on those frames, better than 16.
+PARTS = 4
+
+
+@cache
+def can_use_eight_bits() -> bool:
+    """Whether this processor multiplies 8-bit integers fast, and this PyTorch does so rightly: without VNNI, or with
+    oneDNN kept from using it, sums of large values are cut off at 16 bits."""
+    supported = getattr(torch.cpu, "_is_vnni_supported", None)
+    if not (supported and supported() and can_fuse(torch.float32)):
+        return False
+    conv = nn.Conv2d(64, 16, 3, device="meta").to_empty(device="cpu").requires_grad_(False)
+    conv.weight.fill_(1)
+    conv.bias.zero_()  # type: ignore[union-attr]
+    try:
+        for zero in (0, MIDDLE):
+            made = EightBitConvReLU(conv, torch.ones(64), torch.ones(16), torch.float32, zero)
+            sums = made(torch.full((1, 64, 3, 3), LARGEST, dtype=torch.uint8))
+            if not torch.allclose(sums, torch.full_like(sums, 9 * 64 * (LARGEST - zero))):
+                return False
+    except (AttributeError, RuntimeError, TypeError):  # a PyTorch without these operators, or with others of the name
+        return False
+    return True
+
+
+class EightBitUNet(nn.Module):
+    """What `joined` makes of (B,in,H,W) -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
+
+    input_reaches: Tensor
+    deepest: Tensor
+
+    def __init__(
+        self,
+        folded: UNet,
+        reaches: list[tuple[Tensor, Tensor]],
+        input_reaches: Tensor,
+        fine: tuple[int, ...],
+        dtype: torch.dtype,
+    ) -> None:
+        """`folded`: with its normalisations folded. `reaches`: of the outputs of both convolutions of each encoder
+        block, then of each decoder block (`channel_reaches`). `input_reaches` (in,): where the input is cut off on both
+        sides of zero; `fine`: channels of it whose rest is given too. `dtype`: of the last features and the head.
+        """
+        super().__init__()
+        self.attention = folded.attention
+        self.fine = fine
+        self.register_buffer("input_reaches", input_reaches)
+        levels = len(folded.encoder)
+        steps = [(a / LARGEST, b / LARGEST) for a, b in reaches]
+        outputs = [torch.uint8] * (2 * levels - 1)  # of each block, the encoder's first
+        for index, output in ((levels - 1, torch.float32), (-1, dtype)):
+            # The deepest features and the last stay in floating point, in their own unit.
+            steps[index] = steps[index][0], torch.ones_like(steps[index][1])
+            outputs[index] = output
+        deepest = torch.cat([reaches[levels - 2][1], reaches[levels - 1][1]]) / REACH
+        inputs = [with_rests(input_reaches / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
+        inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
+        blocks = [*folded.encoder, *folded.decoder]
+        convolutions = [(block[0], block[3]) for block in blocks]  # type: ignore[index]
+        convolutions[0] = taking_rests(convolutions[0][0], fine), convolutions[0][1]
+        made = [
+            nn.Sequential(
+                EightBitConvReLU(first, given, step[0], torch.uint8, MIDDLE if index in (0, levels) else 0),
+                EightBitConvReLU(second, *step, output),
+            )
+            for index, ((first, second), given, step, output) in enumerate(
+                zip(convolutions, inputs, steps, outputs, strict=True)
+            )
+        ]
+        self.encoder, self.decoder = nn.ModuleList(made[:levels]), nn.ModuleList(made[levels:])
+        # Of the features beside the deepest, in the steps of what comes from there; and of those.
+        skips = steps[levels - 2][1]
+        self.register_buffer("deepest", torch.cat([skips, torch.ones(len(deepest) - len(skips))]) / deepest)
+        self.head = folded.head.to(dtype)
+
+    def joined(self, parts: list[Tensor]) -> Tensor:
+        """Channels (B,?,H,W) float32, one after the other, in 8 bits, and after them the rests of the fine ones."""
+        images = [image for part in parts for image in part.unbind(dim=1)]
+        per_unit = (REACH / self.input_reaches).tolist()
+        for channel in self.fine:
+            steps = images[channel] * per_unit[channel]
+            images.append(PARTS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
+            per_unit.append(1)
+        while len(images) % WORD:  # what is added has no weight
+            images.append(images[-1])
+            per_unit.append(0)
+        return words_of(images, per_unit)
+
+    def forward(self, x: Tensor) -> Tensor:
+        skips = []
+        for level, block in enumerate(self.encoder):
+            x = block(_halved(x) if level else x)
+            skips.append(x)
+        x = F.interpolate(self.attention(skips.pop()), scale_factor=2, mode="bilinear", align_corners=False)
+        both = torch.cat([skips.pop().float(), x], dim=1) * self.deepest.view(1, -1, 1, 1)
+        x = both.add_(MIDDLE + 0.5).clamp_(0, LARGEST).to(torch.uint8, memory_format=torch.channels_last)
+        x = self.decoder[0](x)
+        for block in list(self.decoder)[1:]:
+            x = block(beside_doubled(skips.pop(), x))
+        return self.head(x)
+
+
+def with_rests(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
+    """Steps (in,) of the input, of the rests, and of what fills the last word."""
+    steps = torch.cat([steps, steps[list(fine)] / PARTS])
+    return F.pad(steps, (0, -len(steps) % WORD), value=1)
+
+
+def taking_rests(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
+    """A convolution that takes the rests too, with the weights of that of which they are, nothing of fillers."""
+    made = copy.deepcopy(conv)
+    weight = torch.cat([conv.weight, conv.weight[:, list(fine)]], dim=1)
+    weight = F.pad(weight, (0, 0, 0, 0, 0, -weight.shape[1] % WORD))
+    made.weight, made.in_channels = nn.Parameter(weight, requires_grad=False), weight.shape[1]
+    return made
+
+
+class EightBitConvReLU(nn.Module):
+    """ReLU of a convolution of 8-bit integers (B,in,H,W), in steps of `outputs` (out,) and of the type asked for."""
+
+    scale: Tensor
+    zero: Tensor
+    weight: Tensor
+    bias: Tensor
+
+    def __init__(
+        self, conv: nn.Conv2d, inputs: Tensor, outputs: Tensor, dtype: torch.dtype, zero_point: int = 0
+    ) -> None:
+        """`inputs` (in,), `outputs` (out,): the step of each channel of what goes in and comes out. `zero_point`: the
+        integer that stands for zero in what goes in."""
+        super().__init__()
+        weight = conv.weight.detach().float() * inputs.view(1, -1, 1, 1) / outputs.view(-1, 1, 1, 1)
+        scale = (weight.abs().amax(dim=(1, 2, 3)) / 127).clamp_min(1e-12)
+        integers = (weight / scale.view(-1, 1, 1, 1)).round().to(torch.int8)
+        self.register_buffer("scale", scale)
+        self.register_buffer("zero", torch.zeros(len(scale), dtype=torch.int32))
+        self.register_buffer("weight", integers.contiguous(memory_format=torch.channels_last))
+        assert conv.bias is not None, "a folded convolution has a bias"
+        self.register_buffer("bias", conv.bias.detach().float() / outputs)
+        self.dtype, self.zero_point = dtype, zero_point
+        self._shape: Any = [list(conv.stride), list(conv.padding), list(conv.dilation), conv.groups]
+        self._layouts = Layouts()
+
+    def forward(self, x: Tensor) -> Tensor:
+        weight = self._layouts.of(x, self._laid_out)
+        given = x, 1.0, self.zero_point, weight, self.scale, self.zero, self.bias, *self._shape
+        return torch.ops.onednn.qconv_pointwise(*given, 1.0, 0, self.dtype, "relu", [], "")
+
+    def _laid_out(self, shape: list[int]) -> Tensor:
+        return torch.ops.onednn.qconv_prepack(self.weight, self.scale, 1.0, self.zero_point, *self._shape, shape)
+
+
+def channel_reaches(unet: UNet) -> list[tuple[Tensor, Tensor]]:
+    """How far each channel goes after the first and second ReLU of each encoder block, then of each decoder block.
+
+    `unet`: with its normalisations as they were trained, not folded.
+    """
+    blocks = [*unet.encoder, *unet.decoder]
+    return [(_reach(block[1]), _reach(block[4])) for block in blocks]  # type: ignore[index,arg-type]
+
+
+def _reach(norm: nn.BatchNorm2d) -> Tensor:
+    mean, deviation = norm.bias.detach().float(), norm.weight.detach().float().abs()
+    return (mean + DEVIATIONS * deviation).clamp_min(1e-3)  # a channel that is never above zero has a step all the same
+
+
+def _halved(x: Tensor) -> Tensor:
+    """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers in channels_last."""
+    rows = torch.maximum(x[..., ::2, :], x[..., 1::2, :])
+    return torch.maximum(rows[..., ::2], rows[..., 1::2])

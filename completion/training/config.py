@@ -1,0 +1,70 @@
+"""Settings of a training run, saved with its weights; the paper's as a preset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from haustra.core.errors import CompletionError
+
+
+class TrainConfig(BaseModel):
+    """What a training run depends on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    shards: tuple[Path, ...]
+    out: Path
+    model: str = "scale-free"  # ours for SfM points, or a name of completion.models
+    size: Literal["paper", "small"] = "paper"  # of the networks of completion.models
+    width: int = Field(32, gt=0)  # of the scale-free one
+    anchor: bool = True  # its last stage
+    looks: int = Field(3, gt=0)  # at most; of the scale-free one, see completion.feedback
+    init: Path | None = None  # weights to begin with instead of random ones
+    seed: int = Field(0, ge=0)
+    steps: int = Field(12000, gt=0)
+    batch: int = Field(8, gt=0)
+    points: int = Field(100, gt=0)  # per frame; the scale-free model draws its own numbers
+    optimizer: Literal["adamw", "adam"] = "adamw"
+    learning_rate: float = Field(2e-3, gt=0)
+    schedule: Literal["cosine", "step"] = "cosine"  # step: a tenth at `decay_at` of the run
+    decay_at: float = Field(1.0, ge=0, le=1)
+    warm_up: int = Field(300, ge=0)  # steps of linear growth
+    ema: float = Field(0.998, ge=0, lt=1)  # of the weights that are kept; a horizon of 500 steps
+    augmentation: bool = True
+    bf16: bool = True
+    unit_mm: float = Field(25.0, gt=0)  # metric networks see depth in this unit
+    max_depth_mm: float = 250.0  # truth beyond carries no image detail at these resolutions
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    checkpoint_seconds: float = 120.0
+    threads: int = Field(2, gt=0)
+
+
+# Section III-B: Adam, 1e-3, L1, batch 10, no augmentation named. "A decaying factor of 10" is read as a tenth of the
+# rate after ten epochs, which is when the paper's training ends: constant.
+PAPER: dict[str, Any] = {
+    "optimizer": "adam",
+    "learning_rate": 1e-3,
+    "schedule": "step",
+    "warm_up": 0,
+    "batch": 10,
+    "points": 100,
+    "augmentation": False,
+    "ema": 0.0,
+}
+PAPER_EPOCHS = 10
+
+
+def make_config(preset: str | None = None, **values: Any) -> TrainConfig:
+    """A config from a preset ("paper" or None) with values on top; CompletionError says what is wrong with them."""
+    if preset not in (None, "paper"):
+        raise CompletionError(f"no preset {preset!r}; there is 'paper'")
+    if values.get("model", "scale-free") == "scale-free" and "size" in values:
+        raise CompletionError("--size is of the networks of the paper's comparison: give --model too")
+    try:
+        return TrainConfig(**((PAPER if preset else {}) | values))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise CompletionError(f"training setting {'.'.join(map(str, first['loc']))}: {first['msg']}") from None

@@ -1,0 +1,223 @@
+"""Train a completion network on shards of rendered frames: one loop, read from top to bottom.
+
+    haustra train SHARDS [SHARDS ...] --out weights.safetensors --seed 0 --steps 12000
+
+Killed at any time it goes on from its last checkpoint (`OUT.checkpoint`, every few minutes and at Ctrl-C) when called
+again with the same arguments. Beside the weights lie the files of `train_log.py`. Several processes share the batch:
+
+    torchrun --nproc-per-node 2 --no-python haustra train SHARDS --out weights.safetensors
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from completion.data.shards import Batch, Shard, augment
+from completion.inference.completer import choose_device
+from completion.networks.checkpoint import (
+    flatten_optimizer,
+    load_network,
+    load_tensors,
+    reason,
+    restore_optimizer,
+    save_network,
+    save_tensors,
+)
+from completion.training.config import TrainConfig
+from completion.training.distributed import Team
+from completion.training.graceful_interrupt import Interruption
+from completion.training.log import Say, TrainLog
+from completion.training.tasks import make_task
+from haustra.core.errors import CompletionError
+
+LOG_EVERY, VALIDATE_EVERY = 100, 1000
+Advance = Callable[[int, int | None], None]
+
+
+class Run:
+    """Everything that a checkpoint must hold."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.device = choose_device(config.device)
+        self.team = Team.join(self.device)
+        self.task = make_task(config)
+        if config.init is not None:
+            _start_from(config.init, self.task.network)
+        self.task.network.to(self.device, memory_format=torch.channels_last).train()
+        self.average = copy.deepcopy(self.task.network).eval()
+        kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
+        decay = 0.01 if config.optimizer == "adamw" else 0.0
+        self.optimizer = kind(self.task.network.parameters(), config.learning_rate, weight_decay=decay)
+        self.step = 0
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.config.out.with_suffix(".checkpoint")
+
+    def save(self) -> None:
+        tensors = {f"network.{n}": t for n, t in self.task.network.state_dict().items()}
+        tensors |= {f"average.{n}": t for n, t in self.average.state_dict().items()}
+        tensors |= flatten_optimizer(self.optimizer)
+        save_tensors(self.checkpoint, tensors, {"step": self.step, "config": self._identity()})
+
+    def resume(self) -> None:
+        if not self.checkpoint.exists():
+            return
+        tensors, metadata = load_tensors(self.checkpoint)
+        before, now = metadata["config"], self._identity()
+        if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
+            raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
+        for name, module in (("network.", self.task.network), ("average.", self.average)):
+            module.load_state_dict({n[len(name) :]: t for n, t in tensors.items() if n.startswith(name)})
+        restore_optimizer(self.optimizer, tensors)
+        self.step = metadata["step"]
+
+    def _identity(self) -> dict[str, object]:
+        settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
+        return json.loads(settings) | {"processes": self.team.size}
+
+
+def _start_from(path: Path, network: nn.Module) -> None:
+    """Copy a weight file's tensors into a network of the same kind and size."""
+    given = load_network(path)
+    if type(given) is not type(network):
+        raise CompletionError(f"{path} holds a {type(given).__name__}, not a {type(network).__name__}")
+    try:
+        network.load_state_dict(given.state_dict())
+    except RuntimeError as error:
+        raise CompletionError(f"the weights in {path} do not fit: {reason(error)}") from error
+
+
+def learning_rate(step: int, config: TrainConfig) -> float:
+    """Linear warm-up, then a cosine to one per cent, or a constant that falls to a tenth once."""
+    if step < config.warm_up:
+        return config.learning_rate * (step + 1) / config.warm_up
+    if config.schedule == "step":
+        return config.learning_rate * (0.1 if step >= config.decay_at * config.steps else 1.0)
+    progress = (step - config.warm_up) / max(1, config.steps - config.warm_up)
+    return config.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, progress))))
+
+
+def update_average(average: nn.Module, network: nn.Module, decay: float) -> None:
+    """Exponential moving average of parameters and of batch statistics."""
+    with torch.no_grad():
+        for old, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+            if old.is_floating_point():
+                old.lerp_(new, 1 - decay)
+            else:
+                old.copy_(new)
+
+
+def validate(run: Run, shards: list[Shard], frames: int = 64) -> float:
+    """Mean relative depth error of the averaged weights on held-out meshes, `frames` of each shard folder."""
+    generator = torch.Generator().manual_seed(1)
+    errors = []
+    with torch.no_grad():
+        for shard in shards:
+            held_out = shard.split()[1]
+            chosen = held_out[:: max(1, len(held_out) // frames)][:frames]
+            for start in range(0, len(chosen), 8):
+                batch = shard.batch(chosen[start : start + 8]).to(run.device)
+                depth = batch.depth
+                predicted = run.task.predict(run.average, batch.rgb, depth, batch.lens, generator)
+                valid = (depth > 0) & (depth < run.config.max_depth_mm)
+                errors.append(((predicted - depth).abs() / depth.clamp_min(1e-3))[valid].mean().item())
+    return float(np.mean(errors))
+
+
+def draw_batch(
+    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]], team: Team
+) -> tuple[Batch, torch.Generator]:
+    """This process's part of a step's batch from the training frames `splits`, and its generator in that step: so a
+    resumed run draws what an unbroken one would.
+
+    The order depends on the seed and the shards alone: every network of a comparison sees the same.
+    """
+    share = np.array([len(split) for split in splits]) / sum(len(split) for split in splits)
+    rng = np.random.default_rng((config.seed, step))
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + team.rank)
+    which = rng.choice(len(shards), p=share)
+    chosen = rng.choice(splits[which], config.batch, replace=False)
+    batch = shards[which].batch(chosen[team.rank :: team.size])
+    return (augment(batch, generator) if config.augmentation else batch), generator
+
+
+def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
+    """One step of the optimizer; returns the loss."""
+    batch, generator = draw_batch(run.config, run.step, shards, splits, run.team)
+    torch.manual_seed(generator.initial_seed())  # for dropout: resumed, a run must drop what an unbroken one would
+    batch = batch.to(run.device)
+    for group in run.optimizer.param_groups:
+        group["lr"] = learning_rate(run.step, run.config)
+    loss = run.task.loss(batch.rgb, batch.depth, batch.lens, generator)
+    run.optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    run.team.average_gradients(run.task.network)
+    run.team.average_statistics(run.task.network)
+    nn.utils.clip_grad_norm_(run.task.network.parameters(), 1.0)
+    run.optimizer.step()
+    run.step += 1
+    update_average(run.average, run.task.network, min(run.config.ema, run.step / (run.step + 10)))
+    return loss.item()
+
+
+def train(config: TrainConfig, advance: Advance | None = None, say: Say = print) -> Path:
+    """Run to the end (or on from the last checkpoint) and write the averaged weights."""
+    torch.set_num_threads(config.threads)
+    shards = [Shard.open(folder) for folder in config.shards]
+    run = Run(config)
+    _check(shards, config, run.team.size)
+    run.resume()
+    splits = [shard.split()[0] for shard in shards]
+    config.out.parent.mkdir(parents=True, exist_ok=True)
+    log = TrainLog(config.out, say) if run.team.is_first else None
+    if log and run.step:
+        say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
+    saved, losses = time.monotonic(), []
+    with Interruption(run.team.size == 1) as interruption:
+        while run.step < config.steps and not interruption.asked:
+            losses.append(train_step(run, shards, splits))
+            if advance and log:
+                advance(run.step, config.steps)
+            if log and (run.step % LOG_EVERY == 0 or run.step == config.steps):
+                held_out = validate(run, shards) if run.step % VALIDATE_EVERY == 0 else None
+                rate = learning_rate(run.step - 1, config)
+                lately = float(np.mean(losses[-1 - (run.step - 1) % LOG_EVERY :]))
+                log.write(run.step, config.steps, lately, rate, held_out)
+            if log and time.monotonic() - saved > config.checkpoint_seconds:
+                run.save()
+                saved = time.monotonic()
+    if run.step < config.steps:
+        run.save()
+        raise KeyboardInterrupt
+    if log:
+        run.save()
+        about = {"steps": run.step, "seed": config.seed, "held_out_abs_rel": validate(run, shards)}
+        about["unit_mm"] = config.unit_mm
+        about["training"] = json.loads(config.model_dump_json(exclude={"shards", "out", "init"}))
+        save_network(config.out, run.average, run.average.state_dict(), about)
+    run.team.leave()
+    return config.out
+
+
+def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
+    if config.batch % processes:
+        raise CompletionError(f"a batch of {config.batch} cannot be shared evenly by {processes} processes")
+    for shard, folder in zip(shards, config.shards, strict=True):
+        training, held_out = shard.split()
+        if len(training) < config.batch or not len(held_out):
+            raise CompletionError(f"{folder} has {len(training)} frames to train on: fewer than a batch")
+        if config.model == "gaenet" and shard.lenses is None:
+            raise CompletionError(f"{folder} has no intrinsics.npy, which gaenet needs")

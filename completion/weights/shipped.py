@@ -1,0 +1,33 @@
+"""The models that come with the package, by name."""
+
+from importlib import resources
+from pathlib import Path
+
+from haustra.core.errors import CompletionError
+
+MODELS = {"mscsa": "mscsa.safetensors"}
+
+
+def resolve_weights(model: str | Path) -> Path:
+    """Path of a shipped model's weights, or of the given file."""
+    if str(model) in MODELS:
+        return Path(str(resources.files("completion.weights") / MODELS[str(model)]))
+    if Path(model).is_file():
+        return Path(model)
+    raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(MODELS)}")
+
+
+def check_weights(model: str | Path, looks: int | None = None) -> None:
+    """Refuse a model that cannot be loaded, or cannot look so often, before any work is done; reads the file's header
+    only."""
+    from completion.networks.checkpoint import read_metadata
+
+    about = read_metadata(resolve_weights(model))
+    if looks is not None:
+        check_looks(looks, about.get("config", {}).get("looks", 1))
+
+
+def check_looks(looks: int, trained: int) -> None:
+    """Refuse more looks than a model was trained for."""
+    if looks > trained:
+        raise CompletionError(f"the model was trained for {trained} looks at most, and {looks} are asked for")

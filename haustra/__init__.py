@@ -1,0 +1,34 @@
+"""haustra: endoscope video to a coloured colon mesh, camera path, dense depth and coverage, on a CPU.
+
+The public names, each loaded at its first use, so that importing this package takes no time:
+
+- `reconstruct(source, output, config)`: the whole pipeline.
+- `Config`, `Camera`: settings of the pipeline, and a lens.
+- `DepthCompleter`: image and sparse depth to dense depth and confidence.
+- `HaustraError`: every known failure, with one sentence that says what to do.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from completion.inference.completer import DepthCompleter as DepthCompleter
+    from haustra.core.camera import Camera as Camera
+    from haustra.core.errors import HaustraError as HaustraError
+    from pipeline.config import Config as Config
+    from pipeline.run import reconstruct as reconstruct
+
+_MODULE_OF = {
+    "Camera": "haustra.core.camera",
+    "Config": "pipeline.config",
+    "DepthCompleter": "completion.inference.completer",
+    "HaustraError": "haustra.core.errors",
+    "reconstruct": "pipeline.run",
+}
+__all__ = ["Camera", "Config", "DepthCompleter", "HaustraError", "reconstruct"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'haustra' has no attribute '{name}'")
+    return getattr(import_module(_MODULE_OF[name]), name)

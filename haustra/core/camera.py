@@ -1,0 +1,174 @@
+"""Camera models by COLMAP's names and parameter order; pixel centre of the top-left pixel at (0.5, 0.5).
+
+Only what the pipeline needs: project, crop and scale, read and write. Distorted images are turned into a pinhole's by
+`pipeline.depth.rectification`, which needs the forward projection alone.
+"""
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import HaustraError
+
+# Number of parameters, and whether there is one focal length or two.
+MODELS = {
+    "SIMPLE_PINHOLE": (3, 1),
+    "PINHOLE": (4, 2),
+    "SIMPLE_RADIAL": (4, 1),
+    "RADIAL": (5, 1),
+    "OPENCV": (8, 2),
+    "FULL_OPENCV": (12, 2),
+    "OPENCV_FISHEYE": (8, 2),
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of one image size. params in COLMAP's order; `trusted` is False for a guessed focal length."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+    trusted: bool = True
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise HaustraError(f"unknown camera model '{self.model}'; known: {', '.join(MODELS)}")
+        if len(self.params) != MODELS[self.model][0]:
+            raise HaustraError(f"{self.model} takes {MODELS[self.model][0]} parameters, not {len(self.params)}")
+        if not all(math.isfinite(p) for p in self.params) or min(self.focal) <= 0:
+            raise HaustraError(f"the {self.model} camera's parameters must be finite and its focal length positive")
+        if self.width < 1 or self.height < 1:
+            raise HaustraError(f"a camera of {self.width}x{self.height} pixels is impossible")
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        return (self.params[0], self.params[MODELS[self.model][1] - 1])
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        first = MODELS[self.model][1]
+        return (self.params[first], self.params[first + 1])
+
+    @property
+    def distortion(self) -> tuple[float, ...]:
+        return self.params[MODELS[self.model][1] + 2 :]
+
+    @property
+    def is_pinhole(self) -> bool:
+        return not any(self.distortion) and self.model != "OPENCV_FISHEYE"
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """K (3,3) in COLMAP's pixel convention."""
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,3) points in camera axes, z > 0 (fisheye: any z) -> (N,2) pixels."""
+        distort = distort_fisheye if self.model == "OPENCV_FISHEYE" else distort_polynomial
+        uv = distort(points, self.distortion)
+        return uv * np.array(self.focal) + np.array(self.centre)
+
+    def cropped_and_scaled(self, x0: int, y0: int, width: int, height: int, scale: float) -> "Camera":
+        """The camera of the image after cutting out a box and resizing it."""
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        one = MODELS[self.model][1] == 1
+        focal = (fx * scale,) if one else (fx * scale, fy * scale)
+        params = (*focal, (cx - x0) * scale, (cy - y0) * scale, *self.distortion)
+        return replace(self, width=round(width * scale), height=round(height * scale), params=params)
+
+    def field_of_view(self) -> tuple[float, float]:
+        """Horizontal and vertical angle in degrees, along the principal axes."""
+        angles = []
+        for size, focal, centre in zip((self.width, self.height), self.focal, self.centre, strict=True):
+            sides = (centre / focal, (size - centre) / focal)
+            angles.append(math.degrees(sum(self._angle_of_radius(r) for r in sides)))
+        return angles[0], angles[1]
+
+    def _angle_of_radius(self, radius: float) -> float:
+        """Angle off the axis whose distorted normalised radius is `radius`, radians."""
+        theta = np.linspace(0, 1.5 if self.model != "OPENCV_FISHEYE" else 1.9, 4000)
+        rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+        distort = distort_fisheye if self.model == "OPENCV_FISHEYE" else distort_polynomial
+        growing = np.maximum.accumulate(distort(rays, self.distortion)[:, 0])
+        return float(np.interp(radius, growing, theta))
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> "Camera":
+        """What `to_dict` gave, by way of JSON."""
+        return Camera(**(values | {"params": tuple(values["params"])}))
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "model": self.model,
+            "width": self.width,
+            "height": self.height,
+            "params": list(self.params),
+            "trusted": self.trusted,
+        }
+
+
+def distort_polynomial(points: NDArray[np.float64], distortion: tuple[float, ...]) -> NDArray[np.float64]:
+    """Brown's model as OpenCV orders it: k1 k2 p1 p2 k3 k4 k5 k6 (shorter: k1, or k1 k2). (N,3) -> (N,2)."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, *[0.0] * (8 - len(distortion)))
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+
+
+def distort_fisheye(points: NDArray[np.float64], distortion: tuple[float, ...]) -> NDArray[np.float64]:
+    """Kannala-Brandt with four terms: radius = theta (1 + k1 theta^2 + ... + k4 theta^8). (N,3) -> (N,2)."""
+    radius = np.hypot(points[:, 0], points[:, 1])
+    theta = np.arctan2(radius, points[:, 2])
+    t2 = theta * theta
+    k1, k2, k3, k4 = distortion
+    distorted = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+    scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 1e-12)
+    return points[:, :2] * scale[:, None]
+
+
+def read_camera(path: Path) -> Camera:
+    """A camera from `camera.json` (model, width, height, params)."""
+    try:
+        fields = json.loads(path.read_text())
+        return Camera(
+            str(fields["model"]),
+            int(fields["width"]),
+            int(fields["height"]),
+            tuple(float(p) for p in fields["params"]),
+            bool(fields.get("trusted", True)),
+        )
+    except HaustraError as error:
+        raise HaustraError(f"{path}: {error}") from error
+    except KeyError as error:
+        raise HaustraError(f"{path} is not a camera file: it lacks {error.args[0]}") from error
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, TypeError, ValueError) as error:
+        raise HaustraError(
+            f"{path} is not a camera file: it must be JSON with model, width, height and params ({error})"
+        ) from error
+
+
+def guess_camera(width: int, height: int, content: tuple[int, int, int, int], fov_deg: float = 100.0) -> Camera:
+    """A pinhole with two radial terms, zero, whose longer content side spans `fov_deg`; not trusted.
+
+    100 degrees: endoscopes are labelled 140-170 degrees corner to corner, which is 90-125 along a side. Two terms, as
+    many are fisheye lenses: over 118 degrees one term is off by up to 8 of 320 pixels where two are by 2.
+    """
+    x, y, content_width, content_height = content
+    focal = 0.5 * max(content_width, content_height) / math.tan(math.radians(fov_deg / 2))
+    centre = (x + content_width / 2, y + content_height / 2)
+    return Camera("RADIAL", width, height, (focal, *centre, 0.0, 0.0), trusted=False)

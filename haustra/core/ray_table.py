@@ -1,0 +1,107 @@
+"""Pixels of any camera model as points of the plane z = 1, so that the geometry knows no lens.
+
+A residual is measured where the noise is, in pixels: to first order about an observation it is `gain @ (n - n_seen)`
+with `gain` = d pixel / d n at the observation. For a pinhole that is exact. Both maps are tabulated once per camera, on
+the corners of the pixels, and read by bilinear interpolation; nothing is solved per frame.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+
+WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretches beyond use
+STEP = 1e-5  # of the finite differences, on the plane z = 1
+NEWTON_STEPS = 12
+ROUND_TRIP = 0.05  # of the distance from the axis and one: where a ray may come out that went through the lens and back
+SETTLED_PX = 1e-9
+MAX_MISFIT_PX = 0.01  # a table entry whose projection misses its pixel by more lies outside the lens model
+
+
+class RayTable:
+    """Rays of a camera's pixels. `project` is the camera's own."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        columns, rows = np.meshgrid(np.arange(camera.width + 1.0), np.arange(camera.height + 1.0))
+        pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
+        plane, valid = _invert(camera, pixels)
+        table = np.concatenate([plane, _gain(camera, plane).reshape(-1, 4)], axis=1)
+        self._table = table.reshape(camera.height + 1, camera.width + 1, 6)
+        corners = valid.reshape(camera.height + 1, camera.width + 1)
+        self.usable = (corners[1:, 1:] & corners[:-1, 1:] & corners[1:, :-1] & corners[:-1, :-1]).astype(np.uint8)
+
+    def masked(self, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The mask (H,W) without the pixels that have no ray here: past the widest angle or outside the lens model."""
+        return np.where(self.usable > 0, mask, 0).astype(np.uint8)
+
+    def look_up(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(N,2) pixels, COLMAP's convention -> (N,2) on the plane z = 1 and (N,2,2) gain, pixels per unit there."""
+        limit = np.array([self.camera.width, self.camera.height]) - 1e-6
+        inside = np.clip(np.asarray(pixels, np.float64), 0, limit)
+        x, y = np.floor(inside).astype(int).T
+        fx, fy = (inside - np.floor(inside)).T[:, :, None]
+        table = self._table
+        top = table[y, x] * (1 - fx) + table[y, x + 1] * fx
+        bottom = table[y + 1, x] * (1 - fx) + table[y + 1, x + 1] * fx
+        read = top * (1 - fy) + bottom * fy
+        return read[:, :2], read[:, 2:].reshape(-1, 2, 2)
+
+    def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(N,3) camera points -> (N,2) pixels; NaN behind the camera or too far off the axis."""
+        pixels = np.full((len(points), 2), np.nan)
+        front = points[:, 2] > WIDEST**-1 * np.hypot(points[:, 0], points[:, 1])
+        if front.any():
+            pixels[front] = self.camera.project(np.asarray(points[front], np.float64))
+        return pixels
+
+    def seen_at(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(N,3) camera points -> (N,2) pixels; NaN also where the pixel's own ray leads elsewhere.
+
+        A polynomial lens turns back on itself far outside its picture: what comes back into it was never there.
+        """
+        pixels = self.project(points)
+        known = np.isfinite(pixels).all(axis=1)
+        plane = points[known, :2] / points[known, 2:]
+        off = np.linalg.norm(self.look_up(pixels[known])[0] - plane, axis=1)
+        lost = ~(off <= ROUND_TRIP * (1 + np.linalg.norm(plane, axis=1)))
+        pixels[np.flatnonzero(known)[lost]] = np.nan
+        return pixels
+
+    @property
+    def focal_px(self) -> float:
+        """Geometric mean of the focal lengths, for thresholds on angles."""
+        return float(np.sqrt(self.camera.focal[0] * self.camera.focal[1]))
+
+
+def _on_plane(plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+
+
+def _gain(camera: Camera, plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,2,2) d pixel / d plane by central differences."""
+    columns = []
+    for offset in STEP * np.eye(2):
+        ahead, behind = camera.project(_on_plane(plane + offset)), camera.project(_on_plane(plane - offset))
+        columns.append((ahead - behind) / (2 * STEP))
+    return np.stack(columns, axis=2)
+
+
+def _invert(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Newton's method from the ideal lens; which pixels it reached, within the widest useful angle."""
+    plane = (pixels - np.array(camera.centre)) / np.array(camera.focal)
+    if camera.model == "OPENCV_FISHEYE":
+        theta = np.linalg.norm(plane, axis=1, keepdims=True)
+        plane *= np.tan(np.minimum(theta, 1.3)) / np.maximum(theta, 1e-9)
+    left = np.arange(len(pixels))  # those that are not there yet
+    for _ in range(0 if camera.is_pinhole else NEWTON_STEPS):
+        off = pixels[left] - camera.project(_on_plane(plane[left]))
+        far = np.abs(off).max(axis=1) > SETTLED_PX
+        left, off = left[far], off[far]
+        gain = _gain(camera, plane[left])
+        singular = np.abs(np.linalg.det(gain)) < 1e-6
+        gain[singular] = np.eye(2) * camera.focal[0]
+        step = np.linalg.solve(gain, off[:, :, None])[:, :, 0]
+        plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
+    misfit = np.linalg.norm(pixels - camera.project(_on_plane(plane)), axis=1)
+    return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < WIDEST)

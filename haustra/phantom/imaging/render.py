@@ -1,0 +1,245 @@
+"""A phantom that can be filmed: mesh, texture, lens and light put together, and what comes in between."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.phantom.anatomy.colon import build_colon
+from haustra.phantom.appearance.texture import SurfaceTexture
+from haustra.phantom.config import CameraConfig, ImagingConfig, PhantomConfig
+from haustra.phantom.imaging.camera import make_camera
+from haustra.phantom.imaging.obstacles import OBSTACLES, View, place_foam
+from haustra.phantom.imaging.sensor import Sensor, smear
+from haustra.phantom.imaging.shading import light_positions, shade
+from haustra.phantom.motion.peristalsis import MovedWall, Peristalsis
+from haustra.phantom.raycaster import Hits, RayCaster
+from haustra.phantom.timeline import Slot
+
+Floats = NDArray[np.float32]
+Array = NDArray[np.float64]
+PENUMBRA_PX = 1.2  # light guides are not points
+SHADOW_REACH = 0.99  # shadow rays stop short of the wall they end on
+WIDEST_DEG = 85.0  # off axis: beyond, z-depth shrinks to nothing whatever the distance, and truth is not given
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture with its truth."""
+
+    image: NDArray[np.uint8]  # (H,W,3) RGB
+    depth: Floats  # (H,W) z-depth mm, 0 where no wall is seen
+    triangle: NDArray[np.int64]  # (H,W) index of the triangle seen, -1 where none
+
+
+@dataclass(frozen=True)
+class Look:
+    """What reaches the lens, before any sensor."""
+
+    radiance: Floats  # (H,W,3)
+    wall: Floats  # (H,W) z-depth of the wall behind whatever hides it, mm; 0 = none, or seen too far off axis
+    points: Floats  # (H,W,3) wall in camera axes, mm; zero where the ray leaves through an open end
+    triangle: NDArray[np.int64]  # (H,W), -1 where no wall
+    hidden: NDArray[np.bool_]  # (H,W) something is in between
+
+
+class Phantom:
+    """One colon, painted, with a camera. Geometry and texture are built once; frames are cheap."""
+
+    def __init__(self, config: PhantomConfig, threads: int = 0) -> None:
+        """`threads` 0 uses every core; the frames do not depend on it."""
+        self.config = config
+        self.threads = threads or os.cpu_count() or 1
+        self.camera = make_camera(config.camera)
+        self.colon = build_colon(config.anatomy, config.seed)
+        self.caster = RayCaster(self.colon.vertices, self.colon.triangles, 1)
+        self.texture = SurfaceTexture(self.colon, config.appearance, config.seed)
+        self.rays = self.camera.rays()
+
+    def seen_through(self, imaging: ImagingConfig, lens: CameraConfig) -> Phantom:
+        """The same colon under another light, lens and processor; shares mesh and texture."""
+        other = copy(self)
+        other.config = replace(self.config, imaging=imaging, camera=lens)
+        other.camera = make_camera(lens)
+        other.rays = other.camera.rays()
+        return other
+
+    def film(
+        self, poses: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
+    ) -> Iterator[Frame]:
+        """Frames along world_from_camera (N,4,4); the gain adapts from one to the next.
+
+        What reaches the lens is made a few frames ahead on every core; the sensor takes it in order.
+        """
+        fps = self.config.motion.fps
+        sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed, fps)
+        foams = {slot.number: self._foam(poses, slot) for slot in timeline if slot.kind == "bubbles"}
+
+        def look(index: int) -> Look:
+            walls = [peristalsis.wall(frame) if peristalsis else None for frame in (index, index + 1)]
+            seen = self.look(poses[index], _upcoming(poses, index), *walls)
+            for slot in timeline:
+                if slot.kind in OBSTACLES and slot.first <= index <= slot.last:
+                    seen = self._obstructed(seen, poses[index], slot, index, foams.get(slot.number))
+            return seen
+
+        for index, seen in enumerate(_ahead(look, len(poses), self.threads)):
+            yield develop(seen, sensor, np.random.default_rng([self.config.seed, 3, index]))
+
+    def shoot(self, pose: Array, upcoming: Array, sensor: Sensor, rng: np.random.Generator) -> Frame:
+        """One frame from `pose`; `upcoming` is where the camera is one frame later (for motion blur)."""
+        return develop(self.look(pose, upcoming), sensor, rng)
+
+    def look(
+        self, pose: Array, upcoming: Array, moved: MovedWall | None = None, next_moved: MovedWall | None = None
+    ) -> Look:
+        """Light and truth from `pose`, with the wall at rest or moved, and moving on to `next_moved`.
+
+        The shutter is open from half its time before `pose` to half its time after: truth is that of mid-exposure.
+        """
+        caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, self.threads)
+        hits = caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+        points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
+        radiance = self._radiance(pose, hits, points, caster, moved)
+        shutter = self.config.imaging.shutter
+        if shutter:
+            moving = moved is not None or next_moved is not None
+            then = self._wall_points(hits, next_moved) if moving else None
+            radiance = smear(radiance, self._flow(points, hits.valid, pose, upcoming, then), shutter)
+        shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(WIDEST_DEG)))
+        wall = np.where(shown, points[..., 2], 0.0).astype(np.float32)
+        triangle = np.where(shown, hits.triangle.astype(np.int64), -1)
+        return Look(radiance, wall, points, triangle, np.zeros(shown.shape, bool))
+
+    def _radiance(self, pose: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None) -> Floats:
+        rotation = pose[:3, :3].astype(np.float32)
+        safe = np.where(hits.valid, hits.triangle, 0)
+        row, column = self.colon.grid_position(safe, hits.bary)
+        albedo, gloss, normals = self.texture.sample(row, column, self._footprint(points))
+        if moved is not None:
+            normals = normals + self._interpolated(moved.normal_change, safe, hits.bary)
+            normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+        lit = self._lit(pose, points, caster)
+        radiance = shade(points, normals @ rotation, albedo, gloss, lit, self.config.imaging)
+        return np.where(hits.valid[..., None], radiance, 0.0).astype(np.float32)
+
+    def _interpolated(self, values: Floats, triangle: NDArray[np.uint32], bary: Floats) -> Floats:
+        """Values on vertices (V,C) at surface points (H,W)."""
+        corners = values[self.colon.triangles[triangle]]
+        weights = np.concatenate([1 - bary.sum(axis=-1, keepdims=True), bary], axis=-1)
+        return np.einsum("hwkc,hwk->hwc", corners, weights)
+
+    def _footprint(self, points: Floats) -> Floats:
+        """Size of a pixel on the wall (H,W) mm, a compromise between frontal and grazing views."""
+        return 1.3 * _distance_ahead(points) / np.float32(self.camera.params[0])
+
+    def _lit(self, pose: Array, points: Floats, caster: RayCaster) -> Floats:
+        """How much of each light every point sees (L,H,W), tested at every second pixel: shadows are soft."""
+        lights = light_positions(self.config.imaging)
+        height, width = points.shape[:2]
+        if not self.config.imaging.shadows:
+            return np.ones((len(lights), height, width), np.float32)
+        rotation = pose[:3, :3].astype(np.float32)
+        tested = points[::2, ::2]
+        lit = np.empty((len(lights), height, width), np.float32)
+        for index, light in enumerate(lights):
+            origin = (rotation @ light + pose[:3, 3]).astype(np.float32)
+            blocked = caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
+            soft = cv2.GaussianBlur(1 - blocked.astype(np.float32), (0, 0), PENUMBRA_PX)
+            lit[index] = _doubled(soft, width, height)
+        return lit
+
+    def _wall_points(self, hits: Hits, moved: MovedWall | None) -> NDArray[Any]:
+        """Where the surface points that were hit are (H,W,3) mm, world, on the wall at rest or moved."""
+        vertices = self.colon.vertices if moved is None else moved.vertices
+        return self._interpolated(vertices, np.where(hits.valid, hits.triangle, 0), hits.bary)
+
+    def _flow(
+        self, points: NDArray[Any], valid: NDArray[np.bool_], pose: Array, upcoming: Array, then: NDArray[Any] | None
+    ) -> Floats:
+        """Where each pixel's wall point goes by the next frame (H,W,2) px; 0 where unknown.
+
+        `then` (H,W,3) is where in the world it is by that time; None if the wall rests.
+        """
+        height, width = valid.shape
+        points, valid = points[::2, ::2], valid[::2, ::2]  # motion is smooth: every second pixel tells enough
+        world = points @ pose[:3, :3].T + pose[:3, 3] if then is None else then[::2, ::2]
+        moved = (world - upcoming[:3, 3]) @ upcoming[:3, :3]
+        flow = self.camera.project(moved) - self.camera.project(points)
+        known = np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
+        return _doubled(known, width, height)
+
+    def _foam(self, poses: Array, slot: Slot) -> Array:
+        """Where a slot's bubbles sit on the wall: in view in its middle."""
+        pose = poses[(slot.first + slot.last) // 2]
+        hits = self.caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+        points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
+        return place_foam(points, pose, np.random.default_rng([self.config.seed, 9, slot.number + 1]))
+
+    def _obstructed(self, seen: Look, pose: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
+        nothing = np.empty((0, 4)) if foam is None else foam
+        view = View(self.camera, self.config.imaging, self.rays, pose, seen.points, seen.radiance, nothing)
+        rng = np.random.default_rng([self.config.seed, 7, slot.number + 1])
+        radiance, hidden = OBSTACLES[slot.kind](view, slot, frame, rng)
+        return replace(seen, radiance=radiance.astype(np.float32), hidden=seen.hidden | hidden)
+
+
+def develop(seen: Look, sensor: Sensor, rng: np.random.Generator) -> Frame:
+    """Light to picture; truth only where the picture shows wall."""
+    shown = sensor.window & ~seen.hidden
+    depth, triangle = np.where(shown, seen.wall, np.float32(0)), np.where(shown, seen.triangle, -1)
+    return Frame(sensor.expose(seen.radiance, rng, _distance_ahead(seen.points)), depth, triangle)
+
+
+def _doubled(field: Floats, width: int, height: int) -> Floats:
+    """Values at every second pixel, the first among them, interpolated to all (H,W,...)."""
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32) / 2, np.arange(height, dtype=np.float32) / 2)
+    return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _distance_ahead(points: Floats) -> Floats:
+    """z-depth (H,W) mm, which footprint and focus depend on, kept positive beyond 84 degrees off axis."""
+    return np.maximum(points[..., 2], np.float32(0.1) * np.sqrt(np.einsum("hwc,hwc->hw", points, points)))
+
+
+def _upcoming(poses: Array, index: int) -> Array:
+    """The next pose; after the last one the motion goes on."""
+    if index + 1 < len(poses):
+        return poses[index + 1]
+    return poses[-1] if len(poses) == 1 else poses[-1] @ np.linalg.inv(poses[-2]) @ poses[-1]
+
+
+@contextmanager
+def _opencv_on_one_thread() -> Iterator[None]:
+    """OpenCV's own threads and ours would wait for each other: a fifth slower on two cores."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _ahead(make: Callable[[int], Look], count: int, threads: int) -> Iterator[Look]:
+    """make(0), make(1), ... in order, computed on `threads` threads, at most one frame ahead per thread."""
+    if threads == 1:
+        yield from map(make, range(count))
+        return
+    with _opencv_on_one_thread(), ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[Look]] = deque()
+        for index in range(count):
+            waiting.append(pool.submit(make, index))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

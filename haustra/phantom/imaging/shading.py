@@ -1,0 +1,108 @@
+"""Light that rides on the tip: what radiance a wall point sends into the lens.
+
+Everything is in camera axes and millimetres, float32 (H,W,...). Brightness is relative: the gain comes later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.phantom.config import ImagingConfig
+from haustra.phantom.imaging.interreflection import bounced
+
+Floats = NDArray[np.floating[Any]]  # float32 in practice; numpy's types widen at every scalar
+Planes = Sequence[Floats]  # x, y, z, each (H,W)
+REFERENCE_MM = 25.0  # a frontal white wall at this distance has radiance 1
+LANDS_AGAIN = 0.6  # part of the light leaving a wall of the tube that meets wall again, not the open ways
+SPECULAR_EXPONENT_NORM = 60.0  # glint energy is shared over its lobe: sharper glints are brighter
+FAINTEST = 1e-16  # part of a glint's peak: far below a 255th of the picture's brightest
+
+
+def light_positions(imaging: ImagingConfig) -> Floats:
+    """Light guides (L,3) mm on a ring around the lens."""
+    part = np.arange(imaging.lights) / max(imaging.lights, 1)
+    angle = np.radians(imaging.light_roll_deg) + 2 * np.pi * part
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    return (imaging.light_offset_mm * ring).astype(np.float32)
+
+
+def shade(
+    points: Floats, normals: Floats, albedo: Floats, gloss: Floats, lit: Floats, imaging: ImagingConfig
+) -> Floats:
+    """Radiance (H,W,3) of wall points (H,W,3) with unit normals and linear reflectance.
+
+    `gloss` (H,W) multiplies the glints: 1 on moist mucosa. `lit` (L,H,W) is the part of light l that arrives, 0 in
+    its shadow.
+    """
+    place, normal = cv2.split(points), cv2.split(normals)  # planes: thrice as fast as triples
+    distance = np.maximum(_norm(place), 1e-3)
+    view = [axis / -distance for axis in place]
+    diffuse, glint = np.zeros_like(distance), np.zeros_like(distance)
+    for light, free in zip(light_positions(imaging), lit):
+        lambert, mirror = _one_light(place, normal, view, light, imaging)
+        diffuse += lambert * free
+        if imaging.specular:
+            glint += mirror * free
+    diffuse /= max(imaging.lights, 1)
+    glint *= gloss
+    glint /= max(imaging.lights, 1)
+    # Light from other walls has bounced off tissue, so it is redder, and falls off more slowly.
+    tint = imaging.ambient * REFERENCE_MM / (distance + 5.0)
+    planes, matt = [], []
+    for paint, colour in zip(cv2.split(albedo), np.asarray(imaging.light_colour, np.float32)):
+        radiance = paint * diffuse
+        if imaging.ambient:
+            radiance += paint * paint * 2.4 * tint
+        if imaging.bounce:
+            matt.append(radiance * colour)
+        radiance += glint
+        radiance *= colour
+        planes.append(radiance)
+    direct = cv2.merge(planes)
+    if not imaging.bounce:
+        return direct
+    # Glints are mirrors, no lamps. Reflections of reflections: a geometric series in albedo, channel by channel.
+    further = albedo / (1 - np.float32(LANDS_AGAIN) * albedo)
+    return direct + np.float32(imaging.bounce) * further * bounced(points, normals, cv2.merge(matt))
+
+
+def _one_light(
+    place: Planes, normal: Planes, view: Planes, light: Floats, imaging: ImagingConfig
+) -> tuple[Floats, Floats]:
+    """Diffuse and specular factors (H,W) of one light at (3,) mm."""
+    towards = [at - axis for at, axis in zip(light, place)]
+    distance = np.maximum(_norm(towards), 1e-3)
+    for axis in towards:
+        axis /= distance
+    arriving = (REFERENCE_MM / distance) ** 2
+    if imaging.light_lobe:
+        arriving = arriving * np.maximum(-towards[2], 0.0) ** imaging.light_lobe
+    cosine = _dot(normal, towards)
+    lambert = arriving * np.maximum((cosine + imaging.wrap) / (1 + imaging.wrap), 0.0)
+    if not imaging.specular:
+        return lambert, lambert
+    half = [a + b for a, b in zip(towards, view)]  # Blinn 1977
+    aligned = np.maximum(_dot(normal, half) / np.maximum(_norm(half), 1e-6), 0.0) * (cosine > 0)
+    sharpness = imaging.specular * imaging.shininess / SPECULAR_EXPONENT_NORM
+    return lambert, arriving * sharpness * _lobe(aligned, imaging.shininess)
+
+
+def _lobe(aligned: Floats, exponent: float) -> Floats:
+    """`aligned**exponent` (H,W), and 0 where that is too faint to be seen: the power is the slow part."""
+    shines = np.flatnonzero(aligned > np.float32(FAINTEST ** (1 / max(exponent, 1e-3))))
+    lobe = np.zeros(aligned.shape, np.float32)
+    lobe.ravel()[shines] = aligned.ravel()[shines] ** exponent
+    return lobe
+
+
+def _dot(a: Planes, b: Planes) -> Floats:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _norm(a: Planes) -> Floats:
+    return np.sqrt(_dot(a, a))

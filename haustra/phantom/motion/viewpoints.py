@@ -1,0 +1,62 @@
+"""Single camera poses for training: down the lumen, oblique, facing the wall, and close to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import PhantomError
+from haustra.phantom.anatomy.colon import Colon
+from haustra.phantom.motion.camera_path import clearance
+from haustra.phantom.raycaster import RayCaster
+
+Array = NDArray[np.float64]
+
+# Share of frames, range of the angle between view and lumen (deg), range of the distance to the wall (mm).
+KINDS = {
+    "lumen": (0.50, (0.0, 35.0), (4.0, 100.0)),
+    "oblique": (0.22, (35.0, 75.0), (4.0, 100.0)),
+    "en face": (0.12, (70.0, 110.0), (6.0, 100.0)),
+    "close": (0.16, (0.0, 80.0), (2.5, 7.0)),
+}
+TRIES = 200
+MOST_MISSES = 0.006  # part of the image that may look out of the open ends
+
+
+def random_pose(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
+    """A world_from_camera (4,4) inside the lumen that sees wall (almost) everywhere. `rays` are (H,W,3)."""
+    names = list(KINDS)
+    kind = names[rng.choice(len(names), p=[KINDS[name][0] for name in names])]
+    _, tilts, distances = KINDS[kind]
+    probe = rays[:: max(1, rays.shape[0] // 24), :: max(1, rays.shape[1] // 24)].reshape(-1, 3)
+    best, fewest = None, np.inf
+    for _ in range(TRIES):
+        pose = _draw(colon, tilts, rng)
+        if not distances[0] < clearance(colon, caster, pose[None, :3, 3])[0][0] < distances[1]:
+            continue
+        hits = caster.cast(pose[:3, 3], probe @ pose[:3, :3].T)
+        misses = float(np.mean(~hits.valid))
+        if misses <= MOST_MISSES:
+            return pose
+        if misses < fewest:
+            best, fewest = pose, misses
+    if best is None:
+        raise PhantomError(f"no view of kind {kind!r} in {TRIES} tries: the lumen is too narrow")
+    return best
+
+
+def _draw(colon: Colon, tilts: tuple[float, float], rng: np.random.Generator) -> Array:
+    """A pose anywhere in the tube, looking either way, tilted by an angle within `tilts` degrees."""
+    length = colon.line.arc[-1]
+    centre, frame = colon.line.at(np.array(rng.uniform(0.08, 0.92) * length))
+    around, out = rng.uniform(0, 2 * np.pi), 0.9 * colon.anatomy.radius_mm * np.sqrt(rng.uniform())
+    position = centre + out * (np.cos(around) * frame[:, 0] + np.sin(around) * frame[:, 1])
+    if rng.uniform() < 0.5:
+        frame = frame @ np.diag([-1.0, 1.0, -1.0])  # look back
+    roll, pan = rng.uniform(0, 2 * np.pi, 2)
+    tilt = np.radians(rng.uniform(*tilts))
+    lean = Rotation.from_rotvec(tilt * np.array([np.cos(pan), np.sin(pan), 0.0]))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = frame @ (lean * Rotation.from_rotvec([0, 0, roll])).as_matrix(), position
+    return pose

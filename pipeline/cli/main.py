@@ -1,0 +1,243 @@
+"""The commands `reconstruct` and `haustra`. Heavy packages are imported inside each command, so `--help` is instant."""
+
+import errno
+import logging
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from haustra.core.errors import HaustraError
+from pipeline.cli import run_commands as cli_runs
+from pipeline.run_folder.malloc import keep_freed_memory
+
+FILE_SYSTEM_SAYS_NO = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.ENOENT, errno.ENOTDIR)
+INTERRUPTED = 130  # the shell's code for Ctrl-C
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help="Dense colon reconstruction from endoscope video, on a CPU.",
+)
+
+app.command()(cli_runs.reconstruct)
+app.command()(cli_runs.view)
+app.command()(cli_runs.batch)
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    target: Annotated[Path, typer.Argument(help="out.ply, .glb, .obj or .stl; .rrd: everything, for Rerun")],
+    max_error: Annotated[
+        float | None, typer.Option(help="fewer triangles, none farther off than this, in the run's unit")
+    ] = None,
+    texture: Annotated[bool, typer.Option(help="colours as a picture laid over the mesh; .glb and .obj")] = False,
+) -> None:
+    """Write a run's mesh in another format, or the whole run as a Rerun recording."""
+    if target.suffix.lower() == ".rrd":
+        from pipeline.report.rerun_export import export_rerun
+
+        print(export_rerun(run, target))
+        return
+    from pipeline.surface.fusion_stage import export_mesh
+
+    print(export_mesh(run, target, max_error, texture))
+
+
+@app.command()
+def compare(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    truth: Annotated[Path, typer.Argument(help="RGB-D folder or TUM trajectory with the truth")],
+    tau_mm: Annotated[float, typer.Option(help="distance of the F-score, in the truth's unit (mm)")] = 1.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,
+) -> None:
+    """Errors of a run against truth: path (ATE, RTE, ROT) and surface (accuracy, completeness, F-score)."""
+    from pipeline.compare import compare_run
+    from pipeline.run_folder.workspace import write_json
+
+    result = compare_run(run, truth, tau_mm)
+    print(result)
+    if json_file is not None:
+        write_json(json_file, result.to_dict())
+
+
+@app.command()
+def phantom(
+    out: Annotated[Path, typer.Argument(help="folder to write; with --gallery a .png or .jpg file")],
+    scene: Annotated[str | None, typer.Option(help="colon, small_intestine, ccd or csd")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="of geometry, texture, path and noise")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="length of the film")] = None,
+    size: Annotated[int | None, typer.Option(help="side of the square picture, px")] = None,
+    motion: Annotated[str | None, typer.Option(help="withdrawal, insertion or loop")] = None,
+    events: Annotated[bool, typer.Option("--events", help="red-out, water jet, bubbles, tool, peristalsis")] = False,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings; with --suite, of sequences")] = None,
+    suite: Annotated[bool, typer.Option("--suite", help="the five evaluation sequences instead")] = False,
+    training: Annotated[int | None, typer.Option(min=1, help="this many random training frames instead")] = None,
+    gallery: Annotated[bool, typer.Option("--gallery", help="a picture of all scenes instead")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="processes that render training frames")] = 2,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the phantom in the folder")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")] = False,
+) -> None:
+    """Make a colon that knows its truth and film it: video, depth, path, mesh, lesions."""
+    from haustra.core.progress import SilentProgress, TerminalProgress
+    from pipeline.cli.phantom import PhantomOptions, chosen_config, render, render_training, suite_folders
+
+    progress = SilentProgress() if quiet else TerminalProgress()
+    options = PhantomOptions(scene, seed, frames, size, motion, events, config)
+    if sum([suite, training is not None, gallery]) > 1:
+        raise HaustraError("give only one of --suite, --training and --gallery")
+    if gallery:
+        from haustra.phantom.dataset.gallery import write_gallery
+
+        with progress.bar("gallery", None) as advance:
+            print(write_gallery(out, advance))
+    elif training is not None:
+        print(render_training(out, training, options, workers, progress))
+    elif suite:
+        if options != PhantomOptions(config=config):
+            raise HaustraError("--suite is fixed: it takes --config FILE, --overwrite and --quiet only")
+        print(*render(suite_folders(out, config), progress, overwrite), sep="\n")
+    else:
+        print(*render({out: chosen_config(options)}, progress, overwrite))
+
+
+@app.command()
+def evaluate(
+    folders: Annotated[list[Path], typer.Argument(help="folders with true depth; see completion/data/readers.py")],
+    model: Annotated[
+        list[str] | None, typer.Option(help="shipped name, weight file, nearest, linear, ip_basic")
+    ] = None,
+    sampler: Annotated[list[str] | None, typer.Option(help="uniform, features or sfm; may be repeated")] = None,
+    points: Annotated[list[int] | None, typer.Option(min=1, help="per frame; repeat it for a sweep")] = None,
+    align: Annotated[str, typer.Option(help="scale: none, points, median or least_squares")] = "none",
+    averaging: Annotated[str, typer.Option(help="per_frame (the paper's lineage) or pooled")] = "per_frame",
+    dataset: Annotated[str | None, typer.Option(help="layout, if it is not recognised")] = None,
+    stride: Annotated[int, typer.Option(min=1, help="every n-th frame")] = 1,
+    depth_step: Annotated[
+        float, typer.Option(min=0, help="truth is stored in steps of this length (SimCol3D: 0.784314 mm): smooth them")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="of the points")] = 0,
+    csv: Annotated[Path | None, typer.Option(help="errors of each frame")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="everything, with its protocol")] = None,
+    sheet: Annotated[Path | None, typer.Option(help="picture: images, truth, completed, error maps")] = None,
+    sweep: Annotated[Path | None, typer.Option(help="picture: error over the number of points")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="picture: actual over predicted error")] = None,
+    compare: Annotated[Path | None, typer.Option(help="picture: the models side by side")] = None,
+    attention: Annotated[Path | None, typer.Option(help="picture: features before and after attention")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
+) -> None:
+    """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
+    from completion.evaluation.run import Outputs, protocol_of
+    from completion.evaluation.run import evaluate as run
+    from haustra.core.progress import SilentProgress, TerminalProgress
+
+    protocols = [
+        protocol_of(name, count, align, averaging, seed, stride, depth_step)
+        for name in sampler or ["uniform"]
+        for count in points or [100]
+    ]
+    progress = SilentProgress() if quiet else TerminalProgress()
+    print(
+        run(
+            folders,
+            model or ["linear", "mscsa"],
+            protocols,
+            Outputs(csv, json_file, sheet, sweep, calibration, compare, attention),
+            dataset,
+            progress,
+        )
+    )
+
+
+@app.command()
+def train(
+    shards: Annotated[list[Path], typer.Argument(help="folders made by haustra phantom --training")],
+    out: Annotated[Path, typer.Option(help="weights.safetensors; OUT.checkpoint beside it")],
+    model: Annotated[str | None, typer.Option(help="scale-free (ours) or a name of networks/registry.py")] = None,
+    preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
+    size: Annotated[str | None, typer.Option(help="paper or small, of the networks of networks/registry.py")] = None,
+    steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
+    batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
+    init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
+    looks: Annotated[int | None, typer.Option(help="most looks at a frame, of ours; 1: no feedback")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="greatest")] = None,
+    warm_up: Annotated[int | None, typer.Option(help="steps until then")] = None,
+    seed: Annotated[int | None, typer.Option(help="of weights, order and points")] = None,
+    threads: Annotated[int | None, typer.Option(help="of the CPU")] = None,
+    device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
+) -> None:
+    """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
+    from completion.training.config import make_config
+    from completion.training.train import train as run
+    from haustra.core.progress import TerminalProgress
+
+    given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
+    given |= {"looks": looks, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads, "device": device}
+    config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
+    progress = TerminalProgress()
+    with progress.bar(f"training {config.model}", config.steps) as advance:
+        print(run(config, advance, progress.say))
+
+
+@app.command()
+def onnx(
+    out: Annotated[Path, typer.Argument(help="model.onnx")],
+    model: Annotated[str, typer.Option(help="mscsa, or a weight file of ours for SfM points")] = "mscsa",
+    side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 320,
+    again: Annotated[bool, typer.Option("--again", help="for looks after the first, as the file's text says")] = False,
+) -> None:
+    """Write a completion network for programs without torch."""
+    from completion.inference.completer import load_scale_free
+    from completion.inference.onnx_export import export_onnx
+
+    print(export_onnx(load_scale_free(model), out, side, again))
+
+
+def run_cleanly(command: Callable[[], Any]) -> int:
+    """Run a command; known failures become one sentence on standard error and exit code 1."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    keep_freed_memory()
+    try:
+        command()
+    except HaustraError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stopped; what was finished is kept: the same command goes on (reconstruct: --resume)", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as error:
+        if error.errno not in FILE_SYSTEM_SAYS_NO:
+            raise
+        where = f" ({error.filename})" if error.filename else ""
+        print(
+            f"error: {os.strerror(error.errno)}{where}; what was finished is kept",
+            file=sys.stderr,
+        )
+        return 1
+    return 0
+
+
+def main() -> None:
+    """Entry point of `haustra`."""
+    sys.exit(run_cleanly(lambda: _checked(app)))
+
+
+def reconstruct_main() -> None:
+    """Entry point of `reconstruct`, the same as `haustra reconstruct`."""
+    single = typer.Typer(add_completion=False)
+    single.command()(cli_runs.reconstruct)
+    sys.exit(run_cleanly(lambda: _checked(single)))
+
+
+def _checked(typer_app: typer.Typer) -> None:
+    """Typer prints usage errors and exits by itself; a Ctrl-C that it turned into an exit is one again."""
+    try:
+        typer_app(standalone_mode=True)
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            raise KeyboardInterrupt from stop
+        raise

@@ -1,0 +1,193 @@
+"""The commands that make runs and show them: `reconstruct`, `haustra batch` and `haustra view`."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from haustra.core.errors import HaustraError
+
+if TYPE_CHECKING:
+    from pipeline.config import Config
+
+Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")]
+FrontEnd = Annotated[str | None, typer.Option(help="auto: odometry, and sfm where that leaves doubt; odometry; sfm")]
+Model = Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")]
+LumenMm = Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")]
+Start = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes before")]
+End = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes after")]
+Stride = Annotated[int | None, typer.Option(min=1, help="use every n-th frame")]
+ConfigFile = Annotated[Path | None, typer.Option(help="YAML file of settings; options given beside it win")]
+Fast = Annotated[bool, typer.Option("--fast", help="fewer keyframes: a quarter to a third less time, less detail")]
+Seed = Annotated[int | None, typer.Option(help="of every random step")]
+Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]
+
+
+def reconstruct(
+    source: Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="run folder; NAME_run beside you if not given")
+    ] = None,
+    demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
+    camera: Camera = None,
+    front_end: FrontEnd = None,
+    model: Model = None,
+    lumen_mm: LumenMm = None,
+    scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
+    start: Start = None,
+    end: End = None,
+    stride: Stride = None,
+    config: ConfigFile = None,
+    fast: Fast = False,
+    chunks: Annotated[int | None, typer.Option(min=1, help="track the video in so many parts at once")] = None,
+    ray: Annotated[
+        str | None, typer.Option(help="Ray cluster that tracks the chunks, or local; needs the extra: cluster")
+    ] = None,
+    seed: Seed = None,
+    device: Device = None,
+    rerun: Annotated[
+        bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs the extra: rerun")
+    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Video in, coloured colon mesh, camera path, dense depth and report out."""
+    from haustra.core.progress import SilentProgress, TerminalProgress
+    from pipeline.config import load_config
+    from pipeline.run_folder.workspace import Workspace
+
+    if (source is None) == (not demo):
+        raise HaustraError("give one video or folder, or --demo")
+    if rerun:
+        from pipeline.report.rerun_export import check_rerun, export_rerun
+
+        check_rerun()  # before the work, not after it
+    settings = load_config(
+        config,
+        camera=camera,
+        front_end=front_end,
+        model=model,
+        lumen_mm=lumen_mm,
+        scale_file=scale,
+        frames={"start_s": start, "end_s": end, "stride": stride},
+        odometry=paced(fast) | {"chunks": chunks, "ray": ray},
+        seed=seed,
+        device=device,
+    )
+    again: dict[str, Any] = {"resume": resume, "overwrite": overwrite}
+    again["progress"] = SilentProgress() if quiet else TerminalProgress()
+    if demo:
+        from pipeline.demo import run_demo
+
+        output = output or Path("demo_run")
+        print(run_demo(output, settings, **again))
+    else:
+        assert source is not None
+        from pipeline.input.video import Source
+
+        Source(source)  # a mistyped name is answered before the heavy packages are loaded
+        from pipeline.run import reconstruct as run
+
+        output = output or Path(f"{source.resolve().stem}_run")
+        run(source, output, settings, **again)
+    if rerun:
+        recording = export_rerun(output, Workspace(output).recording)
+        if not quiet:
+            print(recording)
+
+
+def view(
+    run: Annotated[Path, typer.Argument(help="run folder")],
+    port: Annotated[int, typer.Option(min=0, help="0: a free one")] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open it")] = True,
+) -> None:
+    """Show a run's report in the browser, served to this machine alone until Ctrl-C."""
+    from pipeline.report.server import view as serve
+
+    serve(run, port, browser, lambda sentence: print(sentence, flush=True))
+
+
+def batch(
+    videos: Annotated[list[Path], typer.Argument(help="video files, image folders or RGB-D folders")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="folder for all run folders")],
+    jobs: Annotated[int | None, typer.Option(min=1, help="videos at a time; half the CPUs if not given")] = None,
+    ray: Annotated[
+        str | None, typer.Option(help="address of a Ray cluster, or local; needs the extra: cluster")
+    ] = None,
+    camera: Camera = None,
+    front_end: FrontEnd = None,
+    model: Model = None,
+    lumen_mm: LumenMm = None,
+    start: Start = None,
+    end: End = None,
+    stride: Stride = None,
+    config: ConfigFile = None,
+    fast: Fast = False,
+    seed: Seed = None,
+    device: Device = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="replace runs of another video or with other settings; keep the rest")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but the table")] = False,
+) -> None:
+    """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
+    from haustra.core.progress import SilentProgress, TerminalProgress
+    from pipeline.cli.batch import how_to_go_on, process_pool, run_batch
+    from pipeline.cli.batch_ray import ray_pool
+    from pipeline.cli.batch_table import print_table
+    from pipeline.config import load_config
+
+    given: dict[str, Any] = {"camera": camera, "front_end": front_end, "model": model, "lumen_mm": lumen_mm}
+    given |= {"seed": seed, "device": device}
+    frames = {"start_s": start, "end_s": end, "stride": stride}
+    given |= files_in_full(load_config(config, frames=frames, odometry=paced(fast), **given))
+    settings = load_config(config, frames=frames, odometry=paced(fast), **given)
+    given |= {"start": start, "end": end, "stride": stride}
+    words = options_of(given | {"config": None if config is None else str(config.resolve())}) + fast * ["--fast"]
+    workers = jobs or max(1, (os.cpu_count() or 2) // 2)
+    pool = process_pool(workers) if ray is None else ray_pool(ray, workers)
+    try:
+        progress = SilentProgress() if quiet else TerminalProgress()
+        outcomes = run_batch(videos, output, words, settings, pool, progress, overwrite)
+    except KeyboardInterrupt:
+        print(f"what was finished is in {output / 'batch.csv'}")
+        raise
+    print_table(outcomes)
+    failed = sum(outcome.status == "failed" for outcome in outcomes)
+    if failed:
+        raise HaustraError(f"{failed} of {len(outcomes)} videos failed; {how_to_go_on(videos, output, settings)}")
+
+
+def paced(fast: bool) -> dict[str, Any]:
+    """Odometry's settings of `--fast`."""
+    from pipeline.config import FAST_KEYFRAME_MOTION
+
+    return {"keyframe_motion": FAST_KEYFRAME_MOTION if fast else None}
+
+
+def files_in_full(settings: "Config") -> dict[str, str]:
+    """The settings that are files, by their full paths: a task may run in another folder or on another machine."""
+    from completion.weights.shipped import MODELS
+    from pipeline.input.camera_presets import PRESETS
+
+    names = {"auto", *PRESETS, *MODELS}
+    chosen = {"camera": settings.camera, "model": settings.model, "scale_file": settings.scale_file}
+    return {
+        name: str(Path(value).resolve())
+        for name, value in chosen.items()
+        if value is not None and value not in names and Path(value).is_file()
+    }
+
+
+def options_of(given: dict[str, Any]) -> list[str]:
+    """The words of `reconstruct`'s command line."""
+    options = {"scale_file": "--scale"}
+    return [
+        word
+        for name, value in given.items()
+        if value is not None
+        for word in (options.get(name, "--" + name.replace("_", "-")), str(value))
+    ]

@@ -1,0 +1,49 @@
+"""Which posed frames are completed and fused: those that see something new, and see enough of it."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from pipeline.mapping.submap import Submap
+
+NEAR_WALL = 80  # percentile of the motion: the middle of a lumen stands still while the wall beside the camera passes
+WELL_SEEN = 0.5  # share of the points of the best of the frames around that a keyframe must have
+AROUND = 10  # frames on either side; a front end may give some frames far more points than those between
+MIN_SHARED = 0.7  # share of a frame's points that the last keyframe also saw; below it the view has changed
+
+
+def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.int64]:
+    """Rows of the keyframes, of the frames that see enough points.
+
+    The first, then each whose shared points moved by more than `motion` image widths (`NEAR_WALL` percentile), or that
+    shares too few points with the last keyframe.
+    """
+    order, starts = submap.by_frame()
+    point, pixels = submap.observations[order, 1], submap.pixels[order]
+    good = _well_seen(np.diff(starts))
+    chosen = [int(good[0])]
+    for row in good[1:].tolist():
+        mine, last = (slice(starts[r], starts[r + 1]) for r in (row, chosen[-1]))
+        if _is_new(point[mine], pixels[mine], point[last], pixels[last], motion * width):
+            chosen.append(row)
+    return np.array(chosen)
+
+
+def _well_seen(count: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows that may be keyframes, by their numbers of points; where that leaves a gap, all rows of the gap."""
+    good = count >= WELL_SEEN * maximum_filter1d(count, 2 * AROUND + 1, mode="nearest")
+    near = maximum_filter1d(good.astype(np.uint8), AROUND + 1, mode="constant")  # within half of AROUND
+    return np.flatnonzero(good | (near == 0))
+
+
+def _is_new(
+    points: NDArray[np.int64],
+    pixels: NDArray[np.float64],
+    last_points: NDArray[np.int64],
+    last_pixels: NDArray[np.float64],
+    min_motion_px: float,
+) -> bool:
+    shared, mine, theirs = np.intersect1d(points, last_points, return_indices=True)
+    if len(shared) < MIN_SHARED * min(len(points), len(last_points)) or len(shared) == 0:
+        return True
+    return float(np.percentile(np.linalg.norm(pixels[mine] - last_pixels[theirs], axis=1), NEAR_WALL)) > min_motion_px

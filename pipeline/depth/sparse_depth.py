@@ -1,0 +1,159 @@
+"""Stage 3a: COLMAP's points to the sparse depth of one keyframe, each point with its relative error.
+
+A point's depth error follows from its parallax: n rays at angles alpha_i, each off by sigma_pixel / f, fix the depth to
+sigma_z / z = sigma_pixel / (f sqrt(sum (alpha_i - mean)^2)), the slope of a line fitted to them.
+
+That holds where each frame finds a point for itself. A corner that was followed from frame to frame slides, and what it
+is off in one frame it is off in the next: the error does not average out. Points that were found are preferred.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from haustra.core.camera import Camera
+from pipeline.config import SparseSettings
+from pipeline.mapping.submap import Submap
+
+NEIGHBOURS = 8  # points whose median log depth a point is compared with
+OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
+SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/front_end.md
+REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # better points so near (share of the width) replace a followed one
+ASKED = 12  # nearest points among which those are looked for
+SAME_WALL = 0.25  # log depth within which points are taken to lie on one wall
+
+
+@dataclass(frozen=True)
+class SparseDepth:
+    """pixels (K,2) in the pinhole image, COLMAP's convention; depth (K,) z-depth; error (K,) relative, 1 sigma."""
+
+    pixels: NDArray[np.float64]
+    depth: NDArray[np.float64]
+    error: NDArray[np.float64]
+
+    def scaled(self, factor: float) -> "SparseDepth":
+        """The same points in another unit; relative errors stay."""
+        return SparseDepth(self.pixels, self.depth * factor, self.error)
+
+    def maps(self, height: int, width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(H,W) depth and relative error, 0 = none; where points share a pixel the surer one stays."""
+        depth, error = np.zeros((2, height, width), dtype=np.float32)
+        order = np.argsort(-self.error, kind="stable")
+        x, y = np.floor(self.pixels[order]).astype(int).T
+        depth[y, x] = self.depth[order]
+        error[y, x] = self.error[order]
+        return depth, error
+
+
+def reliable_points(
+    submap: Submap, angles: NDArray[np.float64], focal: float, settings: SparseSettings
+) -> tuple[NDArray, NDArray]:
+    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each if it was found in each
+    frame for itself.
+
+    angles: (P,) the submap's triangulation angles, deg. focal: of the image in which the points were found, px.
+    """
+    lengths = submap.track_lengths()
+    good = (
+        (submap.error_px <= settings.max_reprojection_px)
+        & (lengths >= settings.min_track_length)
+        & (angles >= settings.min_angle_deg)
+    )
+    noise = np.maximum(settings.pixel_noise, submap.error_px)
+    return good, noise / (focal * np.maximum(submap.ray_spreads(), 1e-6))
+
+
+def error_with_slide(
+    scatter: NDArray[np.float64], followed: NDArray[np.bool_], angles: NDArray[np.float64], slide: float
+) -> NDArray[np.float64]:
+    """(P,) relative depth error of all points, of which the followed ones also slid across the angle (deg) that they
+    span. slide: focal lengths.
+
+    However many frames saw it on the way, a corner that slid by s px over an angle alpha is off by s / (f alpha).
+    """
+    return np.where(followed, np.hypot(scatter, slide / np.maximum(np.radians(angles), 1e-6)), scatter)
+
+
+class SparseDepthMaker:
+    """Sparse depth of any frame of a submap; filters and errors are computed once."""
+
+    def __init__(self, submap: Submap, pinhole: Camera, settings: SparseSettings) -> None:
+        self.submap, self.pinhole, self.settings = submap, pinhole, settings
+        # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
+        focal, angles = submap.camera_params[0], submap.triangulation_angles()
+        self.good, self.scatter = reliable_points(submap, angles, focal, settings)
+        self.error = error_with_slide(self.scatter, submap.is_followed, angles, SLIDE * pinhole.width / focal)
+        order, self._starts = submap.by_frame()
+        self._points = submap.observations[order, 1]
+
+    def seen_by(self, row: int) -> NDArray[np.int64]:
+        """Rows of the good points that frame row `row` observed."""
+        points = self._points[self._starts[row] : self._starts[row + 1]]
+        return points[self.good[points]]
+
+    def sparse_depth(self, row: int) -> SparseDepth:
+        """Points seen by the frame, then those that only its neighbours saw and that nothing hides here; followed ones
+        only where few others are."""
+        own = self.seen_by(row)
+        reach = self.settings.neighbours
+        around = range(max(0, row - reach), min(len(self.submap.frames), row + reach + 1))
+        near = np.unique(np.concatenate([self.seen_by(other) for other in around]))
+        others = np.setdiff1d(near, own)
+        points = np.concatenate([own, others])
+        in_camera = self.submap.points_in_camera(row, self.submap.points[points])
+        front = in_camera[:, 2] > 1e-6
+        pixels = np.full((len(points), 2), -1.0)
+        pixels[front] = self.pinhole.project(in_camera[front])
+        size = np.array([self.pinhole.width, self.pinhole.height])
+        keep = front & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
+        keep[keep] = self._is_visible(pixels[keep], in_camera[keep, 2], np.flatnonzero(keep) < len(own))
+        pixels, depth, error = pixels[keep], in_camera[keep, 2], self.error[points[keep]]
+        kept = ~is_replaced(pixels, depth, error, self.submap.is_followed[points[keep]], self.pinhole.width)
+        pixels, depth, error = pixels[kept], depth[kept], error[kept]
+        inlier = ~is_outlier(pixels, depth, self.settings.outlier_ratio)
+        return SparseDepth(pixels[inlier], depth[inlier], error[inlier])
+
+    def _is_visible(self, pixels: NDArray, depth: NDArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """True for the frame's own points, and for others unless an own point close by is clearly nearer."""
+        if not own.any() or own.all():
+            return np.ones(len(pixels), dtype=bool)
+        tree = cKDTree(pixels[own])
+        distance, nearest = tree.query(pixels, k=min(4, int(own.sum())))
+        distance, nearest = distance.reshape(len(pixels), -1), nearest.reshape(len(pixels), -1)
+        close = distance < OCCLUSION_RADIUS * self.pinhole.width
+        nearer = np.where(close, depth[own][nearest], np.inf).min(axis=1)
+        return own | (depth < 1.1 * nearer)
+
+
+def is_replaced(
+    pixels: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    error: NDArray[np.float64],
+    followed: NDArray[np.bool_],
+    width: int,
+) -> NDArray[np.bool_]:
+    """(K,) True for followed points near which enough others, that are surer, say what the same wall's depth is."""
+    replaced = np.zeros(len(pixels), dtype=bool)
+    if not followed.any() or (~followed).sum() < REPLACED_BY:
+        return replaced
+    count = min(ASKED, int((~followed).sum()))
+    distance, nearest = cKDTree(pixels[~followed]).query(pixels[followed], k=count)
+    surer = error[~followed][nearest] < error[followed][:, None]
+    same = np.abs(np.log(depth[~followed][nearest] / depth[followed][:, None])) < SAME_WALL
+    replaced[followed] = (surer & same & (distance < REPLACED_WITHIN * width)).sum(axis=1) >= REPLACED_BY
+    return replaced
+
+
+def is_outlier(pixels: NDArray[np.float64], depth: NDArray[np.float64], ratio: float) -> NDArray[np.bool_]:
+    """Points whose log depth is far from all local company: the median of the nearest points' log depth, widened by
+    how much those points themselves differ, so that a fold's edge does not count as an outlier."""
+    if len(pixels) <= NEIGHBOURS:
+        return np.zeros(len(pixels), dtype=bool)
+    _, nearest = cKDTree(pixels).query(pixels, k=NEIGHBOURS + 1)
+    log_depth = np.log(depth)
+    company = log_depth[nearest[:, 1:]]
+    middle = np.median(company, axis=1)
+    spread = 1.4826 * np.median(np.abs(company - middle[:, None]), axis=1)
+    return np.abs(log_depth - middle) > ratio + 3 * spread

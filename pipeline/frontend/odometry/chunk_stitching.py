@@ -1,0 +1,117 @@
+"""Two maps of one film that posed the same frames become one: what a chunk and the next have in common.
+
+No likeness is involved: a frame that both posed is the same picture. Each such frame says where one world lies in the
+other, its scale by the depths of both maps along the same rays, so that a camera at rest does as well as a moving one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from haustra.core.se3 import Array, in_camera, inverse
+from pipeline.mapping.local_map import LocalMap
+from pipeline.matching.keyframe_features import MIN_POINTS, inverse_depth_at, triangulated
+from pipeline.matching.sim3_ransac import moved_points, moved_pose
+
+MIN_SHARED = 10  # frames
+MIN_AGREEING = 0.8  # of them
+MAX_SPREAD = 0.1  # of a frame's scale, in log, from what is typical of them;
+MAX_TURN = np.radians(1.5)  # of its rotation;
+MAX_SHIFT = 0.05  # and of its place, in its own median depths
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A frame in a map: camera_from_world (4,4), tracks (N,), pixels (N,2), and whether it is a keyframe there."""
+
+    pose: Array
+    ids: NDArray[np.int64]
+    pixels: Array
+    key: bool
+
+
+def sightings(local_map: LocalMap) -> dict[int, Sighting]:
+    """All frames of a map by their number."""
+    found = {
+        p.frame: Sighting(local_map.pose_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False)
+        for p in local_map.posed
+    }
+    return found | {k.frame: Sighting(k.pose, k.ids, k.pixels, True) for k in local_map.keyframes}
+
+
+def frames_of(local_map: LocalMap) -> set[int]:
+    """Numbers of all frames that the map poses."""
+    return {k.frame for k in local_map.keyframes} | {p.frame for p in local_map.posed}
+
+
+def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
+    """Similarity (4,4) of the two worlds by the frames that both posed; None if these are few or do not agree."""
+    here, there = sightings(first), sightings(second)
+    measured = {f: _scale(first, here[f], second, there[f]) for f in sorted(here.keys() & there.keys())}
+    found = {f: scale_and_depth for f, scale_and_depth in measured.items() if scale_and_depth is not None}
+    if len(found) < MIN_SHARED:
+        return None
+    shared, (logs, depth) = list(found), np.log(np.array(list(found.values()))).T
+    poses = [np.stack([of[f].pose for f in shared]) for of in (here, there)]
+    turns = Rotation.from_matrix(np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[1][:, :3, :3])
+    centres = [np.stack([inverse(pose)[:3, 3] for pose in of]) for of in poses]
+    typical = turns[int(np.median([(turn.inv() * turns).magnitude() for turn in turns], axis=1).argmin())]
+    scale = float(np.exp(np.median(logs)))
+    shifts = centres[0] - scale * typical.apply(centres[1])
+    off = np.linalg.norm(shifts - np.median(shifts, axis=0), axis=1) / np.exp(depth)
+    turned = (typical.inv() * turns).magnitude()
+    agree = (np.abs(logs - np.median(logs)) < MAX_SPREAD) & (turned < MAX_TURN) & (off < MAX_SHIFT)
+    if agree.sum() < max(MIN_SHARED, MIN_AGREEING * len(shared)):
+        return None
+    scale, turn = float(np.exp(logs[agree].mean())), turns[agree].mean()
+    similarity = np.eye(4)
+    similarity[:3, :3] = scale * turn.as_matrix()
+    similarity[:3, 3] = (centres[0] - scale * turn.apply(centres[1]))[agree].mean(axis=0)
+    return similarity
+
+
+def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -> tuple[float, float] | None:
+    """Depth in the first map over depth in the second, along the rays of the second's points in a shared frame; and the
+    frame's median depth in the first."""
+    seen = []
+    for local_map, sighting in ((first, here), (second, there)):
+        known = local_map.known[sighting.ids]
+        depth = in_camera(sighting.pose, local_map.points[sighting.ids[known]])[:, 2]
+        seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
+    if min(len(depth) for _, depth in seen) < MIN_POINTS:
+        return None
+    (pixels, depth), (others, theirs) = seen
+    ratio = 1 / (inverse_depth_at(others, triangulated(pixels), depth) * theirs)
+    good = np.isfinite(ratio) & (ratio > 0)
+    return (float(np.median(ratio[good])), float(np.median(depth))) if good.sum() >= MIN_POINTS else None
+
+
+def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
+    """One map in the first one's world, frames in order. What either saw in a frame is seen in it; up to the middle of
+    the shared frames poses are the first one's, from there on the second's. Neither map may have features."""
+    here, there = sightings(first), sightings(second)
+    middle = np.median(sorted(here.keys() & there.keys()))
+    offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
+    result = LocalMap(first.rays)
+    result.reserve(offset + len(second.known))
+    for name in ("points", "known", "barred", "followed"):
+        getattr(result, name)[:offset] = getattr(first, name)[:offset]
+        getattr(result, name)[offset : offset + len(second.known)] = getattr(second, name)
+    after = slice(offset, offset + len(second.known))
+    result.points[after] = moved_points(first_from_second, second.points)
+    for frame in sorted(here.keys() | there.keys()):
+        mine, theirs = here.get(frame), there.get(frame)
+        parts = [(s.ids + o, s.pixels) for s, o in ((mine, 0), (theirs, offset)) if s is not None]
+        ids, pixels = (np.concatenate(of) for of in zip(*parts, strict=True))
+        if mine is not None and (theirs is None or frame < middle):
+            pose = mine.pose
+        else:
+            assert theirs is not None
+            pose = moved_pose(first_from_second, theirs.pose)
+        if not result.keyframes or any(s is not None and s.key for s in (mine, theirs)):
+            result.add_keyframe(frame, pose, ids, pixels)
+        else:
+            result.add_posed(frame, pose, ids, pixels)
+    return result

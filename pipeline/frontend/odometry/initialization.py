@@ -1,0 +1,165 @@
+"""The beginning of a submap: follow tracks until two frames are far enough apart, then map what was seen since."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, inverse
+from pipeline.frontend.odometry.corner_tracks import TrackSet
+from pipeline.frontend.odometry.klt import Pixels, View
+from pipeline.frontend.odometry.two_view import Hypothesis, Sight, parallax_px, start_pose
+from pipeline.mapping.lighting_check import brightness_of
+from pipeline.mapping.local_map import LOSS_PX, MAX_ERROR_PX, LocalMap, PosedFrame
+from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
+
+MIN_COMMON = 60  # tracks between the two frames,
+MIN_COMMON_SHARE = 0.4  # and their share of those in the second
+MIN_PARALLAX_PX = 6.4  # some twenty times the error of a track, which does not grow with the image
+ANCHOR_MOTION_SHARE = 0.03  # of the width, after which the anchor follows
+MIN_FOUND_SHARE = 0.6  # of the anchor's tracks; fewer, and the anchor follows
+MIN_TRACKS = 40  # fewer than this in a frame: what was followed so far is lost
+BUFFER = 240  # frames kept; beyond it every other one is dropped
+MIN_POSED = 12  # points that pose a frame of the buffer
+BETWEEN = 3  # keyframes made between the two
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A frame not yet posed, and its tracks."""
+
+    frame: int
+    ids: NDArray[np.int64]
+    pixels: Pixels
+
+
+class Start:
+    """Collects frames until `feed` gives a map with its first keyframes."""
+
+    def __init__(self, rays: RayTable, rng: np.random.Generator) -> None:
+        self.rays, self.rng = rays, rng
+        self.tracks = TrackSet()
+        self.waiting: list[Waiting] = []
+
+    def feed(self, frame: int, view: View, rgb: NDArray[np.uint8]) -> LocalMap | None:
+        """The map once the evidence suffices. Its tracks go on in `self.tracks`."""
+        tracks, width = self.tracks, view.image.shape[1]
+        tracks.follow(view)
+        if tracks.anchor is None or tracks.found.sum() < MIN_TRACKS:
+            self.waiting.clear()
+            tracks.found[:] = False
+            tracks.anchor_at(view)
+            self._remember(frame)
+            return None
+        self._remember(frame)
+        made = self._try(rgb)
+        if made is None and (
+            tracks.motion_px() > ANCHOR_MOTION_SHARE * width or tracks.found_share() < MIN_FOUND_SHARE
+        ):
+            tracks.anchor_at(view)
+        return made
+
+    def _remember(self, frame: int) -> None:
+        tracks = self.tracks
+        self.waiting.append(Waiting(frame, tracks.ids[tracks.found], tracks.now[tracks.found].copy()))
+        if len(self.waiting) > BUFFER:
+            self.waiting = self.waiting[::2]
+
+    def _try(self, rgb: NDArray[np.uint8]) -> LocalMap | None:
+        last = self.waiting[-1]
+        enough = max(MIN_COMMON, MIN_COMMON_SHARE * len(last.ids))
+        # Among the frames with enough in common, the earliest is the farthest away.
+        for number, first in enumerate(self.waiting[:-2]):
+            common = np.intersect1d(first.ids, last.ids, assume_unique=True)
+            if len(common) >= enough:
+                return self._try_pair(number, common, rgb)
+        return None
+
+    def _try_pair(self, number: int, common: NDArray[np.int64], rgb: NDArray[np.uint8]) -> LocalMap | None:
+        middle = (number + len(self.waiting) - 1) // 2
+        common = np.intersect1d(common, self.waiting[middle].ids, assume_unique=True)
+        if len(common) < MIN_COMMON:
+            return None
+        first, second, third = (self._sight(self.waiting[k], common) for k in (number, -1, middle))
+        focal = self.rays.focal_px
+        if parallax_px(first, second, focal) < MIN_PARALLAX_PX:
+            return None
+        hypothesis = start_pose(first, second, third, self._brightness(common, rgb), focal, self.rng)
+        return None if hypothesis is None else self._build(number, common, hypothesis)
+
+    def _sight(self, waiting: Waiting, common: NDArray[np.int64]) -> Sight:
+        rows = np.searchsorted(waiting.ids, common)  # track numbers ascend
+        return Sight(*self.rays.look_up(waiting.pixels[rows]))
+
+    def _brightness(self, common: NDArray[np.int64], rgb: NDArray[np.uint8]) -> Array:
+        last = self.waiting[-1]
+        x, y = np.floor(last.pixels[np.searchsorted(last.ids, common)]).astype(int).T
+        height, width = rgb.shape[:2]
+        return brightness_of(rgb)[y.clip(0, height - 1), x.clip(0, width - 1)].astype(np.float64)
+
+    def _build(self, number: int, common: NDArray[np.int64], hypothesis: Hypothesis) -> LocalMap:
+        """Keyframes at both ends and between, points, and poses for every waiting frame that sees enough of them."""
+        made = LocalMap(self.rays)
+        made.reserve(self.tracks.count)
+        scale = 1 / float(np.median(hypothesis.points[hypothesis.inlier, 2]))
+        tracks = common[hypothesis.inlier]
+        made.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
+        made.known[tracks] = True
+        last_pose = hypothesis.pose.copy()
+        last_pose[:3, 3] *= scale
+        end = len(self.waiting) - 1
+        poses = {number: np.eye(4), end: last_pose}
+        chosen = np.unique(np.linspace(number, end, BETWEEN + 2).round().astype(int))
+        guess: Array = np.eye(4)
+        for k in chosen[1:-1]:
+            found = self._pose(made, self.waiting[k], guess)
+            if found is not None:
+                poses[int(k)] = guess = found
+        for k in sorted(poses):
+            waiting = self.waiting[k]
+            made.add_keyframe(waiting.frame, poses[k], waiting.ids, waiting.pixels)
+        for _ in range(2):
+            made.triangulate_new()
+            made.adjust(iterations=15)
+        self._pose_rest(made, sorted(poses))
+        return made
+
+    def _pose_rest(self, made: LocalMap, keyframes: list[int]) -> None:
+        """Pose the frames between the keyframes, then those before the first, from near to far."""
+        number_of = dict(zip(keyframes, range(len(keyframes)), strict=True))
+        order = [*range(keyframes[0], len(self.waiting)), *range(keyframes[0] - 1, -1, -1)]
+        posed, owner, guess = [], 0, made.keyframes[0].pose
+        for k in order:
+            if k in number_of:
+                owner = number_of[k]
+                guess = made.keyframes[owner].pose
+                continue
+            if k == keyframes[0] - 1:
+                owner, guess = 0, made.keyframes[0].pose
+            waiting = self.waiting[k]
+            pose = self._pose(made, waiting, guess)
+            if pose is None:
+                continue
+            guess = pose
+            relative = pose @ inverse(made.keyframes[owner].pose)
+            mine = made.known[waiting.ids]
+            posed.append(
+                PosedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
+            )
+        made.posed = sorted(posed, key=lambda p: p.frame)
+
+    def _pose(self, made: LocalMap, waiting: Waiting, guess: Array) -> Array | None:
+        mine = made.known[waiting.ids]
+        if mine.sum() < MIN_POSED:
+            return None
+        points = made.points[waiting.ids[mine]]
+        seen, gain = self.rays.look_up(waiting.pixels[mine])
+        pose = refine_pose(guess, points, seen, gain, LOSS_PX, iterations=15)
+        share = (reprojection_errors(pose, points, seen, gain) < MAX_ERROR_PX).mean()
+        if share < 0.5:
+            other = robust_pose(points, seen, gain, MAX_ERROR_PX, self.rng)
+            if other is None or (reprojection_errors(other, points, seen, gain) < MAX_ERROR_PX).mean() < 0.5:
+                return None
+            pose = other
+        return pose

@@ -1,0 +1,98 @@
+"""A guessed lens made better by the map itself: focal length and first radial term, with their standard deviations.
+
+Tracking needs no more than a guess: a focal length that is a sixth off bends the map smoothly. Once the map is there,
+one bundle adjustment with the lens free finds it, if the camera moved enough; where it did not, the guess stays.
+"""
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress
+from pipeline.mapping.colmap_io import write_model
+from pipeline.mapping.local_map import LOSS_PX
+from pipeline.mapping.submap import Submap
+from pipeline.run_folder.subprocesses import run_isolated
+
+MOST_FRAMES = 100  # that determine the lens: more cost minutes and add little
+FRAME_STEP = 10  # frames between two of them at most; corners are followed over some tens of frames
+KEYFRAME_STEP = 3  # the same where the frames are keyframes; their features are found again in four, in the median
+MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
+MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
+
+
+@dataclass(frozen=True)
+class Lens:
+    """camera: refined, or the guess where `determined` is False. sigma: of its refined parameters for one pixel of
+    noise, focal length first; NaN where nothing holds them."""
+
+    camera: Camera
+    sigma: tuple[float, ...]
+    determined: bool
+
+
+def refine_lens(
+    submap: Submap, camera: Camera, seed: int, scratch: Path, progress: Progress, widest_step: int = FRAME_STEP
+) -> Lens:
+    """Adjust `submap` with the lens free; the guess comes back if that fails or the motion does not determine it."""
+    unknown = Lens(camera, (float("nan"),), False)
+    thin = thinned(submap, MOST_FRAMES, widest_step)
+    if len(thin.frames) < MIN_VIEWS or len(thin.points) == 0:
+        return unknown
+    folder = scratch / "lens"
+    write_model(thin, camera, folder)
+    job = {"model": str(folder), "output": str(folder / "lens.json"), "loss_px": LOSS_PX, "seed": seed}
+    try:
+        run_isolated("pipeline.frontend.colmap.worker", "calibrate", job, scratch / "lens.log", "lens", progress)
+    except HaustraError as error:
+        progress.say(f"{error}; the guessed lens stays")
+        return unknown
+    found = json.loads((folder / "lens.json").read_text())
+    params, sigma = tuple(map(float, found["params"])), tuple(map(float, found["sigma"]))
+    determined = (
+        all(map(math.isfinite, params)) and params[0] > 0 and sigma[0] <= MAX_FOCAL_SIGMA * params[0]  # NaN: False
+    )
+    return Lens(replace(camera, params=params) if determined else camera, sigma, determined)
+
+
+def thinned(submap: Submap, most: int, widest_step: int = FRAME_STEP) -> Submap:
+    """At most so many of its frames and the points that enough of them see.
+
+    Spread evenly over the submap, or, where that would part them farther than their common points reach, over the
+    stretch of it in which the camera turns most: turning is what tells a focal length.
+    """
+    count, reach = len(submap.frames), most * widest_step
+    first = _liveliest(submap, reach) if count > reach else 0
+    rows = np.unique(np.linspace(first, min(first + reach, count) - 1, most).round().astype(int))
+    dropped = np.setdiff1d(np.arange(count), rows)
+    few = submap.without_frames(set(submap.frames[dropped].tolist()))
+    return _without_points(few, few.track_lengths() < MIN_VIEWS)
+
+
+def _liveliest(submap: Submap, length: int) -> int:
+    """First row of the stretch of that length with the most turning, from frame to frame added up."""
+    turns = submap.world_from_camera[:, :3, :3]
+    cosine = (np.einsum("nij,nij->n", turns[1:], turns[:-1]) - 1) / 2
+    turned = np.concatenate([[0], np.cumsum(np.arccos(np.clip(cosine, -1, 1)))])
+    starts = np.append(np.arange(0, len(turns) - length, max(1, length // 2)), len(turns) - length)
+    return int(starts[np.argmax(turned[starts + length - 1] - turned[starts])])
+
+
+def _without_points(submap: Submap, drop: NDArray[np.bool_]) -> Submap:
+    mine = ~drop[submap.observations[:, 1]]
+    observations = submap.observations[mine].copy()
+    observations[:, 1] = (np.cumsum(~drop) - 1)[observations[:, 1]]
+    return replace(
+        submap,
+        points=submap.points[~drop],
+        error_px=submap.error_px[~drop],
+        observations=observations,
+        pixels=submap.pixels[mine],
+        followed=submap.is_followed[~drop],
+    )

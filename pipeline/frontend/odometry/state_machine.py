@@ -1,0 +1,97 @@
+"""The state machine: start, track, lose, start again. Frames go in one by one; maps come out.
+
+A lost camera starts a new map at once, and the old one keeps looking for a few frames more: whichever first knows where
+the camera is goes on. No frame is needed twice and no image is kept but the anchors'.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.ray_table import RayTable
+from pipeline.config import OdometrySettings
+from pipeline.frontend.odometry.initialization import Start
+from pipeline.frontend.odometry.klt import View, make_view
+from pipeline.frontend.odometry.tracking import Tracker
+from pipeline.mapping.local_map import LocalMap
+
+PATIENCE = 10  # frames for which a lost map goes on looking
+MAX_JUMP = 15  # frames without a picture after which the old map is not asked any more
+PROBATION = 4  # keyframes within which the lamp can disown a new map
+DARK_NEAR = 0.0  # rank correlation of distance and brightness above which it does
+MIN_KEYFRAMES = 3  # of a map that is kept
+KEYFRAME_MOTION = OdometrySettings().keyframe_motion
+
+State = Literal["starting", "tracking", "lost"]
+
+
+class Odometry:
+    """Feed it frames in order, then ask for the maps."""
+
+    def __init__(self, rays: RayTable, seed: int, stride: int = 1, keyframe_motion: float = KEYFRAME_MOTION) -> None:
+        self.rays, self.stride, self.keyframe_motion = rays, stride, keyframe_motion
+        self.rng = np.random.default_rng(seed)
+        self.maps: list[LocalMap] = []  # closed ones
+        self.tracker: Tracker | None = None
+        self.start: Start | None = None
+        self.missed = 0  # frames since the tracker last knew
+
+    @property
+    def state(self) -> State:
+        if self.tracker is None:
+            return "starting"
+        return "tracking" if self.missed == 0 else "lost"
+
+    @property
+    def submaps(self) -> int:
+        """Maps so far, with the current one."""
+        return len(self.maps) + (self.tracker is not None)
+
+    @property
+    def keyframe(self) -> int | None:
+        """Number of the frame that became the latest keyframe of the current map."""
+        return self.tracker.map.keyframes[-1].frame if self.tracker is not None else None
+
+    def view(self, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> View:
+        """What `feed` asks of a frame that no other frame has a say in. rgb (H,W,3) uint8; mask (H,W), nonzero where
+        features may lie."""
+        return make_view(rgb, self.rays.masked(mask))
+
+    def feed(self, frame: int, rgb: NDArray[np.uint8], view: View) -> State:
+        """The next frame and its `view`; `frame` numbers ascend."""
+        if self.tracker is not None:
+            steps = max(1, round((frame - self.tracker.frame) / self.stride))
+            outcome = "lost" if steps > MAX_JUMP else self.tracker.feed(frame, steps, view, rgb)
+            if outcome != "lost":
+                self.missed, self.start = 0, None
+                if outcome == "keyframe" and self._is_disowned():
+                    self.tracker = None
+                return self.state
+            self.missed += 1
+            if self.missed > PATIENCE or steps > MAX_JUMP:
+                self._close()
+        self.start = self.start or Start(self.rays, self.rng)
+        made = self.start.feed(frame, view, rgb)
+        if made is not None:
+            self._close()
+            tracks, motion = self.start.tracks, self.keyframe_motion
+            self.tracker = Tracker(made, tracks, view, frame, self.rng, motion, self.stride)
+            self.start, self.missed = None, 0
+        return self.state
+
+    def finish(self) -> list[LocalMap]:
+        """All maps, in the order of their beginning."""
+        self._close()
+        return self.maps
+
+    def _close(self) -> None:
+        if self.tracker is not None and len(self.tracker.map.keyframes) >= MIN_KEYFRAMES:
+            self.maps.append(self.tracker.map)
+        self.tracker, self.missed = None, 0
+
+    def _is_disowned(self) -> bool:
+        """True while a map is young and its lamp says that near is dark."""
+        assert self.tracker is not None
+        votes = self.tracker.light
+        return len(votes) == PROBATION and float(np.median(votes)) > DARK_NEAR

@@ -1,0 +1,192 @@
+"""Following the camera in a map: predict, look, resect, and make a keyframe when the view has changed."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.stats import spearmanr
+
+from haustra.core.se3 import Array, angle_between, in_camera, inverse
+from pipeline.frontend.odometry.corner_tracks import TrackSet
+from pipeline.frontend.odometry.klt import Pixels, View
+from pipeline.mapping.lighting_check import brightness_of
+from pipeline.mapping.local_map import LOSS_PX, WINDOW, LocalMap
+from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
+
+INLIER_PX = 2.0
+MIN_INLIERS = 20
+MIN_INLIER_SHARE = 0.5  # of the points that were found again
+SURE_SHARE = 0.75  # below it sample consensus has a say too
+MIN_FOUND_SHARE = 0.15  # of the points that should be in view
+MAX_STEP = 0.5  # median depths between two frames
+MAX_TURN = np.radians(25.0)  # between two frames
+MAX_GAP = 3  # frames over which the motion is carried on
+KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
+ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
+ADJUST_AFTER_GUESS = 1  # with a guessed lens, which bends the map: what is left bent longer is lost more often
+MIN_VOTERS = 15
+
+Outcome = Literal["tracked", "keyframe", "lost"]
+
+
+class Tracker:
+    """Poses frames in `map`; `tracks` must be those from which the map's last keyframe was made.
+
+    keyframe_motion: share of the width that tracks move by, in the median, until the next keyframe."""
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        tracks: TrackSet,
+        view: View,
+        frame: int,
+        rng: np.random.Generator,
+        keyframe_motion: float,
+        stride: int = 1,
+    ) -> None:
+        self.map, self.tracks, self.rng, self.keyframe_motion = local_map, tracks, rng, keyframe_motion
+        self.pose = local_map.keyframes[-1].pose
+        self.frame = frame
+        self.velocity = self._initial_velocity(stride)
+        self.adjust_after = ADJUST_AFTER if local_map.rays.camera.trusted else ADJUST_AFTER_GUESS
+        self.unadjusted = 0  # frames since the last adjustment
+        self.light: list[float] = []  # rank correlation of distance and brightness at each keyframe
+        self._anchor(view)
+
+    def feed(self, frame: int, steps: int, view: View, rgb: NDArray[np.uint8]) -> Outcome:
+        """Pose the frame, `steps` frame intervals after the last one that was posed."""
+        predicted = self._predict(steps)
+        found = self._resect(view, predicted)
+        if found is None:
+            return "lost"
+        pose, mapped, inlier = found
+        if not self._is_plausible(pose, steps):
+            return "lost"
+        if steps <= MAX_GAP:
+            self.velocity = _fraction(pose @ inverse(self.pose), 1 / steps)
+        else:
+            self.velocity = np.eye(4)
+        self.pose, self.frame = pose, frame
+        self.unadjusted += steps
+        tracks = self.tracks
+        good = tracks.found.copy()
+        good[mapped[~inlier]] = False
+        rows = mapped[inlier]
+        tracks.found = good
+        if not self._needs_keyframe(view.image.shape[1]):
+            self.map.add_posed(frame, pose, tracks.ids[rows], tracks.now[rows])
+            return "tracked"
+        self._vote(rgb, rows)
+        self._make_keyframe(frame, view)
+        return "keyframe"
+
+    def _predict(self, steps: int) -> Array:
+        predicted = self.pose
+        if steps <= MAX_GAP:
+            for _ in range(steps):
+                predicted = self.velocity @ predicted
+        return predicted
+
+    def _resect(self, view: View, predicted: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]] | None:
+        """Pose, rows of the found tracks that have points, and which of them agree."""
+        tracks = self.tracks
+        known = self.map.known[tracks.ids]
+        tracks.follow(view, self._guess(known, predicted))
+        mapped = np.flatnonzero(tracks.found & known)
+        if len(mapped) < max(MIN_INLIERS, MIN_FOUND_SHARE * known.sum()):
+            return None
+        points = self.map.points[tracks.ids[mapped]]
+        seen, gain = self.map.rays.look_up(tracks.now[mapped])
+        pose = refine_pose(predicted, points, seen, gain, 2 * LOSS_PX)
+        errors = reprojection_errors(pose, points, seen, gain)
+        if (errors < INLIER_PX).mean() < SURE_SHARE:
+            other = robust_pose(points, seen, gain, INLIER_PX, self.rng)
+            if other is not None:
+                others = reprojection_errors(other, points, seen, gain)
+                if (others < INLIER_PX).sum() > (errors < INLIER_PX).sum():
+                    pose, errors = other, others
+        inlier = errors < INLIER_PX
+        if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
+            return None
+        pose = refine_pose(pose, points[inlier], seen[inlier], gain[inlier], LOSS_PX, iterations=4)
+        return pose, mapped, reprojection_errors(pose, points, seen, gain) < INLIER_PX
+
+    def _guess(self, known: NDArray[np.bool_], predicted: Array) -> Pixels:
+        """(N,2) where each track should be. A track without a point borrows the depth of the nearest one that has."""
+        tracks, last = self.tracks, self.map.keyframes[-1]
+        if not known.any():
+            return np.full(tracks.now.shape, np.nan, dtype=np.float32)
+        points = self.map.points[tracks.ids]
+        if not known.all():
+            depth = in_camera(last.pose, points[known])[:, 2]
+            _, nearest = cKDTree(tracks.places[known]).query(tracks.places[~known])
+            seen, _ = self.map.rays.look_up(tracks.places[~known])
+            local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) * depth[nearest][:, None]
+            points[~known] = in_camera(inverse(last.pose), local)
+        return self.map.rays.project(in_camera(predicted, points)).astype(np.float32)
+
+    def _is_plausible(self, pose: Array, steps: int) -> bool:
+        """An endoscope does not jump: a pose far from the last one is a false fit."""
+        step = float(np.linalg.norm(inverse(pose)[:3, 3] - inverse(self.pose)[:3, 3]))
+        limit = min(steps, MAX_GAP)
+        depth = self.map.median_depth(self.map.keyframes[-1])
+        return step < MAX_STEP * limit * depth and angle_between(pose, self.pose) < MAX_TURN * limit
+
+    def _needs_keyframe(self, width: int) -> bool:
+        tracks = self.tracks
+        return tracks.motion_px() > self.keyframe_motion * width or tracks.found_share() < KEYFRAME_FOUND_SHARE
+
+    def _make_keyframe(self, frame: int, view: View) -> None:
+        """The frame enters the map, which is adjusted around it if that is due, and tracking goes on from its image."""
+        tracks = self.tracks
+        self.map.add_keyframe(frame, self.pose, tracks.ids[tracks.found], tracks.now[tracks.found])
+        self.map.triangulate_new()
+        if self.unadjusted >= self.adjust_after or len(self.map.keyframes) <= WINDOW:
+            self.map.adjust()
+            self.unadjusted = 0
+        self.map.forget_unused()
+        self.pose = self.map.keyframes[-1].pose
+        self._anchor(view)
+
+    def _anchor(self, view: View) -> None:
+        """Move the anchor to the last keyframe's image; its new corners belong to that keyframe too."""
+        tracks = self.tracks
+        tracks.found &= ~self._barred()
+        begun = tracks.count
+        tracks.anchor_at(view)
+        self.map.reserve(tracks.count)
+        fresh = tracks.ids >= begun
+        self.map.extend(-1, tracks.ids[fresh], tracks.now[fresh])
+
+    def _barred(self) -> NDArray[np.bool_]:
+        self.map.reserve(self.tracks.count)
+        return self.map.barred[self.tracks.ids]
+
+    def _vote(self, rgb: NDArray[np.uint8], rows: NDArray[np.int64]) -> None:
+        """Is nearer brighter here? A map that starts false contradicts its lamp."""
+        if len(rows) < MIN_VOTERS:
+            return
+        pixels = self.tracks.now[rows]
+        x, y = np.floor(pixels).astype(int).T
+        distance = np.linalg.norm(in_camera(self.pose, self.map.points[self.tracks.ids[rows]]), axis=1)
+        self.light.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
+
+    def _initial_velocity(self, stride: int) -> Array:
+        """From the map's last two keyframes, for one step of `stride` frame numbers."""
+        if len(self.map.keyframes) < 2:
+            return np.eye(4)
+        before, last = self.map.keyframes[-2:]
+        steps = max(1, round((last.frame - before.frame) / stride))
+        return _fraction(last.pose @ inverse(before.pose), 1 / steps)
+
+
+def _fraction(motion: Array, share: float) -> Array:
+    """A share of a motion: of its rotation vector and of its translation."""
+    if share == 1:
+        return motion
+    part = np.eye(4)
+    part[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(motion[:3, :3]).as_rotvec()).as_matrix()
+    part[:3, 3] = share * motion[:3, 3]
+    return part

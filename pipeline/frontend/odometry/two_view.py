@@ -1,0 +1,209 @@
+"""The start: relative pose of two views by several hypotheses, judged by evidence.
+
+Five-point essential matrices and a homography each give a few poses. A plane, little parallax or one false sample can
+make a wrong one fit two views as well as the right one, so each is asked for more: depths in front of both cameras, a
+third view that was not used, and the endoscope's lamp, under which nearer is brighter.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import spearmanr
+
+from haustra.core.se3 import Array, angle_between, compose
+from pipeline.optimization.bundle_adjustment import Bundle, adjust
+from pipeline.optimization.resection import refine_pose, reprojection_errors
+from pipeline.optimization.triangulation import triangulate
+
+MAX_ERROR_PX = 1.5
+DRAW_PX = (0.3, 0.5, 0.7, 1.0)  # thresholds of the essential matrices drawn: a wide one lets a tolerable sample win
+FINALISTS = 4
+REFINEMENTS = 25  # fewer leave half-converged copies of the best as its rivals
+MIN_POINTS = 30
+MIN_SHARE = 0.6  # of the tracks that all three views must explain
+CLEARLY_WORSE = 0.85  # times the best support: a rival below it is out
+MIN_ANGLE_DEG = 1.5  # median angle between the rays of a point
+DARK_NEAR = 0.1  # rank correlation of distance and brightness above which the lamp says no
+CLEARLY_DARKER = 0.2  # difference of that correlation that settles it between two equals
+SAME_ANGLE = np.radians(1.0)
+SAME_DIRECTION = np.radians(12.0)
+MIN_VOTERS = 15
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The same tracks in one view: seen (N,2) on the plane z = 1, gain (N,2,2) pixels per unit."""
+
+    seen: Array
+    gain: Array
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Pose of the second camera, and what speaks for it.
+
+    pose: second_from_first, |t| = 1. points (N,3) in the first camera. inlier (N,) in all views. angle_deg: median.
+    support: mean over the tracks of 1 - (error / limit)^2, none below 0: it tells a good fit from a tolerable one,
+    where with little parallax a count cannot. light: rank correlation of distance and brightness over the inliers,
+    0 if not asked.
+    """
+
+    pose: Array
+    points: Array
+    inlier: NDArray[np.bool_]
+    support: float
+    angle_deg: float
+    light: float
+
+    @property
+    def share(self) -> float:
+        return float(self.inlier.mean())
+
+
+def parallax_px(first: Sight, second: Sight, focal_px: float) -> float:
+    """Median way of the tracks that no rotation explains, in pixels at the image's centre."""
+    rays = [np.concatenate([s.seen, np.ones((len(s.seen), 1))], axis=1) for s in (first, second)]
+    a, b = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in rays)
+    weight = np.ones(len(a))
+    for _ in range(4):
+        u, _, vt = np.linalg.svd((b * weight[:, None]).T @ a)
+        rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        off = np.linalg.norm(b - a @ rotation.T, axis=1)
+        weight = 1 / np.maximum(off, 1e-4)
+    return float(np.median(off) * focal_px)
+
+
+def start_pose(
+    first: Sight,
+    second: Sight,
+    third: Sight,
+    brightness: Array | None,
+    focal_px: float,
+    rng: np.random.Generator,
+) -> Hypothesis | None:
+    """The hypothesis that the evidence prefers clearly, or None: ask again when the camera has moved on.
+
+    brightness: (N,) of the tracks in the second view, or None.
+    """
+    if len(first.seen) < MIN_POINTS:
+        return None
+    judged = [judge(pose, first, second, third, brightness) for pose in propose(first, second, focal_px, rng)]
+    judged = [h for h in judged if h.inlier.sum() >= MIN_POINTS]
+    lit = [h for h in judged if h.light <= DARK_NEAR]
+    if not lit:
+        return None
+    best, most = (max(group, key=lambda h: h.support) for group in (lit, judged))
+    if best.share < MIN_SHARE or best.angle_deg < MIN_ANGLE_DEG or best.support < CLEARLY_WORSE * most.support:
+        return None
+    rivals = [h for h in lit if not _is_same(h.pose, best.pose) and h.support > CLEARLY_WORSE * best.support]
+    if any(h.light < best.light + CLEARLY_DARKER for h in rivals):
+        return None
+    return best
+
+
+def propose(first: Sight, second: Sight, focal_px: float, rng: np.random.Generator) -> list[Array]:
+    """Poses (4x4, second_from_first, |t| = 1) worth a closer look, those with most points in front first."""
+    poses: list[Array] = []
+    for limit in DRAW_PX:
+        poses += _from_essential(first.seen, second.seen, limit / focal_px, rng)
+    poses += _from_homography(first.seen, second.seen, focal_px, rng)
+    counted = sorted(((_fitting(pose, first, second), k) for k, pose in enumerate(poses)), reverse=True)
+    chosen: list[Array] = []
+    for count, k in counted:
+        if len(chosen) < FINALISTS and count >= MIN_POINTS and not any(_is_same(poses[k], c) for c in chosen):
+            chosen.append(poses[k])
+    return chosen
+
+
+def judge(pose: Array, first: Sight, second: Sight, third: Sight, brightness: Array | None) -> Hypothesis:
+    """Refine a pose and its points on two views, then ask the third view and the lamp."""
+    pose, points, error, angle = _refined(pose, first, second)
+    inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
+    if inlier.sum() < MIN_POINTS:
+        return Hypothesis(pose, points, np.zeros(len(points), dtype=bool), 0.0, 0.0, 0.0)
+    halfway = _interpolated(pose)
+    middle = refine_pose(halfway, points[inlier], third.seen[inlier], third.gain[inlier], MAX_ERROR_PX, iterations=15)
+    error = np.maximum(error, reprojection_errors(middle, points, third.seen, third.gain))
+    inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
+    support = float(np.where(inlier, 1 - np.minimum(error / MAX_ERROR_PX, 1) ** 2, 0).mean())
+    light = 0.0
+    if brightness is not None and inlier.sum() >= MIN_VOTERS:
+        distance = np.linalg.norm(points[inlier] @ pose[:3, :3].T + pose[:3, 3], axis=1)
+        light = float(np.nan_to_num(spearmanr(distance, brightness[inlier]).statistic))
+    angle_deg = float(np.degrees(np.median(angle[inlier]))) if inlier.any() else 0.0
+    return Hypothesis(pose, points, inlier, support, angle_deg, light)
+
+
+def _refined(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array, Array]:
+    """Pose with |t| = 1, points, worst error and ray angle of each, after adjusting both to the two views."""
+    points, error, _ = _triangulated(pose, first, second)
+    take = np.flatnonzero(error < 3 * MAX_ERROR_PX)
+    if len(take) >= MIN_POINTS:
+        count = len(take)
+        poses = np.stack([np.eye(4), pose])
+        bundle = Bundle(
+            poses[:, :3, :3], poses[:, :3, 3], points[take],
+            np.repeat([0, 1], count), np.tile(np.arange(count), 2),
+            np.concatenate([first.seen[take], second.seen[take]]),
+            np.concatenate([first.gain[take], second.gain[take]]),
+            np.array([True, False]),
+        )  # fmt: skip
+        result = adjust(bundle, REFINEMENTS, MAX_ERROR_PX)
+        pose = compose(result.rotation[1], result.translation[1])
+        pose[:3, 3] /= max(float(np.linalg.norm(pose[:3, 3])), 1e-12)
+    points, error, angle = _triangulated(pose, first, second)
+    return pose, points, error, angle
+
+
+def _triangulated(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array]:
+    count = len(first.seen)
+    poses = np.tile(np.stack([np.eye(4), pose]), (count, 1, 1))
+    seen = np.stack([first.seen, second.seen], axis=1).reshape(-1, 2)
+    gain = np.stack([first.gain, second.gain], axis=1).reshape(-1, 2, 2)
+    return triangulate(poses[:, :3, :3], poses[:, :3, 3], np.repeat(np.arange(count), 2), count, seen, gain)
+
+
+def _fitting(pose: Array, first: Sight, second: Sight) -> int:
+    return int((_triangulated(pose, first, second)[1] < MAX_ERROR_PX).sum())
+
+
+def _from_essential(first: Array, second: Array, limit: float, rng: np.random.Generator) -> list[Array]:
+    found, _ = cv2.findEssentialMat(
+        first, second, np.eye(3), np.eye(3), np.zeros(4), np.zeros(4), _consensus(limit, rng)
+    )
+    if found is None or found.shape != (3, 3):
+        return []
+    one, other, direction = cv2.decomposeEssentialMat(found)
+    return [compose(turn, sign * direction.ravel()) for turn in (one, other) for sign in (1, -1)]
+
+
+def _from_homography(first: Array, second: Array, focal_px: float, rng: np.random.Generator) -> list[Array]:
+    found, _ = cv2.findHomography(first, second, _consensus(2.0 / focal_px, rng))
+    if found is None or found.shape != (3, 3):
+        return []
+    _, turns, shifts, _ = cv2.decomposeHomographyMat(found, np.eye(3))
+    lengths = [float(np.linalg.norm(shift)) for shift in shifts]
+    return [compose(t, s.ravel() / n) for t, s, n in zip(turns, shifts, lengths, strict=True) if n > 1e-6]
+
+
+def _consensus(threshold: float, rng: np.random.Generator) -> cv2.UsacParams:
+    params = cv2.UsacParams()
+    params.threshold, params.confidence, params.maxIterations = threshold, 0.99999, 1000
+    params.score, params.loMethod = cv2.SCORE_METHOD_MSAC, cv2.LOCAL_OPTIM_INNER_LO
+    params.randomGeneratorState = int(rng.integers(1, 2**31 - 1))
+    return params
+
+
+def _interpolated(pose: Array) -> Array:
+    half = np.eye(4)
+    half[:3, :3] = Rotation.from_rotvec(0.5 * Rotation.from_matrix(pose[:3, :3]).as_rotvec()).as_matrix()
+    half[:3, 3] = 0.5 * pose[:3, 3]
+    return half
+
+
+def _is_same(first: Array, second: Array) -> bool:
+    cosine = float(np.clip(first[:3, 3] @ second[:3, 3], -1, 1))
+    return angle_between(first, second) < SAME_ANGLE and np.arccos(cosine) < SAME_DIRECTION

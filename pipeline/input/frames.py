@@ -1,0 +1,181 @@
+"""Stage 1: a source to working frames on disk, each judged, with the camera that belongs to them."""
+
+import itertools
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress
+from pipeline.config import Config, FrameSettings
+from pipeline.input.calibration import calibrate
+from pipeline.input.content_area import ContentArea, find_content, highlight_mask
+from pipeline.input.frame_quality import FrameJudge
+from pipeline.input.video import RawFrame, Source
+from pipeline.run_folder.workspace import Workspace, damage_named, write_json
+
+CONTENT_SAMPLES = 24  # frames looked at for the content area,
+CONTENT_STRIDE = 25  # of which 25 apart are 20 s: long enough for the view to move over all of it
+MIN_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames that are worth tracking: their indices in the source, times in seconds, camera, content mask."""
+
+    index: NDArray[np.int64]
+    seconds: NDArray[np.float64]
+    camera: Camera
+    content: NDArray[np.uint8]
+    verdicts: dict[str, int]
+
+    def seconds_of(self, index: int) -> float:
+        return float(self.seconds[np.searchsorted(self.index, index)])
+
+
+def read_frames(source: Source, config: Config, workspace: Workspace, progress: Progress) -> Frames:
+    """Decode, judge and store the working frames; loads them instead if this stage is done."""
+    if workspace.is_done("frames"):
+        return load_frames(workspace)
+    for folder in (workspace.images, workspace.masks):
+        folder.mkdir(exist_ok=True)
+    area, size = _find_area(source, config.frames)
+    calibration = calibrate(config.camera, source.path, size, area.box)
+    scale = _working_scale(area.box[2:], config.frames.long_side)
+    camera = calibration.camera.cropped_and_scaled(*area.box, scale)
+    verdicts = _store_frames(source, config, area, camera, workspace, progress)
+    counts = Counter(verdict for _, _, verdict in verdicts)
+    if counts["used"] < MIN_FRAMES:
+        raise HaustraError(_too_few(counts))
+    content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
+    cv2.imwrite(str(workspace.masks / "content.png"), content)
+    write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
+    workspace.finish("frames", camera_origin=calibration.origin, notes=source.notes, content_box=list(area.box))
+    for note in (f"camera: {calibration.origin}", *source.notes):
+        progress.say(note)
+    return load_frames(workspace)
+
+
+def _working_scale(box: tuple[int, int], long_side: int) -> float:
+    """Scale to about `long_side` at which both sides come out whole: rounding one would stretch the image against the
+    camera, by half a pixel at the border. One source pixel is never made larger."""
+    longer, shorter = max(box), min(box)
+    if longer <= long_side:
+        return 1.0
+    sizes = np.arange(round(0.95 * long_side), long_side + 1)
+    misfit = np.abs(shorter * sizes / longer - np.round(shorter * sizes / longer))
+    return float(sizes[misfit <= misfit.min() + 0.02][-1] / longer)
+
+
+def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tuple[int, int]]:
+    """Content area and frame size (width, height); a black opening is skipped, black all through is an error."""
+    stride = CONTENT_STRIDE
+    if 0 < source.announced < CONTENT_SAMPLES * CONTENT_STRIDE:
+        stride = max(1, source.announced // CONTENT_SAMPLES)
+    looked_at = 0
+    sampled = (frame.rgb for frame in itertools.islice(_in_range(source, settings), 0, None, stride))
+    while window := list(itertools.islice(sampled, CONTENT_SAMPLES)):
+        if looked_at == 0 and len(window) < CONTENT_SAMPLES and stride > 1:  # little is asked for: look at more of it
+            finer = max(1, len(window) * stride // CONTENT_SAMPLES)
+            window = [frame.rgb for frame in itertools.islice(_in_range(source, settings), 0, None, finer)]
+        looked_at += len(window)
+        try:
+            return find_content(window), (window[0].shape[1], window[0].shape[0])
+        except HaustraError:
+            continue
+    if looked_at == 0 and (settings.start_s > 0 or settings.end_s is not None):
+        end = "the end" if settings.end_s is None else f"{settings.end_s:g} s"
+        raise HaustraError(f"no frame lies between {settings.start_s:g} s and {end}")
+    raise HaustraError("the video is black: no part of any frame is ever lit")
+
+
+def _in_range(source: Source, settings: FrameSettings) -> Iterator[RawFrame]:
+    for frame in source:
+        if settings.end_s is not None and frame.seconds >= settings.end_s:
+            return
+        if frame.seconds >= settings.start_s:
+            yield frame
+
+
+def _store_frames(
+    source: Source,
+    config: Config,
+    area: ContentArea,
+    camera: Camera,
+    workspace: Workspace,
+    progress: Progress,
+) -> list[tuple[int, float, str]]:
+    """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
+    settings = config.frames
+    content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
+    judge = FrameJudge(settings)
+    verdicts: list[tuple[int, float, str]] = []
+    with progress.bar("reading frames", source.announced or None) as advance:
+        for frame in _in_range(source, settings):
+            advance(frame.index + 1)
+            if frame.index % settings.stride:
+                continue
+            rgb = _resized(frame.rgb, area, camera, cv2.INTER_AREA)
+            verdict = judge.judge(rgb, content)
+            verdicts.append((frame.index, frame.seconds, verdict))
+            if verdict == "used":
+                write_image(workspace.image_path(frame.index), rgb)
+                mask = np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8)
+                cv2.imwrite(str(workspace.mask_path(frame.index)), mask)
+    return verdicts
+
+
+def _resized(image: NDArray[np.uint8], area: ContentArea, camera: Camera, interpolation: int) -> NDArray[np.uint8]:
+    """Cut the content box out and bring it to the working size."""
+    x, y, width, height = area.box
+    cut = image[y : y + height, x : x + width]
+    if cut.shape[:2] == (camera.height, camera.width):
+        return np.ascontiguousarray(cut)
+    return cv2.resize(cut, (camera.width, camera.height), interpolation=interpolation)
+
+
+def write_image(path: Path, rgb: NDArray[np.uint8]) -> None:
+    """JPEG at 97 without chroma subsampling: a third of PNG's size, and finer than the video's own compression."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, 97]
+    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    if not cv2.imwrite(str(path), rgb[..., ::-1], options):
+        raise HaustraError(f"cannot write {path}; is the disk full?")
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """(H,W,3) uint8 RGB."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise HaustraError(f"{path} is missing or damaged; start the run anew with --overwrite")
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def _too_few(verdicts: Counter[str]) -> str:
+    counted = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
+    return f"{tracked}, at least {MIN_FRAMES} are needed ({counted})"
+
+
+def load_frames(workspace: Workspace) -> Frames:
+    """The frames that an earlier call stored."""
+    with damage_named(workspace.frames):
+        state = json.loads(workspace.frames.read_text())
+        used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
+        camera = Camera.from_dict(state["camera"])
+    content = cv2.imread(str(workspace.masks / "content.png"), cv2.IMREAD_GRAYSCALE)
+    if content is None:
+        raise HaustraError(f"{workspace.masks} has lost its content mask; start the run anew with --overwrite")
+    return Frames(
+        np.array([index for index, _ in used]),
+        np.array([seconds for _, seconds in used]),
+        camera,
+        content,
+        dict(Counter(verdict for _, _, verdict in state["frames"])),
+    )

@@ -1,0 +1,198 @@
+"""A submap whose loops were closed, adjusted to its images: SIFT features of all keyframes, joined over the loops.
+
+The front end follows its corners from frame to frame, and what that adds to their places is not noise: it bends the
+scale along the path by the direction of the motion, the same on the way out and back, so that no loop shows it.
+Features found anew in each keyframe do not. They alone make this bundle, seeded by the pose graph.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+
+from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.input.frames import Frames
+from pipeline.loop_closing.detection import Link, Place, every_place
+from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
+from pipeline.mapping.feature_adjustment import widest_narrow
+from pipeline.mapping.global_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
+from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
+from pipeline.matching.keyframe_features import match, rooted
+from pipeline.optimization.bundle_adjustment import Bundle, adjust
+from reconstruction.pose_graph import Edge, misfit, scale_of
+
+AHEAD = 5  # keyframes with which each one's features are compared
+MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
+SETTLING = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
+ITERATIONS = 25
+MIN_SEEN = 20  # features of a keyframe in the bundle; another keyframe follows those beside it
+TYPICAL = 150  # features of the median keyframe; pale films have about 100 and gain nothing, others over 300
+MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle together
+MAX_GAP = 5  # keyframes in a row that may follow
+
+Array = NDArray[np.float64]
+Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
+
+
+def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
+    """The submap `part`, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or
+    if the adjusted map fulfils its loops no better than before."""
+    every = every_place(part, places, frames)
+    number = np.searchsorted(part.rows, [place.row for place in places])
+    links = [replace(k, first=int(number[k.first]), second=int(number[k.second])) for k in closed.links]
+    found = adjust_nodes(part, every, links, nodes_of(part, closed.part))
+    if found is None:
+        return None
+    adjusted = moved(part, part.rows[found[0]], found[1])
+    edges = [Edge(link.first, link.second, link.first_from_second, link.information) for link in links]
+    before, after = (
+        np.median([misfit(nodes, edge) for edge in edges])
+        for nodes in (part.submap.world_from_camera[part.rows], nodes_of(part, adjusted))
+    )
+    return adjusted if after < before else None
+
+
+def adjust_nodes(
+    part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
+) -> tuple[NDArray[np.int64], Array] | None:
+    """Numbers of keyframes and their nodes (.,4,4), Sim(3), as the images have them; None if the features do not hold.
+
+    `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
+    places, are believed.
+    """
+    found = _held_tracks(part, places, links, world_from_node)
+    if found is None:
+        return None
+    tracks, number = found
+    scale = scale_of(world_from_node)
+    poses = world_from_node.copy()
+    poses[:, :3, :3] /= scale[:, None, None]
+    camera = np.full(len(places), -1)
+    camera[number] = np.arange(len(number))
+    held = np.flatnonzero(camera[tracks.place] >= 0)
+    held = held[np.argsort(tracks.place[held], kind="stable")]
+    place, feature = tracks.place[held], tracks.feature[held]
+    rotation = np.swapaxes(poses[number, :3, :3], 1, 2)
+    local = _all(places, place, feature)
+    bundle = Bundle(
+        rotation,
+        -np.einsum("nij,nj->ni", rotation, poses[number, :3, 3]),
+        tracks.points,
+        camera[place],
+        tracks.track[held],
+        local[:, :2] / local[:, 2:],
+        np.broadcast_to(np.diag(part.camera.focal), (len(held), 2, 2)),
+        np.arange(len(number)) == 0,
+    )
+    bundle, depth = _at(bundle, local[:, 2], np.arange(len(held)))
+    for loss_px, max_error_px in SETTLING:
+        bundle = adjust(bundle, ITERATIONS, loss_px, FINAL_TOLERANCE, FINAL_DAMPING)
+        bundle, depth = _at(bundle, depth, np.flatnonzero(bundle.errors() < max_error_px))
+    return _nodes(bundle, depth, number)
+
+
+def _held_tracks(
+    part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
+) -> tuple[Tracks, NDArray[np.int64]] | None:
+    """Tracks of narrow features, since wide ones slide and bend the scale (docs/front_end.md); of all where those are
+    too few; None if these are, too. And numbers of the places that they fix."""
+    same = same_features(part, places, links)
+    for widest in (widest_narrow(part.camera.width), np.inf):
+        tracks = tie_tracks(places, same, world_from_node, widest)
+        number = well_seen(tracks, len(places))
+        if len(number) >= 2 and holds(tracks, number, len(places)):
+            return tracks, number
+    return None
+
+
+def same_features(part: DenseSubmap, places: list[Place], links: Sequence[Link]) -> Same:
+    """Pairs of places, and of each the features (K,2) that look alike and lie where the map has them, or that a link
+    matched."""
+    pairs, same = [(k.first, k.second) for k in links], [np.column_stack(k.rows) for k in links]
+    for one in range(len(places)):
+        for other in range(one + 1, min(len(places), one + AHEAD + 1)):
+            pairs.append((one, other))
+            same.append(_followed(part, places[one], places[other]))
+    return pairs, same
+
+
+def tie_tracks(places: list[Place], same: Same, world_from_node: Array, widest: float = np.inf) -> Tracks:
+    """Features of at most `widest` pixels across that are the same are one point."""
+    narrow = both_narrow([place.sizes for place in places], *same, widest)
+    chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
+    world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(places, world_from_node, strict=True)]
+    return join_features(world, same[0], chosen)
+
+
+def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:
+    """Numbers of the places that enough tracks fix."""
+    return np.flatnonzero(np.bincount(tracks.place, minlength=count) >= MIN_SEEN)
+
+
+def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
+    """Whether there are enough, they tie each of the places to the one before, and no long stretch is left out."""
+    if np.median(np.bincount(tracks.place, minlength=count)[number]) < TYPICAL:
+        return False
+    if np.diff(np.concatenate([[-1], number, [count]])).max() > MAX_GAP + 1:
+        return False
+    seen = coo_array((np.ones(len(tracks.track)), (tracks.place, tracks.track)), shape=(count, len(tracks.points)))
+    seen = seen.tocsr()[number]
+    return bool((seen[1:].multiply(seen[:-1]).sum(axis=1) >= MIN_SHARED).all())
+
+
+def _followed(part: DenseSubmap, here: Place, there: Place) -> NDArray[np.int64]:
+    """(K,2) features of two near keyframes that look alike and lie where the map says."""
+    pairs = match(rooted(here.descriptors), rooted(there.descriptors))
+    if len(pairs) == 0:
+        return pairs
+    pose = part.submap.world_from_camera[here.row]
+    world = here.points[pairs[:, 0]] @ pose[:3, :3].T + pose[:3, 3]
+    local = part.submap.points_in_camera(there.row, world)
+    front = local[:, 2] > 1e-6
+    local[:, 2] = np.where(front, local[:, 2], 1.0)
+    off = np.linalg.norm(part.camera.project(local) - there.pixels[pairs[:, 1]], axis=1)
+    return pairs[front & (off < MAX_OFF_PX)]
+
+
+def _all(places: list[Place], place: NDArray[np.int64], feature: NDArray[np.int64]) -> Array:
+    """(M,3) points of features in their cameras' axes."""
+    starts = np.concatenate([[0], np.cumsum([len(p.points) for p in places])])
+    return np.concatenate([p.points for p in places])[starts[place] + feature]
+
+
+def _at(bundle: Bundle, depth: Array, rows: NDArray[np.int64]) -> tuple[Bundle, Array]:
+    """The same cameras and points with some of the observations; a point that one alone would hold loses it too."""
+    times = np.bincount(bundle.point[rows], minlength=len(bundle.points))
+    rows = rows[times[bundle.point[rows]] >= 2]
+    kept = replace(
+        bundle,
+        camera=bundle.camera[rows],
+        point=bundle.point[rows],
+        seen=bundle.seen[rows],
+        gain=bundle.gain[rows],
+    )
+    return kept, depth[rows]
+
+
+def _nodes(bundle: Bundle, depth: Array, number: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array] | None:
+    """Nodes of the keyframes that are still well seen: the scale is the median of adjusted over mapped depth."""
+    world_from_camera = np.swapaxes(bundle.rotation, 1, 2)
+    local = np.einsum("mij,mj->mi", bundle.rotation[bundle.camera], bundle.points[bundle.point])
+    found = local[:, 2] + bundle.translation[bundle.camera, 2]
+    starts = np.searchsorted(bundle.camera, np.arange(len(number) + 1))
+    kept, nodes = [], []
+    for camera, (begin, end) in enumerate(pairwise(starts)):
+        if end - begin < MIN_SEEN:
+            continue
+        node = np.eye(4)
+        scale = np.exp(np.median(np.log(np.maximum(found[begin:end], 1e-9) / depth[begin:end])))
+        node[:3, :3] = scale * world_from_camera[camera]
+        node[:3, 3] = -world_from_camera[camera] @ bundle.translation[camera]
+        kept.append(camera)
+        nodes.append(node)
+    if len(kept) < 2 or np.diff(number[kept]).max() > MAX_GAP + 1:
+        return None
+    return number[kept], np.stack(nodes)

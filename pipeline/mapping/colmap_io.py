@@ -1,0 +1,72 @@
+"""A `Submap` as a COLMAP model in text, and as the arrays that `read_submap` reads.
+
+Written by hand, since pycolmap must not share this process with OpenCV (see frontend/colmap/worker). Format:
+colmap.github.io/format.html.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from haustra.core.camera import Camera
+from pipeline.mapping.submap import Submap
+
+CAMERA_ID = 1
+
+
+def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
+    """cameras.txt, images.txt, points3D.txt, model.npz and, of a refined lens, camera_sigma.txt.
+
+    Image and point numbers are rows plus one.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    names = [f"{index:06d}.jpg" for index in submap.frames]
+    followed = {} if submap.followed is None else {"followed": submap.followed}
+    np.savez(
+        folder / "model.npz",
+        allow_pickle=False,
+        names=np.array(names),
+        world_from_camera=submap.world_from_camera,
+        points=submap.points,
+        error_px=submap.error_px,
+        observations=submap.observations,
+        pixels=submap.pixels,
+        camera_params=np.array(submap.camera_params),
+        **followed,
+    )
+    if submap.camera_sigma:
+        (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
+    params = " ".join(repr(float(p)) for p in submap.camera_params)
+    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {camera.model} {camera.width} {camera.height} {params}\n")
+    with (folder / "images.txt").open("w") as file:
+        file.writelines(_image_lines(submap, names))
+    with (folder / "points3D.txt").open("w") as file:
+        file.writelines(_point_lines(submap))
+
+
+def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
+    order, starts = submap.by_frame()
+    point, pixels = submap.observations[order, 1], submap.pixels[order]
+    rotations = np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)
+    quaternions = Rotation.from_matrix(rotations).as_quat(canonical=True)
+    for row, name in enumerate(names):
+        shift = -rotations[row] @ submap.centres[row]
+        x, y, z, w = quaternions[row]
+        yield f"{row + 1} {w:.17g} {x:.17g} {y:.17g} {z:.17g} {shift[0]:.17g} {shift[1]:.17g} {shift[2]:.17g} "
+        yield f"{CAMERA_ID} {name}\n"
+        mine = slice(starts[row], starts[row + 1])
+        yield " ".join(f"{u:.4f} {v:.4f} {p + 1}" for (u, v), p in zip(pixels[mine], point[mine], strict=True)) + "\n"
+
+
+def _point_lines(submap: Submap) -> Iterator[str]:
+    order, first = submap.by_frame()
+    frame, point = submap.observations[order].T
+    place = np.arange(len(frame)) - first[frame]  # of each observation within its image
+    by_point = np.argsort(point, kind="stable")
+    starts = np.searchsorted(point[by_point], np.arange(len(submap.points) + 1))
+    for row, (x, y, z) in enumerate(submap.points):
+        mine = by_point[starts[row] : starts[row + 1]]
+        track = " ".join(f"{f + 1} {k}" for f, k in zip(frame[mine], place[mine], strict=True))
+        yield f"{row + 1} {x:.17g} {y:.17g} {z:.17g} 128 128 128 {submap.error_px[row]:.6g} {track}\n"

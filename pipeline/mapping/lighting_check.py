@@ -1,0 +1,75 @@
+"""Is a reconstruction true? Evidence beyond the number of registered frames.
+
+An endoscope carries its own witness: the lamp sits at the camera, so brightness falls with the square of the distance
+and in a true model nearer points are brighter, in every frame. Wrong models (a false two-view start registers every
+frame with a fine reprojection error) pass on average but fail in single frames, so each frame is looked at.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from pipeline.mapping.submap import Submap
+
+MIN_POINTS = 15  # fewer do not give a rank correlation worth a vote
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for or against a submap.
+
+    frames, points: counts. reprojection_px: mean. angle_deg: median triangulation angle. spearman: median over
+    frames of the rank correlation of distance and brightness (-1 is perfect). contrary: share of the frames whose
+    correlation is positive. voters: frames with enough points to vote.
+    """
+
+    frames: int
+    points: int
+    reprojection_px: float
+    angle_deg: float
+    spearman: float
+    contrary: float
+    voters: int
+
+    def to_dict(self) -> dict[str, float]:
+        return asdict(self)
+
+
+def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Smoothed brightest channel: red saturates last to zero in blood, blue first; (H,W) float32."""
+    sigma = 0.012 * rgb.shape[1]
+    return cv2.GaussianBlur(np.maximum.reduce(cv2.split(rgb)).astype(np.float32), (0, 0), sigma)
+
+
+def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> Evidence:
+    """Evidence for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
+    order, starts = submap.by_frame()
+    frame, point = submap.observations[order].T
+    pixels = submap.pixels[order]
+    distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)
+    correlations = []
+    for row, index in enumerate(submap.frames):
+        mine = slice(starts[row], starts[row + 1])
+        if starts[row + 1] - starts[row] < MIN_POINTS:
+            continue
+        brightness = brightness_of(image_of(int(index)))
+        height, width = brightness.shape
+        x, y = np.floor(pixels[mine]).astype(int).T
+        values = brightness[y.clip(0, height - 1), x.clip(0, width - 1)]
+        correlation = spearmanr(distance[mine], values).statistic
+        if np.isfinite(correlation):
+            correlations.append(correlation)
+    angles = submap.triangulation_angles()
+    return Evidence(
+        frames=len(submap.frames),
+        points=len(submap.points),
+        reprojection_px=float(submap.error_px.mean()) if len(submap.points) else float("inf"),
+        angle_deg=float(np.median(angles)) if len(angles) else 0.0,
+        spearman=float(np.median(correlations)) if correlations else 0.0,
+        contrary=float((np.array(correlations) > 0).mean()) if correlations else 0.0,
+        voters=len(correlations),
+    )

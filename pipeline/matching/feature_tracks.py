@@ -1,0 +1,55 @@
+"""Features of several pictures that are one point, from what looked alike in pairs of pictures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from haustra.core.se3 import Array
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """points (T,3) in the world; (M,) observations, by picture: feature number `feature` of picture `place` belongs to
+    `track`."""
+
+    points: Array
+    track: NDArray[np.int64]
+    place: NDArray[np.int64]
+    feature: NDArray[np.int64]
+
+
+def both_narrow(
+    sizes: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]], widest: float
+) -> list[NDArray[np.bool_]]:
+    """For each pair of pictures, (K,) whether both features that are the same are at most `widest` pixels across."""
+    narrow = [of <= widest for of in sizes]
+    return [narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]] for (one, other), rows in zip(pairs, same, strict=True)]
+
+
+def join_features(
+    points: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]]
+) -> Tracks:
+    """Tracks of two pictures and more, each at the mean of its features' points.
+
+    points: (N,3) in the world of each picture's features. same: for each pair of pictures, (K,2) numbers of features
+    that are the same. What would be two features of one picture is left out there.
+    """
+    starts = np.concatenate([[0], np.cumsum([len(p) for p in points])]).astype(np.int64)
+    found = [rows + starts[list(pair)] for pair, rows in zip(pairs, same, strict=True)]
+    ties = np.concatenate([np.zeros((0, 2), np.int64), *found])
+    graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(int(starts[-1]),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    place = np.repeat(np.arange(len(points)), np.diff(starts))
+    _, group, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(times[group.ravel()] == 1)
+    seen = np.bincount(label[single], minlength=int(starts[-1]))
+    chosen = single[seen[label[single]] >= 2]
+    track = np.unique(label[chosen], return_inverse=True)[1]
+    world = np.concatenate([np.zeros((0, 3)), *points])[chosen]
+    total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
+    mean = total / np.maximum(np.bincount(track), 1)[:, None]
+    return Tracks(mean, track, place[chosen], chosen - starts[place[chosen]])

@@ -1,0 +1,227 @@
+"""Similarity between two maps from points that both know: sample consensus, judged in both cameras' images."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from haustra.core.se3 import Array
+from pipeline.optimization.kernels import MIN_DEPTH, moved_residuals
+from pipeline.optimization.resection import reprojection_errors, rounds_needed
+from reconstruction.evaluation.trajectory_metrics import align_each
+
+MAX_ERROR_PX = 4.0
+MIN_INLIERS = 20
+MIN_SPREAD = 0.1  # of the width: standard deviation of the inliers in both images, along the narrower direction
+MAX_SCALE = 20.0  # two maps of one place are in units of its depth; farther apart is a false fit
+BATCH = 64  # samples judged at once
+
+
+@dataclass(frozen=True)
+class Side:
+    """One map's view of the shared points: points (N,3) in its world, camera_from_world pose, seen (N,2), gain."""
+
+    points: Array
+    pose: Array
+    seen: Array
+    gain: Array
+
+    def at(self, rows: NDArray) -> "Side":
+        return replace(self, points=self.points[rows], seen=self.seen[rows], gain=self.gain[rows])
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Several sides one after another, to be asked at once: points (M,3), seen (M,2), gain (M,2,2), the side (M,) that
+    each belongs to, and of each side the pose, rotation (S,3,3) and shift (S,3), and where it begins, starts (S,)."""
+
+    points: Array
+    seen: Array
+    gain: Array
+    side: NDArray[np.int64]
+    rotation: Array
+    shift: Array
+    starts: NDArray[np.int64]
+
+    @staticmethod
+    def of(sides: list[Side]) -> "Stack":
+        counts = [len(side.points) for side in sides]
+        poses = np.stack([side.pose for side in sides])
+        return Stack(
+            np.concatenate([side.points for side in sides]),
+            np.concatenate([side.seen for side in sides]),
+            np.concatenate([side.gain for side in sides]),
+            np.repeat(np.arange(len(sides)), counts),
+            np.ascontiguousarray(poses[:, :3, :3]),
+            np.ascontiguousarray(poses[:, :3, 3]),
+            np.cumsum([0, *counts[:-1]]),
+        )
+
+    def residuals(self, transform: Array, points: Array) -> Array:
+        """(M,3): by how many pixels points (M,3) of another world, moved into this one, miss what was seen; depth."""
+        if points.shape != self.points.shape:
+            raise ValueError(f"{self.points.shape} was seen, not {points.shape}")  # the kernel checks no index
+        return moved_residuals(
+            np.ascontiguousarray(transform), points, self.rotation, self.shift, self.side, self.seen, self.gain
+        )
+
+    def errors(self, transform: Array, points: Array) -> Array:
+        """(M,) pixels, the same; infinite behind the camera."""
+        residuals = self.residuals(transform, points)
+        off = np.sqrt(residuals[:, 0] ** 2 + residuals[:, 1] ** 2)
+        return np.where(residuals[:, 2] > MIN_DEPTH, off, np.inf)
+
+
+def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Array:
+    """(N,) worse of the two reprojection errors, pixels: each map's points, moved, in the other's camera."""
+    ahead = moved_points(second_from_first, first.points)
+    back = moved_points(np.linalg.inv(second_from_first), second.points)
+    return np.maximum(
+        reprojection_errors(second.pose, ahead, second.seen, second.gain),
+        reprojection_errors(first.pose, back, first.seen, first.gain),
+    )
+
+
+def robust_similarity(
+    first: Side, second: Side, rng: np.random.Generator, most_rounds: int = 300, max_error_px: float = MAX_ERROR_PX
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """The 4x4 `second_from_first` with scale, and which pairs of points (N,) agree; None if no sample gave any."""
+    count = len(first.points)
+    if count < 4:
+        return None
+    best, most, rounds, done = None, 3, most_rounds, 0
+    while done < rounds:
+        size = min(BATCH, rounds - done)
+        done += size
+        sample = rng.random((size, count)).argpartition(2, axis=1)[:, :3]
+        sample = sample[_are_alike(first.points[sample], second.points[sample])]
+        found = _fits(first.points[sample], second.points[sample])
+        if len(found) == 0:
+            continue
+        agreeing = (_errors_of_each(found, first, second) < max_error_px).sum(axis=1)
+        if agreeing.max() > most:
+            best, most = found[agreeing.argmax()], int(agreeing.max())
+            rounds = min(most_rounds, rounds_needed((most / count) ** 3))
+    return None if best is None else _refitted(best, first, second, max_error_px)
+
+
+def _refitted(best: Array, first: Side, second: Side, max_error_px: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Fitted to all that agree, three times or until fewer do; and which do in the end."""
+    inlier = similarity_errors(best, first, second) < max_error_px
+    for _ in range(3):
+        refined = _fits(first.points[inlier][None], second.points[inlier][None])
+        if len(refined) == 0:
+            break
+        agreeing = similarity_errors(refined[0], first, second) < max_error_px
+        if agreeing.sum() < inlier.sum():
+            break
+        best, inlier = refined[0], agreeing
+    return best, inlier
+
+
+def scale_of(similarity: Array) -> float:
+    return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+
+
+def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Array:
+    """`second_from_first` fitted to the images of all pairs of sides, both ways, with Cauchy's loss.
+
+    The closed form above takes one map's points to be exact, which lowers the scale; asking both maps' images alike
+    favours neither.
+    """
+    scale = scale_of(similarity)
+    start = np.concatenate(
+        [Rotation.from_matrix(similarity[:3, :3] / scale).as_rotvec(), similarity[:3, 3], [np.log(scale)]]
+    )
+
+    one, other = (Stack.of([pair[k] for pair in sides]) for k in (0, 1))
+
+    def residuals(x: Array) -> Array:
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = np.exp(x[6]) * Rotation.from_rotvec(x[:3]).as_matrix(), x[3:6]
+        ahead = other.residuals(moved, one.points)[:, :2]
+        back = one.residuals(np.linalg.inv(moved), other.points)[:, :2]
+        return np.concatenate([ahead.ravel(), back.ravel()]).clip(-1e3, 1e3)
+
+    found = least_squares(residuals, start, loss="cauchy", f_scale=1.0, max_nfev=40).x
+    refined = np.eye(4)
+    refined[:3, :3], refined[:3, 3] = np.exp(found[6]) * Rotation.from_rotvec(found[:3]).as_matrix(), found[3:6]
+    return refined
+
+
+def _fits(source: Array, target: Array) -> Array:
+    """(K',4,4) similarities of K sets of points (K,N,3), without those of sets that none can have moved so."""
+    if source.shape[0] == 0 or source.shape[1] < 3:
+        return np.zeros((0, 4, 4))
+    found = align_each(np.asarray(source, np.float64), np.asarray(target, np.float64), with_scale=True)
+    scale = np.cbrt(np.linalg.det(found[:, :3, :3]))
+    return found[np.isfinite(found).all(axis=(1, 2)) & (scale > 1 / MAX_SCALE) & (scale < MAX_SCALE)]
+
+
+def _errors_of_each(transforms: Array, first: Side, second: Side) -> Array:
+    """(K,N) `similarity_errors` of K transforms (K,4,4)."""
+    ahead, back = second.pose @ transforms, first.pose @ np.linalg.inv(transforms)
+    return np.maximum(
+        _reprojected(ahead, first.points, second.seen, second.gain),
+        _reprojected(back, second.points, first.seen, first.gain),
+    )
+
+
+def _reprojected(camera_from_world: Array, points: Array, seen: Array, gain: Array) -> Array:
+    """(K,N) pixels by which points (N,3) miss their places under each of (K,4,4), affine; infinite behind it."""
+    local = points @ np.swapaxes(camera_from_world[:, :3, :3], 1, 2) + camera_from_world[:, None, :3, 3]
+    front = local[:, :, 2] > 1e-9
+    off = local[:, :, :2] / np.where(front, local[:, :, 2], 1.0)[:, :, None] - seen
+    return np.where(front, np.linalg.norm(np.einsum("nij,knj->kni", gain, off), axis=2), np.inf)
+
+
+def sure_similarity(
+    first: Side,
+    second: Side,
+    pixels: tuple[Array, Array],
+    width: int,
+    rng: np.random.Generator,
+    min_share: float,
+    most_rounds: int = 300,
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """`robust_similarity` if enough of the matches agree, a share of `min_share` at least, spread over both images.
+
+    pixels: (N,2) where the points lie in either image, `width` px wide.
+    """
+    if len(first.points) < MIN_INLIERS:
+        return None
+    found = robust_similarity(first, second, rng, most_rounds)
+    return found if found is not None and is_sure(found[1], pixels, width, min_share) else None
+
+
+def is_sure(inlier: NDArray[np.bool_], pixels: tuple[Array, Array], width: int, min_share: float) -> bool:
+    """Whether enough matches (N,) agree, spread over both images. pixels: (N,2) in either, `width` px wide."""
+    if inlier.sum() < MIN_INLIERS or inlier.mean() < min_share:
+        return False
+    return min(_narrow_spread(p[inlier]) for p in pixels) >= MIN_SPREAD * width
+
+
+def _narrow_spread(pixels: Array) -> float:
+    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(pixels.T))[0], 0)))
+
+
+def _are_alike(source: Array, target: Array) -> NDArray[np.bool_]:
+    """(K,) whether two triangles (K,3,3) are similar enough to be worth a fit: three ratios of sides that agree within
+    a half."""
+    sides = [np.linalg.norm(p - p[:, [1, 2, 0]], axis=2) for p in (source, target)]
+    ratio = sides[1] / np.maximum(sides[0], 1e-12)
+    return (ratio.min(axis=1) > 0) & (ratio.max(axis=1) < 1.5 * ratio.min(axis=1))
+
+
+def moved_pose(transform: Array, camera_from_world: Array) -> Array:
+    """A pose of the world that `transform`, a similarity, moves elsewhere, in that world and its unit."""
+    scale, result = scale_of(transform), np.eye(4)
+    result[:3, :3] = camera_from_world[:3, :3] @ (transform[:3, :3] / scale).T
+    result[:3, 3] = scale * camera_from_world[:3, 3] - result[:3, :3] @ transform[:3, 3]
+    return result
+
+
+def moved_points(transform: Array, points: Array) -> Array:
+    return points @ transform[:3, :3].T + transform[:3, 3]

@@ -1,0 +1,179 @@
+"""The page's figures: cards and cautions at its head, coverage's table, and every detail at its foot."""
+
+import html
+from collections.abc import Callable
+from typing import Any
+
+from pipeline.report.page.keyframe_gallery import data_uri
+from pipeline.report.page.scene import clock_words
+from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.scale import in_words
+
+Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
+
+
+def _unmeasured(seen: dict[str, Any]) -> str:
+    """Of a run that was made before wall in plain view was told apart, nothing."""
+    share = seen.get("unmeasured_percent")
+    return "" if share is None else f"; {share:.0f} % in view, but not measured"
+
+
+def cards(metrics: dict[str, Any]) -> str:
+    """The handful of figures that a reader looks for first; of the largest submap where there are several."""
+    frames, main = metrics["frames"], metrics["submaps"][0]
+    unit, seen = main["unit"], main["coverage"]
+    word = in_words(unit)
+    several = len(metrics["submaps"]) > 1
+    where = f", largest of {len(metrics['submaps'])} submaps" if several else ""
+    if seen["judged"]:
+        regions = seen["missed_regions"]
+        items = [
+            (
+                "wall seen",
+                f"{seen['covered_percent']:.0f} %",
+                f"over {seen['stretch']:.3g} {word} of visited lumen{where}{_unmeasured(seen)}",
+            ),
+            (
+                "missed regions",
+                str(len(regions)),
+                f"of {seen['listed_from']:.2g} {word} and more; {seen['smaller_regions']} smaller",
+            ),
+        ]
+    else:
+        items = [("wall seen", "not judged", seen["reason"])]
+    items += [
+        ("frames posed", f"{frames['posed']} of {frames['total']}", f"{main['keyframes']} keyframes completed{where}"),
+        ("camera path", _figure(main["path_length"]), f"{word}{where}"),
+        ("surface", _figure(main["area"]), f"{word}², {main['faces']:,} triangles{where}"),
+        ("scale", "mm" if unit == "mm" else "unknown", main["scale"]),
+    ]
+    return '<section class="cards">' + "".join(_card(*item) for item in items) + "</section>"
+
+
+def _figure(value: float) -> str:
+    """Three digits, or whole numbers; no exponent."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def _card(title: str, figure: str, note: str) -> str:
+    small = " words" if not figure[:1].isdigit() else ""
+    return (
+        f'<div class="card"><h3>{html.escape(title)}</h3><p class="figure{small}">{html.escape(figure)}</p>'
+        f"<p>{html.escape(note)}</p></div>"
+    )
+
+
+def cautions(metrics: dict[str, Any]) -> str:
+    """What must not be overlooked, above everything else; then what is only good to know."""
+    doubts = [*metrics["warnings"]]
+    for number, submap in enumerate(metrics["submaps"]):
+        trust = submap["camera"]["trust"]
+        if "trust" in trust or "does not determine" in trust:
+            doubts.append(f"submap {number}, calibration: {trust}")
+        if submap["contradicted_keyframes"]:
+            doubts.append(f"submap {number}: {_left_out(submap['contradicted_keyframes'])}")
+    boxes = [("caution", text) for text in doubts] + [("note", text) for text in metrics["frames"]["notes"]]
+    return "".join(f'<p class="{kind}" role="note">{html.escape(text)}</p>' for kind, text in boxes)
+
+
+def details(metrics: dict[str, Any]) -> str:
+    """Every figure with its unit, as a table."""
+    frames = metrics["frames"]
+    left_out = ", ".join(f"{n} {why}" for why, n in frames["verdicts"].items() if why != "used") or "none"
+    rows = [
+        ("source", metrics["source"]),
+        ("frames posed", f"{frames['posed']} of {frames['total']} ({len(metrics['submaps'])} submap(s))"),
+        ("frames left out before tracking", left_out),
+        ("camera", metrics["camera"]),
+        ("structure", f"{metrics['mapper']} mapper"),
+        ("completion model", metrics["model"]),
+    ]
+    for number, submap in enumerate(metrics["submaps"]):
+        rows += _submap_rows(number, submap)
+    rows += [(f"loops of submap {n}", _loops(record)) for n, record in enumerate(metrics.get("loops", []))]
+    cells = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(str(b))}</td></tr>" for a, b in rows)
+    return f'<table class="facts">{cells}</table>'
+
+
+def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
+    unit, witness = submap["unit"], submap["evidence"]
+    light = f"of {witness['voters']} frames (Spearman {witness['spearman']:.2f} in the median)"
+    return [
+        (
+            f"submap {number}",
+            f"{submap['frames']} frames, {submap['keyframes']} keyframes, {submap['points']} points; "
+            f"{submap['faces']} triangles, {submap['area']:.4g} {unit}² of surface; "
+            f"camera path {submap['path_length']:.4g} {unit}; voxel {submap['voxel_size']:.3g} {unit}",
+        ),
+        (
+            "evidence",
+            f"reprojection error {witness['reprojection_px']:.2f} px (mean); triangulation angle "
+            f"{witness['angle_deg']:.1f}° (median); nearer is brighter in "
+            f"{100 * (1 - witness['contrary']):.0f} % {light}",
+        ),
+        ("scale", submap["scale"]),
+        ("left out", _left_out(submap["contradicted_keyframes"])),
+        ("calibration", submap["camera"]["trust"] + _cut(submap["rectified_share"])),
+    ]
+
+
+def _loops(record: dict[str, Any]) -> str:
+    """What the pose graph did: the places that were seen twice, by their frame numbers."""
+    pairs = ", ".join(f"{first} and {second}" for first, second in record["loops"])
+    joined = f"joined from {len(record['members'])} submaps; " if len(record["members"]) > 1 else ""
+    if pairs:
+        return joined + f"closed between frames {pairs}"
+    found = f"{record['supported']} found that the map fulfils already, or that could not be closed (see the warnings)"
+    return joined + (found if record["supported"] else "none found that could be believed")
+
+
+def _left_out(frames: list[int]) -> str:
+    if not frames:
+        return "no keyframe: none is contradicted by its neighbours in most of its pixels"
+    return f"keyframes {', '.join(map(str, frames))}: their neighbours contradict their depth in most pixels"
+
+
+def _cut(kept: float) -> str:
+    if kept > 0.995:
+        return ""
+    return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
+
+
+def coverage_section(judgement: Judgement, link: Link | None = None) -> str:
+    """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
+    record = judgement.record
+    if judgement.picture is None:
+        reason = judgement.sentence
+        return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
+    unit = in_words(record["unit"])
+    head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
+    rows = [
+        "".join(
+            f"<td>{value}</td>"
+            for value in (
+                region["number"],
+                f"{region['area']:.3g}",
+                f"{region['diameter']:.3g}",
+                f"{region['arc']:.3g}",
+                clock_words(region).removesuffix(" o'clock"),
+                _frame(region, link),
+            )
+        )
+        for region in record["missed_regions"]
+    ]
+    heads = "".join(f"<th>{title}</th>" for title in (*head, "nearest frame"))
+    table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
+    return (
+        f"<h2>Coverage</h2><p>{html.escape(judgement.sentence)}.</p>"
+        f'<img class="map" alt="unrolled wall" src="{data_uri(judgement.picture.read_bytes(), "png")}">'
+        f'<div class="wide">{table}</div>'
+        '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
+        "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
+        "begins, carried along without twisting. Not every listed region is real: docs/coverage.md says how far to "
+        "believe them.</p>"
+    )
+
+
+def _frame(region: dict[str, Any], link: Link | None) -> str:
+    words = f"{region['frame']} ({region['seconds']:.2f} s)"
+    return words if link is None else f'<a class="goto" href="{html.escape(link(region["frame"]))}">{words}</a>'

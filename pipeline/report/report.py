@@ -1,0 +1,181 @@
+"""Stage 5: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from haustra.core.progress import Progress
+from pipeline.depth.completion_stage import DenseSubmap, camera_path
+from pipeline.depth.depth_io import DEPTH_STEP
+from pipeline.frontend.select import camera_trust
+from pipeline.input.frames import Frames
+from pipeline.loop_closing.close_loops import model_sources
+from pipeline.report.page import write_page
+from pipeline.run_folder.subprocesses import run_isolated
+from pipeline.run_folder.workspace import Workspace, write_json
+from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.fusion_stage import Surface, mesh_path
+from reconstruction.evaluation.trajectory_metrics import write_tum
+from reconstruction.mesh.mesh_io import write_mesh
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a finished run hands back: its folder and its figures (`metrics.json`)."""
+
+    folder: Path
+    metrics: dict[str, Any]
+
+    @property
+    def mesh(self) -> Path:
+        return self.folder / "mesh.ply"
+
+    def __str__(self) -> str:
+        m = self.metrics
+        main = m["submaps"][0]
+        return (
+            f"{m['frames']['posed']} of {m['frames']['total']} frames posed, {main['keyframes']} keyframes, "
+            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface; {self._coverage()}: "
+            f"{self.mesh}{self._caution()}"
+        )
+
+    def _coverage(self) -> str:
+        seen = self.metrics["submaps"][0]["coverage"]
+        if not seen["judged"]:
+            return "coverage not judged"
+        count = len(self.metrics["submaps"])
+        where = f" in the largest of {count} submaps" if count > 1 else ""
+        bare = seen.get("unmeasured_percent")  # absent in runs of earlier versions
+        part = "" if bare is None else f" ({bare:.0f} % not measured)"
+        return (
+            f"{seen['covered_percent']:.0f} % of the wall seen{part} over {seen['stretch']:.3g} {seen['unit']}{where}"
+        )
+
+    def _caution(self) -> str:
+        """Said with success, so that nobody overlooks it."""
+        doubts = [*self.metrics["warnings"], *(s["camera"]["trust"] for s in self.metrics["submaps"])]
+        doubts = [doubt for doubt in doubts if "trust" in doubt or "does not determine" in doubt]
+        return "; CAUTION: " + "; ".join(doubts) if doubts else ""
+
+
+def write_report(
+    frames: Frames,
+    dense: list[DenseSubmap],
+    surfaces: list[Surface],
+    coverage: list[Judgement],
+    workspace: Workspace,
+    progress: Progress,
+) -> RunResult:
+    """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
+    for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
+        _write_paths(frames, part, surface, number, workspace)
+    _scale_sparse(surfaces, workspace, progress)
+    write_mesh(surfaces[0].mesh, workspace.mesh_glb)
+    workspace.record["submaps"] = [_submap_record(*pair) for pair in enumerate(zip(dense, surfaces, strict=True))]
+    metrics = collect_metrics(frames, dense, surfaces, coverage, workspace)
+    write_json(workspace.metrics, metrics)
+    write_page(frames, dense, surfaces, coverage, metrics, workspace)
+    workspace.finish("report")
+    result = RunResult(workspace.root, metrics)
+    progress.say(str(result))
+    return result
+
+
+def _submap_record(number: int, pair: tuple[DenseSubmap, Surface]) -> dict[str, Any]:
+    """How to read a submap's depth maps: unit, step of the PNGs, camera, and which frames they are."""
+    part, surface = pair
+    return {
+        "unit": surface.scale.unit,
+        "depth_png_step": DEPTH_STEP * surface.scale.factor,
+        "camera": camera_path(part.workspace, number).name,
+        "keyframes": part.submap.frames[part.rows].tolist(),
+        "depth_scale": None if part.depth_scale is None else part.depth_scale[part.rows].tolist(),
+    }
+
+
+def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
+    """`trajectory.tum` and `keyframes.tum`; with `_1`, `_2`, ... for further submaps, each in its own frame."""
+    submap = part.submap.scaled(surface.scale.factor)
+    seconds = np.array([frames.seconds_of(int(index)) for index in submap.frames])
+    for path, rows in ((workspace.trajectory, np.arange(len(seconds))), (workspace.keyframes, part.rows)):
+        named = path if number == 0 else path.with_name(f"{path.stem}_{number}.tum")
+        write_tum(named, seconds[rows], submap.world_from_camera[rows])
+
+
+def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progress) -> None:
+    """Bring the COLMAP models to output units, from those that the stages before keep in units of their own."""
+    models = [
+        {"source": str(source), "target": str(workspace.sparse / str(k)), "factor": surface.scale.factor / unit}
+        for k, (surface, (source, unit)) in enumerate(zip(surfaces, model_sources(workspace), strict=True))
+    ]
+    run_isolated(
+        "pipeline.frontend.colmap.worker",
+        "scale",
+        {"models": models},
+        workspace.log / "scale.log",
+        "sparse models",
+        progress,
+    )
+
+
+def collect_metrics(
+    frames: Frames,
+    dense: list[DenseSubmap],
+    surfaces: list[Surface],
+    coverage: list[Judgement],
+    workspace: Workspace,
+) -> dict[str, Any]:
+    """Every figure of the run, with unit and count."""
+    structure = workspace.result("structure")
+    refinement = workspace.result("refinement") if workspace.is_done("refinement") else {"submaps": [], "warnings": []}
+    # What speaks for a submap that others were joined to is said of its first part.
+    evidence = structure["evidence"][structure["mapper"]]
+    evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
+    submaps = []
+    for part, surface, judgement, witness in zip(dense, surfaces, coverage, evidence, strict=False):
+        mesh, submap = surface.mesh, part.submap.scaled(surface.scale.factor)
+        steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
+        submaps.append(
+            {
+                "frames": len(submap.frames),
+                "keyframes": len(part),
+                "points": len(submap.points),
+                "faces": len(mesh.faces),
+                "area": float(mesh.face_areas.sum()),
+                "path_length": float(steps.sum()),
+                "voxel_size": surface.voxel_size,
+                "dropped_area_share": surface.dropped_share,
+                "contradicted_keyframes": list(surface.left_out),
+                "lamp": None if surface.lamp is None else asdict(surface.lamp),
+                "unit": surface.scale.unit,
+                "coverage": judgement.record,
+                "scale": surface.scale.origin,
+                "evidence": witness,
+                "camera": {
+                    "model": frames.camera.model,
+                    "params": list(submap.camera_params),
+                    "sigma": list(submap.camera_sigma),
+                    "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap),
+                },
+                "rectified_share": part.rectifier.kept_share,
+            }
+        )
+    return {
+        "source": workspace.record["source"]["path"],
+        "frames": {
+            "total": sum(frames.verdicts.values()),
+            "posed": sum(len(part.submap.frames) for part in dense),
+            "verdicts": frames.verdicts,
+            "notes": workspace.result("frames")["notes"],
+        },
+        "camera": workspace.result("frames")["camera_origin"],
+        "front_end": "odometry" if structure["mapper"] == "odometry" else "sfm",
+        "mapper": structure["mapper"],
+        "warnings": [*structure["warnings"], *refinement["warnings"]],
+        "loops": refinement["submaps"],
+        "model": workspace.record["config"]["model"],
+        "submaps": submaps,
+        "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],
+    }

@@ -1,0 +1,241 @@
+"""The run folder: the name of each artefact, and what is done already.
+
+`run.yaml` is the run's memory. A stage is recorded there after its artefacts are whole on disk, so a run that was
+stopped anywhere goes on after its last finished stage. Records and depth maps are replaced as wholes; a stage that was
+stopped is done again.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from haustra.core.errors import HaustraError
+from pipeline.config import Config, validate_config
+from pipeline.run_folder.inputs import changed_inputs, record_inputs
+from pipeline.run_folder.lock import NAME as LOCK_NAME
+from pipeline.run_folder.lock import RunLock
+
+PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "gtsam", "opencv-python-headless", "av")
+RECORD_NAME = "run.yaml"
+PARTIAL = ".partial"  # ends the name of a text file that is being written
+UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL)  # all that a stop before the first record leaves
+CLEARING = "clearing"  # in the record while what an earlier run left is being removed
+
+
+class Workspace:
+    """Paths of a run folder and its record of finished stages."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.images = root / "images"
+        self.masks = root / "masks"
+        self.log = root / "log"
+        self.frames = root / "frames.json"
+        self.camera = root / "camera.json"
+        self.features = root / "features.db"
+        self.models = root / "log" / "models"  # COLMAP's models as they came, in their own units
+        self.sparse = root / "sparse"
+        self.depth = root / "depth"
+        self.confidence = root / "confidence"
+        self.trajectory = root / "trajectory.tum"
+        self.keyframes = root / "keyframes.tum"
+        self.mesh = root / "mesh.ply"
+        self.mesh_glb = root / "mesh.glb"
+        self.coverage = root / "coverage.png"
+        self.metrics = root / "metrics.json"
+        self.report = root / "report.html"
+        self.recording = root / "run.rrd"
+        self.record_path = root / RECORD_NAME
+        self.record: dict[str, Any] = {"stages": {}}
+        self.lock: RunLock | None = None  # held where this process writes
+
+    def __enter__(self) -> "Workspace":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.lock is not None:
+            self.lock.release()
+
+    def image_path(self, index: int) -> Path:
+        return self.images / f"{index:06d}.jpg"
+
+    def mask_path(self, index: int) -> Path:
+        return self.masks / f"{index:06d}.jpg.png"  # COLMAP's name for the mask of 000000.jpg
+
+    def depth_path(self, index: int) -> Path:
+        return self.depth / f"{index:06d}.png"
+
+    def confidence_path(self, index: int) -> Path:
+        return self.confidence / f"{index:06d}.png"
+
+    def is_done(self, stage: str) -> bool:
+        return stage in self.record["stages"]
+
+    def result(self, stage: str) -> dict[str, Any]:
+        """What a finished stage recorded."""
+        return self.record["stages"][stage]
+
+    def finish(self, stage: str, **result: Any) -> None:
+        """Record a stage as done, with whatever later stages must know."""
+        self.record["stages"][stage] = result
+        self.save()
+
+    def save(self) -> None:
+        write_text(self.record_path, yaml.safe_dump(self.record, sort_keys=False))
+
+    @property
+    def config(self) -> Config:
+        return validate_config(self.record["config"])
+
+
+def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:
+    """A fresh run folder, locked; refuses one that holds a run already unless `overwrite`."""
+    if root.exists() and not root.is_dir():
+        raise HaustraError(f"the output {root} is a file; give a folder")
+    workspace = Workspace(root)
+    strangers = root.exists() and any(path.name not in UNFINISHED_START for path in root.iterdir())
+    if strangers and not workspace.record_path.exists():
+        raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        workspace.lock = RunLock(root)
+    except OSError as error:
+        raise HaustraError(f"cannot create the output folder {root}: {error.strerror}") from error
+    try:
+        _fill(workspace, source, config, overwrite)
+    except BaseException:
+        workspace.lock.release()
+        raise
+    return workspace
+
+
+def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
+    """The record comes before anything else, and says so while an earlier run is being removed: whenever this is
+    stopped, the folder is a run that can be gone on with or overwritten. A run that finished no stage, as one of a
+    video that was refused, is in nobody's way."""
+    replaced = workspace.record_path.exists()
+    if replaced and not overwrite and not _has_finished_nothing(workspace.root):
+        raise HaustraError(
+            f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
+        )
+    workspace.record |= {
+        "source": record_inputs(source, config),  # before the earlier run goes: this may fail
+        "versions": _versions(),
+        "config": config.model_dump(mode="json"),
+    }
+    if replaced:
+        workspace.record[CLEARING] = True
+    workspace.save()
+    _clear_if_begun(workspace)
+    workspace.log.mkdir(exist_ok=True)
+
+
+def _has_finished_nothing(root: Path) -> bool:
+    try:
+        return not open_workspace(root).record["stages"]
+    except HaustraError:  # a damaged record: what it knew cannot be told
+        return False
+
+
+def open_workspace(root: Path) -> Workspace:
+    """An existing run folder."""
+    workspace = Workspace(root)
+    if not workspace.record_path.exists():
+        raise HaustraError(f"{root} is not a run folder: it has no run.yaml")
+    try:
+        workspace.record = yaml.safe_load(workspace.record_path.read_text())
+        workspace.record["stages"], workspace.record["config"], workspace.record["source"]["sha256"]["source"]
+    except OSError as error:
+        raise HaustraError(f"{workspace.record_path} cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, ValueError, TypeError, KeyError, RecursionError) as error:
+        raise HaustraError(f"{workspace.record_path} is damaged; start the run anew with --overwrite") from error
+    return workspace
+
+
+def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
+    """An existing run of the same source and settings, locked, to go on with."""
+    open_workspace(root)  # says so if it is none
+    lock = RunLock(root)
+    try:
+        workspace = open_workspace(root)  # as the process before left it
+        workspace.lock = lock
+        _check_same(workspace, source, config)
+        _clear_if_begun(workspace)
+        workspace.log.mkdir(exist_ok=True)
+    except BaseException:
+        lock.release()
+        raise
+    return workspace
+
+
+def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
+    root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
+    if "source" in changed:
+        raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
+    other = workspace.config.differences(config)
+    if other:
+        raise HaustraError(f"{root} was run with other settings ({other[0]}); repeat them, or use --overwrite")
+    if changed:
+        raise HaustraError(f"{root} was run with another {changed[0]}; its contents have changed since")
+
+
+def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
+    """Whether a run is of this source, these settings and these files; those that look untouched are not read."""
+    return workspace.config.is_same_work(config) and not changed_inputs(
+        source, config, workspace.record["source"], True
+    )
+
+
+def _clear_if_begun(workspace: Workspace) -> None:
+    """Remove what an earlier run wrote where the record says that this is under way, and nothing else that a user may
+    have put there."""
+    if CLEARING not in workspace.record:
+        return
+    for path in vars(workspace).values():
+        if isinstance(path, Path) and path not in (workspace.root, workspace.record_path):
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    further = ("mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json", "coverage_*.png")
+    for pattern in ("features.db-*", *further):
+        for path in workspace.root.glob(pattern):
+            path.unlink()
+    del workspace.record[CLEARING]
+    workspace.save()
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a text file as a whole."""
+    partial = path.with_name(path.name + PARTIAL)
+    partial.write_text(text)
+    os.replace(partial, path)
+
+
+def write_json(path: Path, value: Any) -> None:
+    write_text(path, json.dumps(value, indent=2) + "\n")
+
+
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """What goes wrong while reading a run's own file becomes one sentence that names it."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise HaustraError(f"{path} is missing or damaged; start the run anew with --overwrite") from error

@@ -1,0 +1,177 @@
+"""What the endoscopist missed: coverage of every submap's lumen, its picture, and its figures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.ray_table import RayTable
+from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.frontend.select import structure_camera
+from pipeline.input.frames import Frames
+from pipeline.run_folder.workspace import Workspace
+from pipeline.surface.fusion_stage import Surface
+from pipeline.surface.scale import in_words
+from reconstruction.coverage.centreline import NotATube
+from reconstruction.coverage.coverage import Coverage, MissedRegion, Segment, measure_coverage
+from reconstruction.coverage.coverage_figure import draw_coverage
+from reconstruction.coverage.depth_support import SurfaceWitness
+from reconstruction.coverage.unrolled_map import unroll
+from reconstruction.coverage.visibility import Picture
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+# Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
+# depth is unsure, and not fused, within some pixels of every rim. Chosen on benchmarks/coverage_films.yaml.
+FRINGE = 3.0
+SEGMENT_MM = 50.0
+LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
+LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
+SEGMENT_RADII = 2.0
+SECTORS = 120  # around the axis; the edge of each is where its picture reaches farthest, past a thin line of text
+NARROWEST_DEG = 10.0  # off the axis; wall where such a picture ends is nearly six radii ahead, past what is judged
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Figures of one submap for `metrics.json`; `picture` is None where nothing could be judged. `missed` are the
+    closing's surfaces over the listed regions, in their order."""
+
+    record: dict[str, Any]
+    picture: Path | None
+    missed: tuple[SurfaceMesh, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """What the record says, for a person."""
+        record = self.record
+        if not record["judged"]:
+            return str(record["reason"])
+        regions, unit = record["missed_regions"], in_words(record["unit"])
+        return (
+            f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
+            f"lumen{_unmeasured(record)}; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and "
+            f"more, and {record['smaller_regions']} smaller"
+        )
+
+
+def _unmeasured(record: dict[str, Any]) -> str:
+    """Of a run that was made before wall in plain view was told apart, nothing."""
+    share = record.get("unmeasured_percent")
+    return "" if share is None else f" ({share:.1f} % in plain view only, without a surface)"
+
+
+def judge_coverage(
+    frames: Frames, dense: list[DenseSubmap], surfaces: list[Surface], workspace: Workspace
+) -> list[Judgement]:
+    """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
+    return [
+        _judge(frames, part, surface, picture_path(workspace, number))
+        for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True))
+    ]
+
+
+def picture_path(workspace: Workspace, number: int) -> Path:
+    """`coverage.png` for the first submap, `coverage_1.png` and on for the others."""
+    return workspace.coverage if number == 0 else workspace.coverage.with_name(f"coverage_{number}.png")
+
+
+def measure_submap(frames: Frames, part: DenseSubmap, surface: Surface) -> Coverage:
+    """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
+    return measure_believed(frames, part, surface)[0]
+
+
+def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
+    """The same, and that wall: what is drawn must be what was measured."""
+    factor = surface.scale.factor
+    submap = part.submap.scaled(factor)
+    # Before the depth maps are read: a picture that cannot be judged need not wait for them.
+    rays = RayTable(structure_camera(frames.camera, part.submap))
+    half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
+    witness = SurfaceWitness(surface.mesh)
+    for row in part.rows:
+        depth, confidence, _ = part.depth(int(row))
+        witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
+    unit, voxel = surface.scale.unit, surface.voxel_size
+    believed = witness.believed()
+    return measure_coverage(believed, submap.world_from_camera, half, unit, FRINGE * voxel, picture), believed
+
+
+def seen_picture(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
+    """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
+    return Picture(rays.seen_at, rays.masked(content) > 0)
+
+
+def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:
+    """Degrees off the axis beyond which wall leaves the picture on some side: where what `content` (H,W) leaves of the
+    lens's picture is narrowest, or the `pinhole` picture in which depth is completed, if that is narrower.
+
+    Border and burned-in text end a picture as its own edge does; but not text of less than a sector's width, three
+    degrees around the axis. Raises `NotATube` where the picture ends at its axis.
+    """
+    row, column = np.nonzero(rays.masked(content))
+    x, y = rays.look_up(np.stack([column, row], axis=1) + 0.5)[0].T
+    sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
+    outermost = np.zeros(SECTORS)
+    np.maximum.at(outermost, sector, np.degrees(np.arctan(np.hypot(x, y))))
+    edge = float(outermost.min())
+    if edge < NARROWEST_DEG:
+        raise NotATube(f"the picture ends {edge:.0f} degrees off its axis, too near to tell what the camera passed")
+    (fx, fy), (cx, cy) = pinhole.focal, pinhole.centre
+    side = min(cx / fx, (pinhole.width - cx) / fx, cy / fy, (pinhole.height - cy) / fy)
+    return min(edge, float(np.degrees(np.arctan(side))))
+
+
+def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:
+    try:
+        coverage, believed = measure_believed(frames, part, surface)
+    except NotATube as reason:
+        picture.unlink(missing_ok=True)  # of a report that was made before
+        return Judgement({"judged": False, "reason": str(reason)}, None)
+    unit = surface.scale.unit
+    millimetres = unit == "mm"
+    smallest = LISTED_MM if millimetres else LISTED_RADII * coverage.radius
+    segments = coverage.segments(SEGMENT_MM if millimetres else SEGMENT_RADII * coverage.radius)
+    listed = [region for region in coverage.regions if region.diameter >= smallest]
+    draw_coverage(coverage, unroll(coverage, believed, len(listed)), segments, len(listed), picture)
+    record = {
+        "judged": True,
+        "unit": unit,
+        "covered_percent": 100 * coverage.share,
+        "unmeasured_percent": 100 * coverage.whole.unmeasured_share,
+        "seen_area": coverage.whole.seen_area,
+        "unmeasured_area": coverage.whole.unmeasured_area,
+        "missed_area": coverage.whole.missed_area,
+        "stretch": coverage.length,
+        "visited": [list(interval) for interval in coverage.visited],
+        "lumen_radius": coverage.radius,
+        "listed_from": smallest,
+        "smaller_regions": len(coverage.regions) - len(listed),
+        "segments": [_segment(s) for s in segments],
+        "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
+    }
+    patches = tuple(coverage.closure.surface.with_faces(coverage.region == k) for k in range(len(listed)))
+    return Judgement(record, picture, patches)
+
+
+def _segment(segment: Segment) -> dict[str, float]:
+    shares = {"covered_percent": 100 * segment.share, "unmeasured_percent": 100 * segment.unmeasured_share}
+    return {"start": segment.start, "end": segment.end, **shares}
+
+
+def _row(number: int, region: MissedRegion, frames: Frames, part: DenseSubmap) -> dict[str, Any]:
+    index = int(part.submap.frames[region.frame])
+    return {
+        "number": number,
+        "area": region.area,
+        "diameter": region.diameter,
+        "arc": region.arc,
+        "arc_from": region.arc_range[0],
+        "arc_to": region.arc_range[1],
+        "clock": region.clock,
+        "centre": list(region.centre),
+        "frame": index,
+        "seconds": frames.seconds_of(index),
+    }

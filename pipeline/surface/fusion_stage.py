@@ -1,0 +1,175 @@
+"""Stage 4: keyframes' dense depth to one surface per submap, in the output unit, with the camera path in it."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress
+from pipeline.config import Config
+from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.run_folder.workspace import Workspace, open_workspace
+from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.scale import SCENE, Scale, find_scale
+from reconstruction.fusion.photometry import Lamp, fit_lamp
+from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_voxel_size
+from reconstruction.mesh.mesh_io import read_mesh, write_mesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
+from reconstruction.mesh.texture_atlas import check_textured, simplified, textured, write_textured
+
+VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
+LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A submap's mesh in output units and what became of it."""
+
+    mesh: SurfaceMesh
+    scale: Scale
+    voxel_size: float  # output units
+    dropped_share: float  # of the area, in pieces too small to keep
+    left_out: tuple[int, ...] = ()  # frame numbers of keyframes whose depth the others contradict
+    lamp: Lamp | None = None  # divided out of the colours; None if they are as filmed
+
+
+def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress) -> list[Surface]:
+    """Fuse every submap; a submap whose frames agree on no surface keeps an empty mesh."""
+    if workspace.is_done("surface"):
+        return load_surfaces(workspace)
+    records = []
+    for number, part in enumerate(dense):
+        # A scale file speaks of the first submap: the others have units of their own.
+        own = config if number == 0 else config.model_copy(update={"scale_file": None})
+        surface = _fuse(part, own, f"fusion of submap {number}", progress)
+        if number == 0 and len(surface.mesh.faces) == 0:
+            raise HaustraError(
+                "the keyframes agree on no surface: too few of them see the same place "
+                f"({len(part)} keyframes, {config.fusion.min_observations} must agree)"
+            )
+        path = mesh_path(workspace, number)
+        write_mesh(surface.mesh, path)
+        records.append(
+            {
+                "factor": surface.scale.factor,
+                "unit": surface.scale.unit,
+                "origin": surface.scale.origin,
+                "voxel_size": surface.voxel_size,
+                "dropped_share": surface.dropped_share,
+                "left_out": list(surface.left_out),
+                "lamp": None if surface.lamp is None else asdict(surface.lamp),
+            }
+        )
+    workspace.finish("surface", surfaces=records)
+    progress.say(_sentence(load_surfaces(workspace)[0]))
+    return load_surfaces(workspace)
+
+
+def load_surfaces(workspace: Workspace) -> list[Surface]:
+    """The surfaces of a finished stage."""
+    return [
+        Surface(
+            read_mesh(mesh_path(workspace, number)),
+            Scale(record["factor"], record["unit"], record["origin"]),
+            record["voxel_size"],
+            record["dropped_share"],
+            tuple(record.get("left_out", ())),
+            Lamp(**record["lamp"]) if record.get("lamp") else None,
+        )
+        for number, record in enumerate(workspace.result("surface")["surfaces"])
+    ]
+
+
+def mesh_path(workspace: Workspace, number: int) -> Path:
+    """`mesh.ply` for the first submap, `mesh_1.ply` and on for those that could not be joined to it."""
+    return workspace.mesh if number == 0 else workspace.mesh.with_name(f"mesh_{number}.ply")
+
+
+def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> Surface:
+    settings = fusion_settings(part, config)
+    if settings is None:
+        return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
+    fusion, check, left_out = SurfaceFusion(settings), _check(part, config), []
+    lamp = _lamp(part, config)
+    with progress.bar(label, len(part)) as advance:
+        for place, keyframe in enumerate(part):
+            confidence, pose = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
+            if confidence is None:
+                left_out.append(keyframe.index)
+            else:
+                rgb = lamp.delit(keyframe.rgb, keyframe.depth, part.camera.matrix) if lamp else keyframe.rgb
+                fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, pose)
+            advance(place + 1)
+    whole = fusion.extract()
+    mesh, dropped = drop_small_components(whole, config.fusion.min_component)
+    scale = find_scale(config, part.submap, mesh)
+    output_from_scene = np.diag([scale.factor] * 3 + [1.0])
+    dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
+    voxel_size = settings.voxel_size * scale.factor
+    return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
+
+
+def _lamp(part: DenseSubmap, config: Config) -> Lamp | None:
+    """What the lamp does in this film, from keyframes spread over it."""
+    if not config.fusion.delight:
+        return None
+    spread = np.unique(np.linspace(0, len(part) - 1, min(LAMP_SAMPLES, len(part))).astype(int))
+    keyframes = (part.keyframe(int(part.rows[place])) for place in spread)
+    return fit_lamp(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, config.seed)
+
+
+def _check(part: DenseSubmap, config: Config) -> ConsistencyCheck:
+    return ConsistencyCheck(part, config.consistency, config.fusion.min_confidence)
+
+
+def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
+    """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
+    step = max(1, len(part) // VOXEL_SAMPLES)
+    depths = [part.depth(int(row))[0] for row in part.rows[::step]]
+    if not any((depth > 0).any() for depth in depths):
+        return None
+    median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
+    return FusionSettings(
+        voxel_size=config.fusion.voxel_size or choose_voxel_size(depths, part.camera.matrix),
+        truncation=config.fusion.truncation_voxels,
+        max_depth=config.fusion.max_depth_ratio * median,
+        min_observations=config.fusion.min_observations,
+    )
+
+
+def _sentence(surface: Surface) -> str:
+    mesh, unit = surface.mesh, surface.scale.unit
+    without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""
+    return (
+        f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
+        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale.origin}{without}"
+    )
+
+
+def export_mesh(run: Path, target: Path, max_error: float | None = None, texture: bool = False) -> str:
+    """Write a finished run's mesh in the format of `target`'s suffix and say what was written.
+
+    max_error: largest distance, in the run's unit, of the full mesh from one with fewer triangles. texture: its colours
+    as a picture (.glb, .obj) instead of one for each vertex.
+    """
+    workspace = open_workspace(run)
+    if not workspace.is_done("surface"):
+        raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
+    if texture:
+        check_textured(target)
+    mesh, unit = read_mesh(workspace.mesh), load_surfaces(workspace)[0].scale.unit
+    light, error = (mesh, 0.0) if max_error is None else simplified(mesh, max_error)
+    if texture:
+        write_textured(textured(light, mesh), target)
+    else:
+        write_mesh(light, target)
+    if light is mesh:
+        return str(target)
+    return f"{target}: {len(light.faces)} of {len(mesh.faces)} triangles, at most {_rounded_up(error)} {unit} off"
+
+
+def _rounded_up(length: float) -> str:
+    """Two digits, never less than the length itself."""
+    step = 10.0 ** (np.floor(np.log10(length)) - 1)
+    return f"{np.ceil(length / step) * step:.2g}"

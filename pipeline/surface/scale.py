@@ -1,0 +1,79 @@
+"""From scene units to millimetres: by the lumen's known width, or by a file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from haustra.core.errors import HaustraError
+from pipeline.config import Config
+from pipeline.mapping.submap import Submap
+from reconstruction.coverage.lumen_diameter import measure_lumen
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+
+def in_words(unit: str) -> str:
+    """An output unit as a person reads it."""
+    return "mm" if unit == "mm" else "scene units"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """factor: output units per scene unit; unit: 'mm' or 'scene'; origin: one sentence."""
+
+    factor: float
+    unit: str
+    origin: str
+
+
+SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
+
+
+def find_scale(config: Config, submap: Submap, mesh: SurfaceMesh) -> Scale:
+    """Scale of a submap whose mesh and poses are in scene units."""
+    if config.scale_file is not None:
+        return _scale_from_file(Path(config.scale_file), submap)
+    if config.lumen_mm is None:
+        return SCENE
+    # One median depth ahead: in a tube that is where the picture's middle ground lies.
+    width = measure_lumen(mesh.vertices, mesh.faces, submap.world_from_camera, reach=1.0)
+    if width is None:
+        return Scale(1.0, "scene", "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here")
+    return Scale(
+        config.lumen_mm / width.diameter,
+        "mm",
+        f"median lumen diameter set to {config.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations",
+    )
+
+
+def check_scale_file(path: Path) -> dict[str, float]:
+    """The contents of a scale file: `mm_per_unit`, or `frame_a`, `frame_b` and `distance_mm` between the cameras."""
+    try:
+        values = yaml.safe_load(path.read_text())
+        numbers = {str(name): float(value) for name, value in values.items()}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
+        raise HaustraError(f"cannot read the scale file {path}: it must name numbers ({error})") from error
+    lengths = [numbers.get(name, 1.0) for name in ("mm_per_unit", "distance_mm")]
+    known = set(numbers) in ({"mm_per_unit"}, {"frame_a", "frame_b", "distance_mm"})
+    if not known or not np.isfinite(list(numbers.values())).all() or min(lengths) <= 0:
+        raise HaustraError(
+            f"the scale file {path} must give mm_per_unit, or frame_a, frame_b and distance_mm, as positive numbers"
+        )
+    return numbers
+
+
+def _scale_from_file(path: Path, submap: Submap) -> Scale:
+    numbers = check_scale_file(path)
+    if "mm_per_unit" in numbers:
+        return Scale(numbers["mm_per_unit"], "mm", f"scale file {path.name}: {numbers['mm_per_unit']:g} mm per unit")
+    centres = []
+    for name in ("frame_a", "frame_b"):
+        row = np.flatnonzero(submap.frames == int(numbers[name]))
+        if len(row) == 0:
+            raise HaustraError(f"frame {int(numbers[name])} of the scale file {path} was not posed")
+        centres.append(submap.centres[row[0]])
+    distance = float(np.linalg.norm(centres[1] - centres[0]))
+    if distance == 0:
+        raise HaustraError(f"the two frames of the scale file {path} have the same place")
+    return Scale(numbers["distance_mm"] / distance, "mm", f"scale file {path.name}: distance of two frames")

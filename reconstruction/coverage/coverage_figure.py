@@ -1,0 +1,116 @@
+"""`coverage.png`: the unrolled wall with its missed regions, confidence and coverage along the lumen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from reconstruction.coverage.coverage import Coverage, Segment
+from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, UNMEASURED, UnrolledMap
+
+MISSED_COLOUR = (0.10, 0.35, 0.95)  # no tissue is blue
+UNMEASURED_COLOUR = (0.72, 0.80, 0.95)
+NOT_JUDGED_COLOUR = (0.88, 0.88, 0.88)
+SEEN_BRIGHT = 235  # grey level that all but the brightest twentieth of the seen wall keep below
+INCHES = 13.0
+CLOCK = {0: "12", 3: "3", 6: "6", 9: "9", 12: "12"}  # quarter marks of the angle's axis, hours
+
+
+def draw_coverage(
+    coverage: Coverage, unrolled: UnrolledMap, segments: list[Segment], listed: int, path: Path | str
+) -> None:
+    """Write the picture; the first `listed` regions carry their number, counted from 1."""
+    figure = Figure(figsize=(INCHES, 7.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    wall, trust, bars = figure.subplots(3, 1, sharex=True, height_ratios=(3.2, 1.6, 1.1))
+    unit = "mm" if coverage.unit == "mm" else f"{coverage.unit} units"
+    _show(wall, unrolled, _wall_colours(unrolled))
+    _mark_regions(wall, coverage, unrolled, listed)
+    wall.set_title(
+        f"{100 * coverage.share:.1f} % of the wall seen over {coverage.length:.3g} {unit}, "
+        f"{100 * coverage.whole.unmeasured_share:.1f} % without being measured (pale); blue: missed; grey: not judged",
+        loc="left",
+    )
+    shown = _show(trust, unrolled, np.where(unrolled.state == NOT_JUDGED, np.nan, unrolled.confidence))
+    figure.colorbar(shown, ax=trust, label="confidence", pad=0.01)
+    _draw_bars(bars, segments)
+    bars.set_xlabel(f"arc length along the lumen [{unit}], growing the way the camera looked")
+    for panel in (wall, trust):
+        panel.set_yticks([np.pi * hour / 6 for hour in CLOCK], list(CLOCK.values()))
+        panel.set_ylabel("o'clock")
+    figure.savefig(path, dpi=110)
+
+
+def _show(panel: Any, unrolled: UnrolledMap, values: NDArray[Any]) -> Any:
+    low, high = unrolled.arc_edges[[0, -1]]
+    return panel.imshow(
+        np.swapaxes(values, 0, 1),
+        extent=(low, high, 2 * np.pi, 0),
+        aspect="auto",
+        interpolation="nearest",
+        cmap="magma",
+        vmin=0,
+        vmax=1,
+    )
+
+
+def _wall_colours(unrolled: UnrolledMap) -> NDArray[np.float64]:
+    """(A,B,3) in [0,1]: seen wall brightened as a whole, all other cells in the colours of their states."""
+    seen = unrolled.colour.max(axis=2)[unrolled.state != NOT_JUDGED]
+    lit = seen[seen > 0]
+    gain = max(1.0, SEEN_BRIGHT / max(1.0, float(np.percentile(lit, 95)))) if len(lit) else 1.0
+    picture = np.minimum(unrolled.colour * gain / 255, 1)
+    picture[unrolled.state == MISSED] = MISSED_COLOUR
+    picture[unrolled.state == UNMEASURED] = UNMEASURED_COLOUR
+    picture[unrolled.state == NOT_JUDGED] = NOT_JUDGED_COLOUR
+    return picture
+
+
+def _mark_regions(panel: Any, coverage: Coverage, unrolled: UnrolledMap, listed: int) -> None:
+    """Number each listed region at the cell of its own that lies nearest to its middle."""
+    arc = (unrolled.arc_edges[1:] + unrolled.arc_edges[:-1]) / 2
+    angle = (unrolled.angle_edges[1:] + unrolled.angle_edges[:-1]) / 2
+    for number, region in enumerate(coverage.regions[:listed]):
+        rows, columns = np.nonzero(unrolled.region == number)
+        here = (region.clock or 12.0) * np.pi / 6  # where it goes all round, any of its cells will do
+        if len(rows):
+            turn = np.abs((angle[columns] - here + np.pi) % (2 * np.pi) - np.pi) * coverage.radius
+            best = np.argmin(np.hypot(arc[rows] - region.arc, turn))
+            place = arc[rows[best]], angle[columns[best]]
+        else:
+            place = region.arc, here % (2 * np.pi)
+        panel.annotate(
+            str(number + 1),
+            place,
+            ha="center",
+            va="center",
+            fontsize=9,
+            color="white",
+            bbox={"boxstyle": "circle,pad=0.2", "facecolor": "black", "edgecolor": "white", "linewidth": 0.8},
+        )
+
+
+def _draw_bars(panel: Any, segments: list[Segment]) -> None:
+    for segment in segments:
+        width = segment.end - segment.start
+        measured, bare = 100 * (segment.share - segment.unmeasured_share), 100 * segment.unmeasured_share
+        panel.bar(segment.start, measured, width, align="edge", color="0.55", edgecolor="white")
+        panel.bar(segment.start, bare, width, measured, align="edge", color=UNMEASURED_COLOUR)
+        panel.bar(
+            segment.start, 100 - 100 * segment.share, width, 100 * segment.share, align="edge", color=MISSED_COLOUR
+        )
+        panel.text(
+            segment.start + width / 2,
+            50 * segment.share,
+            f"{100 * segment.share:.0f} %",
+            ha="center",
+            va="center",
+            color="white",
+        )
+    panel.set_ylim(0, 100)
+    panel.set_ylabel("seen [%]")

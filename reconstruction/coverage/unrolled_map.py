@@ -1,0 +1,124 @@
+"""The lumen's wall laid flat: a map over arc length and angle of what was seen, what was missed, what is not judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.coverage.coverage import Coverage
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+NOT_JUDGED, SEEN, MISSED, UNMEASURED = 0, 1, 2, 3  # the last was in plain view, but is in no mesh
+COLUMNS = 120  # cells around; a cell is as long as it is wide at the lumen's median radius
+BEYOND = 0.4  # radii shown on either side of the visited stretch
+# Six points of a triangle, one for each third of an edge: closer together than the cells are wide.
+SAMPLES = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (3, 3, 0), (3, 0, 3), (0, 3, 3)]) / 6
+
+
+@dataclass(frozen=True)
+class UnrolledMap:
+    """Cells (A,B): A steps of arc length, B steps of angle, clockwise from twelve o'clock."""
+
+    arc_edges: Array  # (A+1,) unit of the coverage
+    angle_edges: Array  # (B+1,) radians
+    state: NDArray[np.uint8]  # (A,B) NOT_JUDGED, SEEN, MISSED or UNMEASURED
+    region: NDArray[np.int64]  # (A,B) row of `Coverage.regions`, -1 elsewhere
+    colour: NDArray[np.uint8]  # (A,B,3) sRGB; 0 in missed and unmeasured cells
+    confidence: NDArray[np.float32]  # (A,B) NaN in those cells and where nothing was recorded
+
+
+def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMap:
+    """Lay the wall flat; `mesh` gives colour and confidence, and must be the one that was measured.
+
+    A cell looks at all wall between two arc lengths and two angles, folds with both their sides included. It is
+    missed if at least half of the closing's area in it is unseen; a cell in which the closing shows no wall at all
+    (a fold overhangs it) is like its nearest neighbour. Cells outside the visited stretch are not judged. Of the first
+    `listed` regions, one that outweighs seen wall in no cell (it hides beneath a fold) has all cells that it touches
+    marked as missed, so that whatever is listed can be found on the map.
+    """
+    cell = 2 * np.pi * coverage.radius / COLUMNS
+    past = BEYOND * coverage.radius
+    end = coverage.stretch[1] + past
+    rows = max(1, round((end + past) / cell))
+    arc_edges = np.linspace(-past, end, rows + 1)
+    angle_edges = np.linspace(0, 2 * np.pi, COLUMNS + 1)
+    middle = (arc_edges[1:] + arc_edges[:-1]) / 2
+    judged = coverage.is_visited(middle)[:, None] & np.ones(COLUMNS, bool)
+    cells, face = _cells_of_faces(coverage, arc_edges)
+    size, weight = rows * COLUMNS, coverage.closure.areas[face]
+    unseen, unmeasured = coverage.closure.unseen[face], coverage.closure.unmeasured[face]
+    total, dark, bare = (
+        np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unseen, weight * unmeasured)
+    )
+    filled = _nearest_known((total > 0).reshape(rows, COLUMNS))
+    missed = (2 * dark >= np.maximum(total, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
+    # Of what is seen in a cell, half or more without a surface.
+    in_view = (2 * bare >= np.maximum(total - dark, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
+    owner = np.full(size, -1)
+    order = np.argsort(-coverage.region[face[unseen]], kind="stable")  # the largest region last, so that it stays
+    owner[cells[unseen][order]] = coverage.region[face[unseen]][order]
+    region = np.where(missed, owner.reshape(rows, COLUMNS)[filled], -1)
+    for number in np.setdiff1d(np.arange(listed), region):
+        touched = np.zeros(size, bool)
+        touched[cells[coverage.region[face] == number]] = True
+        region[touched.reshape(rows, COLUMNS) & judged] = number
+    missed |= region >= 0
+    colour, confidence = _paint(mesh, coverage, arc_edges, missed | in_view)
+    state = np.where(judged, np.where(missed, MISSED, np.where(in_view, UNMEASURED, SEEN)), NOT_JUDGED).astype(np.uint8)
+    return UnrolledMap(
+        arc_edges,
+        angle_edges,
+        state,
+        region,
+        colour,
+        confidence,
+    )
+
+
+def _cells_of_faces(coverage: Coverage, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Flat cell and face of each sample point of the closing."""
+    closure = coverage.closure
+    points = np.einsum("sc,fci->fsi", SAMPLES, closure.vertices[closure.faces]).reshape(-1, 3)
+    face = np.repeat(np.arange(len(closure.faces)), len(SAMPLES))
+    cells, inside = _cells_of(coverage, points, arc_edges)
+    return cells, face[inside]
+
+
+def _cells_of(coverage: Coverage, points: Array, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Flat cells of those points (N,3) that lie on the map, and which those are (N,)."""
+    arc, angle, off = coverage.line.locate(points)
+    inside = (arc >= arc_edges[0]) & (arc < arc_edges[-1]) & (off < 3 * coverage.radius)
+    row = ((arc[inside] - arc_edges[0]) / (arc_edges[1] - arc_edges[0])).astype(np.int64)
+    column = (angle[inside] / (2 * np.pi) * COLUMNS).astype(np.int64) % COLUMNS
+    return np.minimum(row, len(arc_edges) - 2) * COLUMNS + column, inside
+
+
+def _paint(
+    mesh: SurfaceMesh, coverage: Coverage, arc_edges: Array, bare: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Mean colour (A,B,3) and confidence (A,B) of the mesh's faces in each cell that is not bare; a cell between
+    faces takes its nearest neighbour's."""
+    rows = len(arc_edges) - 1
+    points = np.einsum("sc,fci->fsi", SAMPLES, mesh.vertices[mesh.faces]).reshape(-1, 3)
+    cells, inside = _cells_of(coverage, points, arc_edges)
+    face = np.repeat(np.arange(len(mesh.faces)), len(SAMPLES))[inside]
+    count = np.bincount(cells, minlength=rows * COLUMNS)
+    values = np.column_stack([mesh.colours, mesh.confidence])[mesh.faces].mean(axis=1)[face]
+    sums = np.stack([np.bincount(cells, weights=v, minlength=rows * COLUMNS) for v in values.T], axis=1)
+    mean = (sums / np.maximum(count, 1)[:, None]).reshape(rows, COLUMNS, 4)
+    mean = mean[_nearest_known((count > 0).reshape(rows, COLUMNS))]
+    colour = np.where(bare[..., None], 0, np.rint(mean[..., :3])).astype(np.uint8)
+    return colour, np.where(bare, np.nan, mean[..., 3]).astype(np.float32)
+
+
+def _nearest_known(known: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column of the nearest known cell to each cell; across the seam at twelve o'clock, too."""
+    from scipy.ndimage import distance_transform_edt
+
+    width = known.shape[1]
+    row, column = distance_transform_edt(~np.hstack([known] * 3), return_distances=False, return_indices=True)
+    return row[:, width : 2 * width], column[:, width : 2 * width] % width

@@ -1,0 +1,154 @@
+"""The part of the true surface that the camera saw: what a reconstruction can fairly be asked for.
+
+Protocol. Of every `every`-th frame of an RGB-D folder, each pixel's true depth becomes a world point by the true
+pose; points are thinned to one, the mean, per cube of `spacing_mm`. `seen` keeps them all: a reconstructed point far
+from every one of them is wrong. `required` keeps those that came nearer than `max_depth_mm` to a camera: what was
+only seen deeper was seen small and at a glancing angle, so building it is right but missing it is no fault. (One set
+cut at 60 mm for both would put the precision of a perfect fusion at 86 %.) Even a perfect surface shows an accuracy
+of a third of the spacing, the distance to the nearest of such points.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import ReconstructionError
+from reconstruction.evaluation.surface_metrics import sample_surface
+from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.mesh.mesh_io import read_face_property, read_mesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+SAMPLES_PER_CUBE = 8  # on a true mesh, before thinning, so that hardly a cube is left empty
+FRAMES_AT_ONCE = 16  # between thinnings
+
+
+@dataclass(frozen=True)
+class ObservedTruth:
+    """Points (N,3) in mm, world axes of the truth; both sets are the same where depth is not known."""
+
+    seen: Array
+    required: Array
+
+
+def observed_truth(
+    folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = 0.5
+) -> ObservedTruth:
+    """Truth of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`."""
+    folder = Path(folder)
+    if not (folder / "depth").is_dir():
+        return truth_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
+    # Thinned to half the spacing on the way, so that memory follows the surface and not the length of the video.
+    waiting: list[tuple[Array, Array]] = []
+    for view in _views(folder, every):
+        waiting.append(view)
+        if len(waiting) > FRAMES_AT_ONCE:
+            waiting = [_thin_views(waiting, spacing_mm / 2)]
+    points, nearest = _thin_views(waiting, spacing_mm)
+    return ObservedTruth(seen=points, required=points[nearest <= max_depth_mm])
+
+
+def truth_from_mesh(
+    path: Path | str, max_depth_mm: float = 60.0, spacing_mm: float = 0.5, seed: int = 0
+) -> ObservedTruth:
+    """Points on a true mesh, by its face properties where it has them.
+
+    `seen`: only faces where it is 1 count. `nearest_mm`: the smallest depth at which a face was seen; those deeper
+    than `max_depth_mm` are not required.
+    """
+    mesh, seen = read_mesh(path), read_face_property(path, "seen")
+    nearest = read_face_property(path, "nearest_mm")
+    whole = np.ones(len(mesh.faces), bool) if seen is None else seen == 1
+    if not whole.any():
+        raise ReconstructionError(f"{path} has no face that was seen")
+    near = whole if nearest is None else whole & (nearest <= max_depth_mm)
+    points = _points_on(mesh.with_faces(whole), spacing_mm, seed)
+    return ObservedTruth(
+        seen=points, required=points if near.all() else _points_on(mesh.with_faces(near), spacing_mm, seed)
+    )
+
+
+def _points_on(mesh: SurfaceMesh, spacing_mm: float, seed: int) -> Array:
+    """About one point (N,3) in each cube of edge `spacing_mm` that the mesh passes."""
+    count = int(np.ceil(SAMPLES_PER_CUBE * mesh.face_areas.sum() / spacing_mm**2))
+    return thin(sample_surface(mesh.vertices, mesh.faces, count, np.random.default_rng(seed)), spacing_mm)
+
+
+def thin(points: Array, spacing: float) -> Array:
+    """The mean of the points (N,3) in each occupied cube of edge `spacing`."""
+    return _thin_views([(points, np.zeros(len(points)))], spacing)[0]
+
+
+def _thin_views(views: list[tuple[Array, Array]], spacing: float) -> tuple[Array, Array]:
+    """Mean point (N,3) and smallest depth (N,) in each occupied cube."""
+    points, depth = (np.concatenate(parts) for parts in zip(*views, strict=True))
+    if not len(points):
+        raise ReconstructionError("the truth has no point: its depth is empty")
+    cube = np.floor(points / spacing).astype(np.int64)
+    cube -= cube.min(axis=0)
+    key = np.ravel_multi_index(tuple(cube.T), tuple(cube.max(axis=0) + 1))
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    count = np.diff(starts, append=len(points))
+    return np.add.reduceat(points[order], starts, axis=0) / count[:, None], np.minimum.reduceat(depth[order], starts)
+
+
+def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
+    """World points (N,3) of each frame's pixels with depth, and their z-depth (N,), mm."""
+    camera = _read_camera(folder / "camera.json")
+    rays = _rays(camera)
+    _, world_from_camera = read_tum(folder / "trajectory.txt")
+    files = sorted((folder / "depth").glob("*.png"))
+    if len(files) != len(world_from_camera):
+        raise ReconstructionError(f"{folder} has {len(files)} depth images for {len(world_from_camera)} poses")
+    for path, pose in list(zip(files, world_from_camera, strict=True))[::every]:
+        depth = _read_depth(path, camera)
+        known = depth > 0
+        yield (rays[known] * depth[known, None]) @ pose[:3, :3].T + pose[:3, 3], depth[known]
+
+
+def _read_camera(path: Path) -> dict[str, Any]:
+    try:
+        camera = json.loads(path.read_text())
+        camera["model"], camera["params"], camera["width"], camera["height"], camera["depth_unit_mm"]
+    except (OSError, json.JSONDecodeError, KeyError) as error:
+        raise ReconstructionError(f"{path} is not a camera file with model, params, size and depth unit") from error
+    return camera
+
+
+def _read_depth(path: Path, camera: dict[str, Any]) -> Array:
+    """z-depth (H,W) in mm, 0 = none."""
+    import cv2
+
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None or image.dtype != np.uint16 or image.shape != (camera["height"], camera["width"]):
+        raise ReconstructionError(f"{path} is not a 16-bit depth image of the size in camera.json")
+    return image * float(camera["depth_unit_mm"])
+
+
+def _rays(camera: dict[str, Any]) -> Array:
+    """Points (H,W,3) at z-depth 1 that the pixels' centres see; pixel centres lie at half integers."""
+    import cv2
+
+    fx, fy, cx, cy, *distortion = camera["params"]
+    x, y = np.meshgrid(np.arange(camera["width"]) + 0.5, np.arange(camera["height"]) + 0.5)
+    pixels, matrix = (
+        np.stack([x, y], axis=-1).reshape(-1, 1, 2),
+        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+    )
+    if camera["model"] == "OPENCV_FISHEYE":
+        plane = cv2.fisheye.undistortPoints(pixels, matrix, np.array(distortion))
+    elif camera["model"] in ("PINHOLE", "OPENCV"):
+        plane = cv2.undistortPoints(pixels, matrix, np.array(distortion) if distortion else None)
+    else:
+        raise ReconstructionError(f"camera model {camera['model']!r} is not known; PINHOLE, OPENCV, OPENCV_FISHEYE are")
+    plane = plane.reshape(camera["height"], camera["width"], 2)
+    return np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1)

@@ -1,0 +1,266 @@
+"""Camera paths: TUM files, association by time, alignment (Umeyama), and the errors the field reports.
+
+Poses are `world_from_camera` (N,4,4): the camera's centre is the last column. Quaternions are written x y z w.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import ReconstructionError
+
+Array = NDArray[np.float64]
+Alignment = Literal["sim3", "se3", "none"]
+
+COLLINEAR = 1e-9  # second singular value of the centres' covariance over the first: below it they lie on one line
+QUATERNION_SLACK = 1e-3  # a file's rounding may move a unit quaternion's length by this much
+
+
+def read_tum(path: Path | str) -> tuple[Array, Array]:
+    """Seconds (N,) and `world_from_camera` (N,4,4) of a file with lines `seconds tx ty tz qx qy qz qw`.
+
+    Blank lines and lines that begin with # are skipped; anything else that is not a pose raises
+    `ReconstructionError`, and so does time that stands still or runs backwards.
+    """
+    rows: list[list[float]] = []
+    for number, line in enumerate(Path(path).read_text().splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            rows.append(_tum_row(line, f"{path}, line {number}"))
+            if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+                raise ReconstructionError(f"{path}, line {number}: time must increase from pose to pose")
+    if not rows:
+        raise ReconstructionError(f"{path} has no poses")
+    table = np.array(rows)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+    poses[:, :3, 3] = table[:, 1:4]
+    return table[:, 0], poses
+
+
+def write_tum(path: Path | str, seconds: Array, world_from_camera: Array) -> None:
+    """Write poses (N,4,4) at `seconds` (N,), microseconds and nine decimals of the unit of length."""
+    poses = _poses(world_from_camera)
+    if np.shape(seconds) != (len(poses),):
+        raise ReconstructionError(f"{len(poses)} poses need {len(poses)} times, got {np.size(seconds)}")
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    table = np.column_stack([seconds, poses[:, :3, 3], quaternions])
+    np.savetxt(path, table, fmt=["%.6f"] + ["%.9f"] * 7)
+
+
+def associate(
+    first_seconds: Array, second_seconds: Array, max_difference: float = 0.01
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the poses that are each other's nearest in time and at most `max_difference` seconds apart."""
+    first, second = np.asarray(first_seconds, float), np.asarray(second_seconds, float)
+    if not first.size or not second.size:
+        raise ReconstructionError("there are no poses to associate")
+    partner = _nearest(first, second)
+    index = np.arange(len(first))
+    mutual = _nearest(second, first)[partner] == index
+    close = mutual & (np.abs(first - second[partner]) <= max_difference)
+    if not close.any():
+        raise ReconstructionError(f"no two poses lie within {max_difference} s of each other")
+    return index[close], partner[close]
+
+
+def _nearest(query: Array, ascending: Array) -> NDArray[np.int64]:
+    """Index of the value of `ascending` nearest to each value of `query`."""
+    right = np.searchsorted(ascending, query).clip(1, max(1, len(ascending) - 1))
+    right = np.minimum(right, len(ascending) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(query - ascending[left] <= ascending[right] - query, left, right)
+
+
+def align_umeyama(source: Array, target: Array, with_scale: bool) -> Array:
+    """The 4x4 `target_from_source` that minimises the squared distance of points (N,3) to their partners.
+
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991;
+    the equation numbers are his. Points on one line leave the roll about it free: any minimiser is returned.
+    """
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 2:
+        raise ReconstructionError(f"alignment needs two or more pairs of points, got {source.shape} and {target.shape}")
+    target_from_source = align_each(source[None], target[None], with_scale)[0]
+    if not np.isfinite(target_from_source).all():
+        raise ReconstructionError("the camera does not move, so the scale of its path cannot be aligned")
+    return target_from_source
+
+
+def align_each(source: Array, target: Array, with_scale: bool) -> Array:
+    """(K,4,4), as `align_umeyama` gives them, of K sets of points (K,N,3); NaN where no scale can be aligned."""
+    source_mean, target_mean = source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True)  # eqs. 34, 35
+    source_variance = ((source - source_mean) ** 2).sum(axis=2).mean(axis=1)  # eq. 36
+    covariance = np.swapaxes(target - target_mean, 1, 2) @ (source - source_mean) / source.shape[1]  # eq. 38
+    u, singular, vt = np.linalg.svd(covariance)
+    signs = np.ones_like(singular)
+    signs[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))  # eqs. 39, 43: no mirror
+    scale = np.ones(len(source))
+    if with_scale:
+        known = (singular[:, 0] > 0) & (source_variance > 0)
+        scale = np.where(known, (singular * signs).sum(axis=1) / np.where(known, source_variance, 1), np.nan)  # eq. 42
+    found = np.tile(np.eye(4), (len(source), 1, 1))
+    found[:, :3, :3] = scale[:, None, None] * (u * signs[:, None]) @ vt  # eq. 40
+    found[:, :3, 3] = target_mean[:, 0] - np.einsum("kij,kj->ki", found[:, :3, :3], source_mean[:, 0])  # eq. 41
+    return found
+
+
+@dataclass(frozen=True)
+class SimCol3DErrors:
+    """The SimCol3D challenge's protocol: motions chained from the true first pose, one scale, no rotation fitted."""
+
+    ate_median: float  # median distance of the chained camera centres
+    rte_median: float  # median length of the error of a one-frame motion
+    rot_median_deg: float  # median angle of the error of a one-frame motion
+    scale: float
+    unit: str
+    count: int  # motions compared
+
+
+@dataclass(frozen=True)
+class TrajectoryErrors:
+    """Distances of camera centres and angles of orientations after `alignment`, all frames weighing the same."""
+
+    ate_rmse: float
+    ate_mean: float
+    ate_median: float
+    rotation_median_deg: float
+    rotation_max_deg: float
+    scale: float  # the factor that the alignment put on the estimate
+    alignment: Alignment
+    unit: str
+    count: int  # poses compared
+
+
+def trajectory_errors(
+    estimated: Array, truth: Array, alignment: Alignment = "sim3", unit: str = "mm"
+) -> TrajectoryErrors:
+    """Compare poses (N,4,4) pair by pair after fitting a Sim(3), an SE(3) or nothing, as evo's `-as`, `-a`, none."""
+    estimated, truth = _paired(estimated, truth)
+    if alignment not in get_args(Alignment):
+        raise ReconstructionError(f"alignment is one of {', '.join(get_args(Alignment))}, not {alignment!r}")
+    truth_from_estimate = np.eye(4) if alignment == "none" else _align_poses(estimated, truth, alignment == "sim3")
+    scale = float(np.cbrt(np.linalg.det(truth_from_estimate[:3, :3])))
+    aligned = truth_from_estimate @ estimated
+    distance = np.linalg.norm(aligned[:, :3, 3] - truth[:, :3, 3], axis=1)
+    angle = _angle_deg(np.swapaxes(truth[:, :3, :3], 1, 2) @ (aligned[:, :3, :3] / scale))
+    return TrajectoryErrors(
+        ate_rmse=float(np.sqrt(np.mean(distance**2))),
+        ate_mean=float(distance.mean()),
+        ate_median=float(np.median(distance)),
+        rotation_median_deg=float(np.median(angle)),
+        rotation_max_deg=float(angle.max()),
+        scale=scale,
+        alignment=alignment,
+        unit=unit,
+        count=len(truth),
+    )
+
+
+def simcol3d_errors(estimated: Array, truth: Array, unit: str = "mm") -> SimCol3DErrors:
+    """ATE, RTE and ROT as the SimCol3D challenge defines them (repository anitarau/simcol, evaluation/)."""
+    estimated, truth = _paired(estimated, truth)
+    motion, true_motion = _one_frame_motions(estimated), _one_frame_motions(truth)
+    length_squared = np.sum(motion[:, :3, 3] ** 2)
+    if not length_squared > 0:
+        raise ReconstructionError("the estimated camera does not move, so SimCol3D's scale is not defined")
+    scale = np.sum(true_motion[:, :3, 3] * motion[:, :3, 3]) / length_squared
+    motion[:, :3, 3] *= scale
+    chained = [truth[0]]
+    for step in motion:
+        chained.append(chained[-1] @ step)
+    drift = np.linalg.norm(np.stack(chained)[:, :3, 3] - truth[:, :3, 3], axis=1)
+    residual = np.linalg.inv(true_motion) @ motion
+    return SimCol3DErrors(
+        ate_median=float(np.median(drift)),
+        rte_median=float(np.median(np.linalg.norm(residual[:, :3, 3], axis=1))),
+        rot_median_deg=float(np.median(_angle_deg(residual[:, :3, :3]))),
+        scale=float(scale),
+        unit=unit,
+        count=len(motion),
+    )
+
+
+def _align_poses(estimated: Array, truth: Array, with_scale: bool) -> Array:
+    """Umeyama on the centres; where they lie on one line, the orientations settle the roll about it."""
+    centres, true_centres = estimated[:, :3, 3], truth[:, :3, 3]
+    truth_from_estimate = align_umeyama(centres, true_centres, with_scale)
+    pivot = true_centres.mean(axis=0)
+    directions, spread, _ = np.linalg.svd((true_centres - pivot).T @ (centres - centres.mean(axis=0)))
+    if spread[1] > COLLINEAR * spread[0]:
+        return truth_from_estimate
+    rotations = truth_from_estimate[:3, :3] @ estimated[:, :3, :3]
+    roll = _best_roll(directions[:, 0], rotations, truth[:, :3, :3])
+    about_the_line = np.eye(4)
+    about_the_line[:3, :3] = roll
+    about_the_line[:3, 3] = pivot - roll @ pivot
+    return about_the_line @ truth_from_estimate
+
+
+def align_poses(estimated: Array, truth: Array) -> Array:
+    """The Sim(3) `truth_from_estimate` (4x4) that fits centres and orientations of poses (N,4,4) together.
+
+    Centres of a nearly straight path leave the roll about it open, and a surface 20 mm off the path would move by
+    millimetres. So each camera also gives the tips of its three axes, as long as the true centres' spread.
+    """
+    estimated, truth = _paired(estimated, truth)
+    from_centres = align_umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale=True)
+    scale = float(np.cbrt(np.linalg.det(from_centres[:3, :3])))
+    reach = float(np.sqrt(truth[:, :3, 3].var(axis=0).sum()))
+    points = [
+        np.concatenate([poses[:, :3, 3], *(poses[:, :3, 3] + length * poses[:, :3, axis] for axis in range(3))])
+        for poses, length in ((estimated, reach / scale), (truth, reach))
+    ]
+    return align_umeyama(points[0], points[1], with_scale=True)
+
+
+def _best_roll(axis: Array, rotations: Array, true_rotations: Array) -> Array:
+    """The rotation about `axis` that brings `rotations` (N,3,3) nearest to the true ones, by the sum of traces.
+
+    trace(R(angle) M) = cos(angle) (trace M - a'Ma) + sin(angle) trace([a]x M) + a'Ma, by Rodrigues' formula.
+    """
+    m = np.einsum("nij,nkj->ik", rotations, true_rotations)
+    cosine_part = np.trace(m) - axis @ m @ axis
+    sine_part = np.trace(np.cross(np.eye(3), axis) @ m)  # row i of [a]x is e_i x a
+    return Rotation.from_rotvec(np.arctan2(sine_part, cosine_part) * axis).as_matrix()
+
+
+def _one_frame_motions(world_from_camera: Array) -> Array:
+    """`camera_from_next` (N-1,4,4)."""
+    return np.linalg.inv(world_from_camera[:-1]) @ world_from_camera[1:]
+
+
+def _angle_deg(rotations: Array) -> Array:
+    """Angle of each rotation (N,3,3) in degrees; from the quaternion, as arccos of the trace is blunt near 0."""
+    return np.degrees(Rotation.from_matrix(rotations).magnitude())
+
+
+def _paired(estimated: Array, truth: Array) -> tuple[Array, Array]:
+    estimated, truth = _poses(estimated), _poses(truth)
+    if len(estimated) != len(truth) or len(truth) < 2:
+        raise ReconstructionError(f"two or more pairs of poses are needed, got {len(estimated)} and {len(truth)}")
+    return estimated, truth
+
+
+def _poses(world_from_camera: Array) -> Array:
+    poses = np.asarray(world_from_camera, np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
+        raise ReconstructionError(f"poses must be finite and (N,4,4), not {poses.shape}")
+    return poses
+
+
+def _tum_row(line: str, where: str) -> list[float]:
+    try:
+        values = [float(word) for word in line.split()]
+    except ValueError as error:
+        raise ReconstructionError(f"{where}: a pose is eight numbers, got {line.strip()!r}") from error
+    if len(values) != 8 or not np.isfinite(values).all():
+        raise ReconstructionError(f"{where}: a pose is eight finite numbers, got {line.strip()!r}")
+    length = float(np.linalg.norm(values[4:]))
+    if abs(length - 1) > QUATERNION_SLACK:
+        raise ReconstructionError(f"{where}: the quaternion's length is {length:.4g}, not 1")
+    return values

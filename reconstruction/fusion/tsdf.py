@@ -1,0 +1,177 @@
+"""Confidence-weighted fusion of depth images into one surface: a truncated signed distance in sparse voxels.
+
+Curless and Levoy, "A volumetric method for building complex models from range images", SIGGRAPH 1996: every voxel
+keeps a running average of its signed distance to the surface along the camera's axis, here weighted by how well each
+depth is trusted to fix the surface's place (confidence, distance, slant), which Open3D's own `integrate` cannot do.
+Nothing is filled in: a cell becomes surface only if all of its eight corners were observed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import ReconstructionError
+from reconstruction.fusion.depth_frame import DepthFrame, prepare_frame
+from reconstruction.fusion.voxel_grid import BLOCK, VoxelGrid
+from reconstruction.fusion.voxel_integration import average_frame
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+BLOCKS_AT_ONCE = 64
+THREADS = 2  # `average_frame` lets go of the interpreter
+COARSEST_STRIDE = 4  # pixels between the rays along which blocks are touched
+STEP_OF_BLOCK = 0.6  # between the points along such a ray
+PIXELS_PER_VOXEL = 2.5
+FINEST_RELATIVE_VOXEL = 0.01  # of the median depth
+TYPICAL_DEPTH_VOXELS = 100  # the depth, met head-on, at which a pixel weighs as much as its confidence
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """How depth becomes surface; lengths in the unit of the depth (mm, or scene units)."""
+
+    voxel_size: float
+    truncation: float = 12.0
+    """Voxels on each side of the surface that a depth speaks for. It must exceed the error of the depth: with 3 % of
+    noise on it, 4 voxels of 0.5 mm left double sheets and an F-score at 1 mm of 89 %, 10 gave 99 %. With perfect
+    depth more only costs time and 0.1 % of the F-score."""
+    max_depth: float = np.inf
+    """Depth beyond this is not used."""
+    max_grazing_deg: float = 80.0
+    """Angle between ray and normal beyond which neither a pixel nor a crossing of the distance field is believed."""
+    min_observations: int = 1
+    """Frames that must have seen a surface within the truncation of each of a cell's eight corners; 2 removes most
+    floating bits and costs 1 to 6 % of completeness."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.voxel_size < np.inf:
+            raise ReconstructionError(f"the voxel size must be a positive length, not {self.voxel_size}")
+        if not self.truncation >= 2:
+            raise ReconstructionError(f"the truncation must be two voxels or more, not {self.truncation}")
+        if not self.max_depth > 0:
+            raise ReconstructionError(f"the largest depth must be positive, not {self.max_depth}")
+        if not 0 < self.max_grazing_deg < 90:
+            raise ReconstructionError(
+                f"the grazing angle must lie between 0 and 90 degrees, not {self.max_grazing_deg}"
+            )
+
+
+def choose_voxel_size(depths: Iterable[NDArray[np.float32]], intrinsics: NDArray[np.float64]) -> float:
+    """The footprint of 2.5 pixels at the median depth, and no less than 1 % of that depth, in the depth's unit.
+
+    From 1.5 to 4 pixels the F-score hardly changes, and the time grows with the third power of fineness. Completed
+    depth is wrong by more than 1 %, so finer voxels of a high-resolution camera would only store its error.
+    """
+    known = [depth[np.isfinite(depth) & (depth > 0)] for depth in depths]
+    if not sum(map(len, known)):
+        raise ReconstructionError("no frame has a valid depth, so the voxel size cannot be chosen")
+    median = float(np.median(np.concatenate(known)))
+    focal = float(np.sqrt(intrinsics[0, 0] * intrinsics[1, 1]))
+    return median * max(PIXELS_PER_VOXEL / focal, FINEST_RELATIVE_VOXEL)
+
+
+class SurfaceFusion:
+    """Integrate frames in any order, then extract the surface; more frames may follow an extraction."""
+
+    def __init__(self, settings: FusionSettings) -> None:
+        self.settings = settings
+        self._grid = VoxelGrid(settings.voxel_size)
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of 8x8x8 voxels in use, 14 KiB each; it grows with the surface seen, not with the frames."""
+        return self._grid.blocks
+
+    def integrate(
+        self,
+        rgb: NDArray[np.uint8],
+        depth: NDArray[np.float32],
+        confidence: NDArray[np.float32] | None,
+        intrinsics: NDArray[np.float64],
+        world_from_camera: NDArray[np.float64],
+    ) -> int:
+        """Add a frame; returns how many of its pixels were used (0 leaves the surface as it was).
+
+        `rgb` uint8 (H,W,3); `depth` (H,W) z-depth, 0, negative or NaN = none; `confidence` (H,W) in [0,1], None = 1
+        everywhere; `intrinsics` (3,3) with the top-left pixel's centre at (0.5, 0.5); `world_from_camera` (4,4).
+        """
+        frame = prepare_frame(
+            rgb,
+            depth,
+            confidence,
+            intrinsics,
+            world_from_camera,
+            self.settings.max_depth,
+            self.settings.max_grazing_deg,
+            TYPICAL_DEPTH_VOXELS * self.settings.voxel_size,
+        )
+        used = int(np.count_nonzero(frame.depth))
+        if used:
+            self._update(frame)
+        return used
+
+    def extract(self) -> SurfaceMesh:
+        """The surface where evidence and observations suffice, normals towards the cameras.
+
+        A distance field has slope 1, or 1/cos of the viewing angle as it is measured along the camera's axis. Where
+        it is steeper than the grazing limit allows, the sign flips between what one camera saw in front of a fold and
+        what another assumed behind it: an edge of visibility, not a wall, so faces there are left out.
+        """
+        evidence, observations = (self._grid.channel(name)[..., 0] for name in ("evidence", "observations"))
+        vertices, faces, colours = self._grid.march((evidence > 0) & (observations >= self.settings.min_observations))
+        around = self._grid.edge_voxels(vertices)
+        tsdf = self._grid.flat_channel("tsdf")
+        slope = np.abs(tsdf[around.high] - tsdf[around.low]) * self.settings.truncation
+        believable = slope <= 1 / np.cos(np.radians(self.settings.max_grazing_deg))
+        faces = faces[believable[faces].all(axis=1)]
+        mesh = SurfaceMesh.from_triangles(
+            vertices,
+            faces,
+            colours=np.rint(colours).clip(0, 255),
+            confidence=around.interpolate(self._grid.flat_channel("confidence")),
+            observations=np.rint(around.interpolate(self._grid.flat_channel("observations"))),
+        )
+        return mesh.with_faces(np.ones(len(faces), bool))  # without the vertices that are now unused
+
+    def _update(self, frame: DepthFrame) -> None:
+        """Touch the blocks near the depth and average the frame into them."""
+        rows, origins = self._grid.touch(self._points_near_surface(frame))
+        rotation, shift = frame.camera_from_world[:3, :3], frame.camera_from_world[:3, 3]
+        corners = (origins @ rotation.T + shift).astype(np.float32)
+        offsets = self._grid.offsets_in_block @ rotation.T.astype(np.float32)
+        pinhole = frame.centred_intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].astype(np.float32)
+        truncation = np.float32(self.settings.truncation * self.settings.voxel_size)
+        images = (frame.depth, frame.weight, frame.confidence, frame.colour)
+        values = [self._grid.channel(name)[..., 0] for name in ("evidence", "observations", "tsdf", "confidence")]
+        channels = (*values, self._grid.channel("colour"))
+
+        def average(part: slice) -> None:
+            average_frame(rows[part], corners[part], offsets, pinhole, *images, truncation, *channels)
+
+        with ThreadPoolExecutor(THREADS) as threads:  # no block is in two parts
+            parts = [slice(start, start + BLOCKS_AT_ONCE) for start in range(0, len(rows), BLOCKS_AT_ONCE)]
+            list(threads.map(average, parts))
+
+    def _points_near_surface(self, frame: DepthFrame) -> NDArray[np.float32]:
+        """World points (N,3) along the rays, within the truncation of the depth, dense enough to hit every block."""
+        block = BLOCK * self.settings.voxel_size
+        reach = self.settings.truncation * self.settings.voxel_size
+        focal = frame.centred_intrinsics[[0, 1], [0, 1]].min()
+        middle = np.median(frame.depth[frame.depth > 0])
+        stride = int(np.clip(0.5 * block * focal / middle, 1, COARSEST_STRIDE))
+        if not frame.depth[::stride, ::stride].any():
+            stride = 1
+        row, column = np.nonzero(frame.depth[::stride, ::stride])
+        depth = frame.depth[::stride, ::stride][row, column]
+        pixel = np.stack([column * stride, row * stride, np.ones_like(row)])
+        ray = (np.linalg.inv(frame.centred_intrinsics) @ pixel).T.astype(np.float32)
+        world_from_camera = np.linalg.inv(frame.camera_from_world)
+        turned = ray @ world_from_camera[:3, :3].T.astype(np.float32)
+        steps = np.linspace(-reach, reach, 1 + int(np.ceil(2 * reach / (STEP_OF_BLOCK * block))), dtype=np.float32)
+        along = np.maximum(depth[:, None] + steps, 0)
+        points = along[..., None] * turned[:, None] + world_from_camera[:3, 3].astype(np.float32)
+        return points.reshape(-1, 3)

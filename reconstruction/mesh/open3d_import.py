@@ -1,0 +1,52 @@
+"""Import Open3D where its system libraries may be missing, or say which to install; and its scene to cast rays in."""
+
+import ctypes
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import ReconstructionError
+
+DEBIAN_PACKAGES = "libegl1 libgl1 libx11-6 libgomp1"
+
+
+def import_open3d() -> ModuleType:
+    """The `open3d` module; `ReconstructionError` names the Debian packages if a system library is missing."""
+    if not _loads("libusb-1.0.so.0"):
+        _preload_packaged_libusb()
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        reason = f"Open3D cannot be loaded ({error})"
+        raise ReconstructionError(
+            f"{reason}; on Debian or Ubuntu, `apt-get install {DEBIAN_PACKAGES}` provides what it needs."
+        ) from error
+    return open3d
+
+
+def ray_scene(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Any:
+    """A `RaycastingScene` of triangles (F,3) between vertices (V,3); in single precision, as Open3D has it."""
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
+    return scene
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def _preload_packaged_libusb() -> None:
+    """Open3D links libusb for its depth sensors; PyPI's `libusb-package` carries it under the right soname."""
+    try:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    except (ImportError, OSError):
+        return  # the import of Open3D then fails, and its message names the library that is missing

@@ -1,0 +1,185 @@
+"""A light mesh that looks like the fine one: fewer triangles within a stated error, colours in a picture laid over it.
+
+Charts and their packing are xatlas's. The picture is filled from the fine mesh: every texel knows its place on the
+light surface and takes the colour of the fine mesh's nearest vertices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from haustra.core.errors import ReconstructionError
+from reconstruction.mesh.decimation import decimated
+from reconstruction.mesh.open3d_import import import_open3d, ray_scene
+from reconstruction.mesh.surface_mesh import UNCOLOURED, SurfaceMesh
+
+TEXELS_PER_EDGE = 1.5  # of the fine mesh's median edge: its colours know no more
+FILLED = 0.5  # part of the picture that charts cover, roughly; the rest is gaps
+SMALLEST, LARGEST = 256, 4096  # px; what every viewer takes
+GUTTER = 8  # px around charts that repeat their border, so that filtering finds no seam
+HALVINGS = 5
+NEIGHBOURS = 3  # vertices of the fine mesh that colour a texel
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """Triangles with a picture. vertices (V,3) repeat along the charts' seams; uv (V,2) in [0,1], v upwards as OBJ has
+    it; texture (S,S,3) uint8 sRGB, first row at v = 1."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    normals: NDArray[np.float64]
+    uv: NDArray[np.float64]
+    texture: NDArray[np.uint8]
+
+
+def simplified(mesh: SurfaceMesh, max_error: float) -> tuple[SurfaceMesh, float]:
+    """The mesh with as few triangles as halving allows, and how far the two are apart: no more than `max_error`.
+
+    Measured both ways, at every vertex and at the middle of every edge and face: the largest distance, in the mesh's
+    unit. The mesh itself and 0 where even half the triangles would err more.
+    """
+    if not 0 < max_error < np.inf:
+        raise ReconstructionError(f"the largest error must be a positive length, not {max_error}")
+    best, error = mesh, 0.0
+    for halving in range(1, HALVINGS + 1):
+        candidate = decimated(mesh, len(mesh.faces) >> halving)
+        if not len(candidate.faces):
+            break
+        distance = apart(mesh, candidate)
+        if distance > max_error:
+            break
+        best, error = candidate, distance
+    return best, error
+
+
+def apart(first: SurfaceMesh, second: SurfaceMesh) -> float:
+    """Largest distance of vertices, edges' middles and faces' middles of either from the other's surface."""
+    ways = ((first, second), (second, first))
+    return max(float(distance_to_surface(_samples(one), other).max()) for one, other in ways)
+
+
+def _samples(mesh: SurfaceMesh) -> NDArray[np.float64]:
+    corners = mesh.vertices[mesh.faces]
+    edges = (corners + np.roll(corners, -1, axis=1)) / 2
+    return np.concatenate([mesh.vertices, edges.reshape(-1, 3), corners.mean(axis=1)])
+
+
+def distance_to_surface(points: NDArray[np.float64], mesh: SurfaceMesh) -> NDArray[np.float64]:
+    """(N,) distance of points (N,3) to the nearest triangle."""
+    o3d = import_open3d()
+    middle = mesh.vertices.mean(axis=0)  # Open3D computes in float32
+    scene = ray_scene(mesh.vertices - middle, mesh.faces)
+    return scene.compute_distance(o3d.core.Tensor((points - middle).astype(np.float32))).numpy().astype(np.float64)
+
+
+def textured(light: SurfaceMesh, fine: SurfaceMesh, side: int | None = None) -> TexturedMesh:
+    """Lay the colours of `fine` as a picture over `light`; `side` px, else as fine as the vertices of `fine` are."""
+    import xatlas
+
+    if not len(light.faces) or not len(fine.vertices):
+        raise ReconstructionError("a mesh without faces has nothing to lay a texture on")
+    source, faces, uv = xatlas.parametrize(light.vertices.astype(np.float32), light.faces.astype(np.uint32))
+    vertices, faces = light.vertices[source], faces.astype(np.int64)
+    side = side or _picture_side(fine)
+    texel_face, places = _texel_places(vertices, faces, uv, side)
+    picture = np.full((side, side, 3), UNCOLOURED, np.uint8)
+    known = texel_face >= 0
+    picture[known] = _colours_at(places, fine)
+    return TexturedMesh(vertices, faces, light.normals[source], uv.astype(np.float64), _with_gutter(picture, known))
+
+
+def check_textured(path: Path) -> None:
+    """Refuse a file that holds no texture, before the minutes that making one takes."""
+    if path.suffix.lower() not in (".glb", ".obj"):
+        raise ReconstructionError(f"{path.name}: a texture goes into .glb or .obj")
+
+
+def write_textured(mesh: TexturedMesh, path: Path) -> Path:
+    """GLB with the picture inside, or OBJ with `NAME.mtl` and `NAME_texture.png` beside it; these must not exist yet
+    unless an export of the same name made them: they are not what the user named."""
+    import trimesh
+    from PIL import Image
+
+    check_textured(path)
+    picture = Image.fromarray(mesh.texture)
+    material: Any
+    if path.suffix.lower() == ".glb":
+        material = trimesh.visual.material.PBRMaterial(
+            baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True
+        )
+    else:
+        material = trimesh.visual.material.SimpleMaterial(image=picture, diffuse=[255, 255, 255, 255])
+        material.name = f"{path.stem}_texture"
+        beside = [path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")]
+        if not path.exists() and (taken := [p.name for p in beside if p.exists()]):
+            raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
+    visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
+    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, visual=visual, process=False)
+    if path.suffix.lower() == ".glb":
+        made.export(path, include_normals=True)
+    else:
+        made.export(path, include_normals=True, mtl_name=f"{path.stem}.mtl")
+    return path
+
+
+def _picture_side(fine: SurfaceMesh) -> int:
+    edges = np.linalg.norm(fine.vertices[fine.faces[:, 0]] - fine.vertices[fine.faces[:, 1]], axis=1)
+    texel = float(np.median(edges)) / TEXELS_PER_EDGE
+    side = np.sqrt(float(fine.face_areas.sum()) / FILLED) / max(texel, 1e-12)
+    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1))), SMALLEST, LARGEST))
+
+
+def _texel_places(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], uv: NDArray[np.float32], side: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """(S,S) face of each texel, -1 between charts, and (K,3) places on the surface of those that have one, in order."""
+    import cv2
+
+    corner = np.stack([uv[:, 0] * side, (1 - uv[:, 1]) * side], axis=1)[faces]  # (F,3,2) column and row, from the edge
+    texel_face = np.full((side, side), -1, np.int32)
+    fixed = np.rint((corner - 0.5) * 16).astype(np.int32)  # OpenCV's whole numbers are texels' centres
+    for number, triangle in enumerate(fixed):
+        cv2.fillConvexPoly(texel_face, triangle, number, lineType=cv2.LINE_8, shift=4)
+    row, column = np.nonzero(texel_face >= 0)
+    face = texel_face[row, column]
+    share = _barycentric(corner[face], np.stack([column, row], axis=1) + 0.5)
+    return texel_face, np.einsum("kc,kcd->kd", share, vertices[faces[face]])
+
+
+def _barycentric(corners: NDArray[np.floating], points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(K,3) weights of triangles' corners (K,3,2) at points (K,2), clipped into the triangle."""
+    a, b, c = np.swapaxes(np.asarray(corners, np.float64), 0, 1)
+    area = _cross(b - a, c - a)
+    area = np.where(np.abs(area) > 1e-12, area, 1e-12)
+    share = np.stack([_cross(b - points, c - points), _cross(c - points, a - points)], axis=1) / area[:, None]
+    share = np.concatenate([share, 1 - share.sum(axis=1, keepdims=True)], axis=1).clip(0, 1)
+    return share / share.sum(axis=1, keepdims=True)
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _colours_at(places: NDArray[np.float64], fine: SurfaceMesh) -> NDArray[np.uint8]:
+    """Of the nearest vertices, by inverse distance."""
+    count = min(NEIGHBOURS, len(fine.vertices))
+    distance, near = cKDTree(fine.vertices).query(places, k=range(1, count + 1))
+    weight = 1 / np.maximum(distance, 1e-9)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.rint(np.einsum("kn,knc->kc", weight, fine.colours[near].astype(np.float64))).astype(np.uint8)
+
+
+def _with_gutter(picture: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Texels near a chart repeat its border."""
+    if known.all() or not known.any():
+        return picture
+    distance, nearest = distance_transform_edt(~known, return_indices=True)
+    return np.where((distance <= GUTTER)[..., None], picture[tuple(nearest)], picture)

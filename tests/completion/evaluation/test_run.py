@@ -1,0 +1,163 @@
+"""Samplers' exact counts and noise, evaluation by protocol, and the command from end to end."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from completion.confidence import confidence_from_error, error_from_confidence
+from completion.data.evaluation_frame import EvaluationFrame
+from completion.data.sampling_benchmark import features, like_sfm, uniform
+from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
+from completion.evaluation.predictors import load_predictor
+from completion.evaluation.run import Outputs, evaluate, protocol_of
+from completion.inference.completer import choose_device, choose_precision
+from haustra.core.errors import CompletionError
+from haustra.core.progress import SilentProgress
+from haustra.phantom.config import EventsConfig
+from haustra.phantom.dataset.generate import generate
+from tests.helpers.tiny_phantom import TINY
+
+
+def frame(size: int = 64) -> EvaluationFrame:
+    rng = np.random.default_rng(0)
+    rgb = np.kron(rng.integers(0, 255, (size // 4, size // 4, 3)), np.ones((4, 4, 1))).astype(np.uint8)
+    y, x = np.mgrid[:size, :size]
+    depth = (20 + 0.2 * x + 0.1 * y).astype(np.float32)
+    depth[:8] = 0
+    return EvaluationFrame("0", rgb, depth, "mm")
+
+
+@pytest.mark.parametrize("points", [1, 10, 300])
+@pytest.mark.parametrize("sampler", [uniform, features])
+def test_counts_are_exact_depths_true_and_seeds_repeat(sampler, points: int) -> None:
+    view = frame()
+    sparse = sampler(view.rgb, view.depth, points, np.random.default_rng(1))
+    chosen = sparse.depth > 0
+    assert chosen.sum() == points
+    np.testing.assert_array_equal(sparse.depth[chosen], view.depth[chosen])
+    again = sampler(view.rgb, view.depth, points, np.random.default_rng(1))
+    np.testing.assert_array_equal(again.depth, sparse.depth)
+
+
+def test_features_sit_on_what_can_be_tracked() -> None:
+    y, x = np.mgrid[:96, :96]
+    dots = [(r, c) for r in range(16, 96, 16) for c in range(16, 96, 16)]
+    grey = 60 + sum(150 * np.exp(-((y - r) ** 2 + (x - c) ** 2) / 8.0) for r, c in dots)
+    rgb = np.repeat(grey.clip(0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+    depth = np.full((96, 96), 30, np.float32)
+
+    def distance_to_dots(sampler) -> float:
+        places = np.argwhere(sampler(rgb, depth, len(dots), np.random.default_rng(0)).depth > 0)
+        return float(np.mean(np.min(np.linalg.norm(places[:, None] - np.array(dots)[None], axis=-1), axis=1)))
+
+    assert distance_to_dots(features) < 2.0
+    assert distance_to_dots(uniform) > 4.0
+
+
+def test_sfm_points_have_the_stated_noise_outliers_and_factor() -> None:
+    view = frame(256)
+    ratios, factors = [], []
+    for seed in range(12):
+        sparse = like_sfm(view.rgb, view.depth, 400, np.random.default_rng(seed))
+        chosen = sparse.depth > 0
+        ratios.append(sparse.depth[chosen] / sparse.factor / view.depth[chosen])
+        factors.append(sparse.factor)
+    ratio = np.concatenate(ratios)
+    assert len(ratio) > 2000
+    core = np.abs(ratio - 1) < 0.12
+    assert 0.005 < 1 - core.mean() < 0.05  # 3 % of outliers, of which some change little
+    assert np.std(ratio[core]) == pytest.approx(0.03, rel=0.15)
+    assert np.exp(-2) <= min(factors) < max(factors) <= np.exp(2)
+
+
+def test_linear_is_exact_on_a_plane_and_its_scale_can_be_lost() -> None:
+    view = frame()
+    protocol = Protocol(points=200, seed=3)
+    (result,) = evaluate_frames([view], load_predictor("linear"), protocol)
+    assert result.errors.abs_rel < 0.01
+    wrong = lambda rgb, sparse, lens: (3 * load_predictor("linear")(rgb, sparse, lens)[0], None)  # noqa: E731
+    (scaled,) = evaluate_frames([view], wrong, protocol)
+    assert scaled.errors.abs_rel == pytest.approx(2, abs=0.05)
+    (aligned,) = evaluate_frames([view], wrong, protocol.model_copy(update={"alignment": "points"}))
+    assert mean_errors([aligned], protocol).abs_rel == pytest.approx(result.errors.abs_rel, abs=2e-3)
+
+
+def test_a_frame_without_points_is_an_error_not_a_gap() -> None:
+    blind = EvaluationFrame("7", np.zeros((32, 32, 3), np.uint8), np.full((32, 32), 9, np.float32), "mm")
+    with pytest.raises(CompletionError, match="frame 7: the sampler 'sfm' finds no point"):
+        list(evaluate_frames([blind], load_predictor("nearest"), Protocol(sampler="sfm")))
+
+
+def precision_here() -> str:
+    return choose_precision("auto", choose_device("auto"))
+
+
+def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
+    folder = generate(TINY, tmp_path / "phantom", threads=1)
+    assert TINY.events == EventsConfig()
+    pictures = ("e.png", "sweep.png", "c.png", "compare.png", "attention.png")
+    outputs = Outputs(tmp_path / "e.csv", tmp_path / "e.json", *(tmp_path / name for name in pictures))
+    protocols = [protocol_of("uniform", points, "none", "per_frame", 0, 1) for points in (20, 60)]
+    text = evaluate([folder], ["nearest", "mscsa"], protocols, outputs, None, SilentProgress())
+    records = json.loads(outputs.json.read_text())
+    assert len(records) == 4
+    for record in records:
+        assert f"{100 * record['mean']['abs_rel']:.4f}" in text
+        name = f"e_phantom_{record['model']}_uniform{record['protocol']['points']}"
+        rows = list(csv.DictReader((tmp_path / f"{name}.csv").open()))
+        assert len(rows) == TINY.motion.frames
+        mean = np.mean([float(row["abs_rel"]) for row in rows])
+        assert mean == pytest.approx(record["mean"]["abs_rel"], rel=1e-4)
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert "60 uniform points, no scale alignment, per-frame mean, seed 0" in text
+    assert outputs.sweep.exists()
+    assert outputs.calibration.exists()
+    for points in (20, 60):
+        assert (tmp_path / f"compare_phantom_uniform{points}.png").stat().st_size > 10_000
+        assert (tmp_path / f"attention_phantom_mscsa_uniform{points}.png").stat().st_size > 10_000
+    assert not list(tmp_path.glob("attention_phantom_nearest*"))
+    assert [r["calibration"] is not None for r in records] == [r["model"] == "mscsa" for r in records]
+    assert {(r["model"], r["precision"]) for r in records} == {("nearest", None), ("mscsa", precision_here())}
+    by_points = [r["mean"]["abs_rel"] for r in records if r["model"] == "nearest"]
+    assert by_points[1] < by_points[0]
+    named = text.rsplit("one for each figure: ", 1)[1].split(", ")
+    alone = {*outputs.json.parent.glob("*.json"), outputs.sweep, outputs.calibration}
+    assert {Path(name) for name in named} == {p for p in tmp_path.iterdir() if p.is_file()} - alone
+
+
+def test_error_and_confidence_are_each_others_inverse() -> None:
+    error = np.geomspace(0.003, 0.5, 20).astype(np.float32)
+    np.testing.assert_allclose(error_from_confidence(confidence_from_error(error)), error, rtol=1e-3)
+
+
+@pytest.mark.parametrize("path", ["file/deeper/e.csv", "folder"])
+def test_what_cannot_be_written_is_said_before_the_work(tmp_path: Path, path: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(CompletionError, match=f"cannot write .*{path}"):
+        evaluate([tmp_path / "none"], ["linear"], [], Outputs(csv=tmp_path / path), None, SilentProgress())
+
+
+def test_progress_counts_the_frames_that_are_judged() -> None:
+    seen: list[int] = []
+    frames = [frame() for _ in range(7)]
+    list(evaluate_frames(frames, load_predictor("nearest"), Protocol(stride=3), seen.append))
+    assert seen == [1, 2, 3]
+
+
+def test_slips_are_one_sentence() -> None:
+    for values in (("poisson", "none", "per_frame"), ("uniform", "gt", "per_frame"), ("uniform", "none", "mean")):
+        with pytest.raises(CompletionError, match="known:"):
+            protocol_of(values[0], 10, values[1], values[2], 0, 1)
+    with pytest.raises(CompletionError, match=r"no model .* mscsa, nearest, linear"):
+        load_predictor("monodepth")
+
+
+def test_a_protocol_says_how_sfm_points_are_scaled() -> None:
+    assert "100 sfm points, their unknown scale given back by its true value" in str(Protocol(sampler="sfm"))
+    assert "scale from the sparse points" in str(Protocol(sampler="sfm", alignment="points"))

@@ -1,0 +1,228 @@
+"""`DepthCompleter` and its exported twin: batches, number formats, order of the points, ONNX."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from completion import DepthCompleter
+from completion.inference.completer import load_scale_free
+from completion.inference.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
+from completion.inference.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
+from completion.networks.channel_attention import attention_features
+from completion.networks.mscsa import DoubleConv
+from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
+from completion.networks.recurrent_norm import fold_batch_norm
+from completion.networks.registry import build_model
+from haustra.core.errors import CompletionError
+from pipeline.depth.sparse_depth import SparseDepth
+
+# Median relative difference of depth between bfloat16 and float32, of the shipped weights on a rendered-like frame.
+BFLOAT16_TOLERANCE = 0.01
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Three tube-like frames, shaded by distance, with 80, 300 and no points: rgb, sparse depth, sparse error."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:96, :128] / 96 - 0.5
+    rgb, sparse = np.zeros((3, 96, 128, 3), np.uint8), np.zeros((3, 96, 128), np.float32)
+    for index, points in enumerate((80, 300, 0)):
+        depth = 8 / np.maximum(np.hypot(x - 0.2 * index, y), 0.08)
+        rgb[index] = np.clip(3e4 / depth**2 + rng.normal(0, 4, depth.shape), 0, 255)[..., None]
+        chosen = rng.choice(depth.size, points, replace=False)
+        sparse[index].flat[chosen] = depth.flat[chosen]
+    return rgb, sparse, np.where(sparse > 0, rng.uniform(0, 0.1, sparse.shape), 0).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def completer():
+    return DepthCompleter.load("mscsa", precision="fp32")
+
+
+def test_a_batch_is_its_frames(completer, frames):
+    depth, confidence = completer.batch(*frames)
+    assert (depth[2] == 0).all()
+    assert (confidence[2] == 0).all()
+    for index in range(3):
+        one, sure = completer(*(array[index] for array in frames))
+        np.testing.assert_allclose(depth[index], one, rtol=1e-4)
+        np.testing.assert_allclose(confidence[index], sure, atol=1e-4)
+
+
+def test_bfloat16_agrees_with_float32_to_the_stated_tolerance(completer, frames):
+    rgb, sparse, _ = frames
+    exact = completer.batch(rgb[:2], sparse[:2])[0]
+    rounded = DepthCompleter.load("mscsa", precision="bf16").batch(rgb[:2], sparse[:2])[0]
+    difference = np.abs(rounded / exact - 1)
+    assert 0 < np.median(difference) < BFLOAT16_TOLERANCE
+
+
+@pytest.mark.parametrize("factor", [0.013, 7, 1000])
+def test_the_shipped_model_is_scale_equivariant(completer, frames, factor):
+    """To single precision's rounding, both looks; what bfloat16 rounds may fall to the other side."""
+    rgb, sparse = (array[1] for array in frames[:2])
+    np.testing.assert_allclose(completer(rgb, factor * sparse)[0], factor * completer(rgb, sparse)[0], rtol=1e-5)
+    half = DepthCompleter.load("mscsa", precision="bf16")
+    off = np.abs(half(rgb, factor * sparse)[0] / (factor * half(rgb, sparse)[0]) - 1)
+    assert np.median(off) < 1e-3
+    assert off.max() < 0.03
+
+
+def test_a_point_that_is_said_to_be_wrong_is_listened_to_less(completer, frames):
+    rgb, sparse, _ = (array[1] for array in frames)
+    rows, columns = np.nonzero(sparse)
+    wrong, error = sparse.copy(), np.where(sparse > 0, 0.01, 0).astype(np.float32)
+    wrong[rows[::10], columns[::10]] *= 2
+    truth = completer(rgb, sparse)[0]
+    believed = np.abs(np.log(completer(rgb, wrong, error)[0] / truth)).mean()
+    error[rows[::10], columns[::10]] = 0.7
+    assert np.abs(np.log(completer(rgb, wrong, error)[0] / truth)).mean() < 0.8 * believed
+
+
+def test_beyond_the_edge_of_an_odd_sized_picture_lies_its_last_row_not_black(frames):
+    rgb = torch.from_numpy(frames[0][:1, :90, :100]).permute(0, 3, 1, 2).float() / 255
+    sparse = torch.from_numpy(frames[1][:1, None, :90, :100])
+    trust = (sparse > 0).float()
+    log_sparse = torch.where(sparse > 0, torch.log(sparse.clamp_min(1e-3) / 20), 0.0)
+    by_hand = torch.from_numpy(np.pad(rgb.numpy(), ((0, 0), (0, 0), (0, 6), (0, 28)), mode="edge"))
+    around = [torch.nn.functional.pad(x, (0, 28, 0, 6)) for x in (log_sparse, trust)]
+    network = load_scale_free("mscsa")
+    with torch.inference_mode():
+        for got, whole in zip(network(rgb, log_sparse, trust), network(by_hand, *around), strict=True):
+            torch.testing.assert_close(got, whole[..., :90, :100])
+
+
+def test_what_cannot_be_completed_is_one_sentence(completer, frames):
+    rgb, sparse, error = frames
+    with pytest.raises(CompletionError, match="sparse error must have"):
+        completer(rgb[0], sparse[0], error[0][:50])
+    with pytest.raises(CompletionError, match="no picture"):
+        completer.batch(rgb[:0], sparse[:0])
+    with pytest.raises(CompletionError, match="auto, int8, bf16 or fp32"):
+        DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
+    for precision in ("fp32", "bf16", "auto"):
+        with pytest.raises(CompletionError, match="folded for one look already"):
+            DepthCompleter(DepthCompleter.load("mscsa", precision=precision).network)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 200))
+def test_the_order_of_the_points_does_not_matter(seed, points):
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform(0, 24, (points, 2))  # many share a pixel
+    depth, error = rng.uniform(1, 50, points), rng.uniform(0, 0.2, points)
+    order = rng.permutation(points)
+    given_order = SparseDepth(pixels, depth, error).maps(24, 24)
+    shuffled = SparseDepth(pixels[order], depth[order], error[order]).maps(24, 24)
+    for a, b in zip(given_order, shuffled, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_halved_points_are_the_trusted_mean_of_their_block():
+    values, trust = torch.zeros(1, 1, 4, 4), torch.zeros(1, 1, 4, 4)
+    values[..., 0, 0], trust[..., 0, 0] = 1.0, 0.9
+    values[..., 1, 1], trust[..., 1, 1] = 4.0, 0.3
+    values[..., 3, 2], trust[..., 3, 2] = -2.0, 0.5
+    mean, weight = halve_points(values, trust)
+    torch.testing.assert_close(mean[0, 0], torch.tensor([[(0.9 + 1.2) / 1.2, 0.0], [0.0, -2.0]]))
+    torch.testing.assert_close(weight[0, 0], torch.tensor([[0.9, 0.0], [0.0, 0.5]]))
+
+
+@pytest.mark.parametrize("name", ["mscsa", "unet+sa", "unet+msc"])
+def test_attention_features_are_what_goes_in_and_comes_out(name):
+    torch.manual_seed(0)
+    network = build_model(name, "small").eval()
+    rgb, sparse = torch.rand(2, 3, 64, 64), torch.rand(2, 1, 64, 64)
+    found = attention_features(network, lambda: network(rgb, sparse))
+    assert (found is None) == (name == "unet+msc")
+    if found is not None:
+        before, after = found
+        assert before.shape == after.shape == (96, 2, 2)
+        torch.testing.assert_close(network.unet.attention(before[None])[0], after)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
+    import onnx
+    import onnxruntime
+
+    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, again)
+    assert onnx.load(path).doc_string == DESCRIPTION + AGAIN
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    network = load_scale_free("mscsa")
+    rgb = torch.from_numpy(frames[0][:, :64, :64]).permute(0, 3, 1, 2).float() / 255
+    sparse = torch.from_numpy(frames[1][:, None, :64, :64])
+    trust = (sparse > 0).float()
+    log_sparse = torch.where(sparse > 0, torch.log(sparse.clamp_min(1e-3) / 20), 0.0)
+    for count in (1, 3):
+        inputs = {"rgb": rgb[:count], "log_sparse": log_sparse[:count], "trust": trust[:count]}
+        with torch.inference_mode():
+            expected = network(*inputs.values())
+            if again:
+                inputs |= dict(zip(LAST, expected, strict=True))
+                expected = network(rgb[:count], log_sparse[:count], trust[:count], expected)
+        got = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
+        for a, b in zip(got, expected, strict=True):
+            np.testing.assert_allclose(a, b.numpy(), atol=1e-4)
+
+
+def test_onnx_refuses_what_it_cannot_do(tmp_path):
+    with pytest.raises(CompletionError, match="multiple of 32"):
+        export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 100)
+    with pytest.raises(CompletionError, match="look once"):
+        export_onnx(ScaleFreeMSCSANet(ScaleFreeConfig(width=4)), tmp_path / "m.onnx", 64, again=True)
+
+
+def test_the_shipped_header_says_what_was_trained():
+    from completion.networks.checkpoint import read_metadata
+    from completion.weights.shipped import resolve_weights
+
+    about = read_metadata(resolve_weights("mscsa"))
+    assert about["network"] == "ScaleFreeMSCSANet"
+    assert about["training"]["model"] == "scale-free"
+    assert about["steps"] == about["training"]["steps"]
+    assert 0 < about["held_out_abs_rel"] < 0.08
+    assert resolve_weights("mscsa").stat().st_size < 20e6
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_fused_convolutions_are_the_same_function(dtype):
+    """Each against its convolution and ReLU, with weights as trained; a copy is the same again."""
+    if not can_fuse(dtype):
+        pytest.skip("this PyTorch or processor has no fused convolutions")
+    plain = fold_batch_norm(load_scale_free("mscsa")).unet.to(dtype, memory_format=torch.channels_last)
+    fused = copy.deepcopy(plain)
+    fuse_convolutions(fused)
+    pairs = 0
+    for block, again in zip(double_convs(plain), double_convs(copy.deepcopy(fused)), strict=True):
+        for index in (0, 3):
+            conv, together = block[index], again[index]
+            assert isinstance(together, FusedConvReLU)
+            for height, width in ((8, 8), (30, 30), (20, 16), (12, 5), (8, 8), (9, 14)):  # more than are kept
+                x = torch.randn(2, conv.in_channels, height, width).to(dtype)
+                with torch.inference_mode():
+                    expected = conv(x).relu()
+                    assert expected.std() > 0
+                    tolerance = (1e-5 if dtype == torch.float32 else 0.01) * expected.float().std().item()
+                    torch.testing.assert_close(together(x), expected, atol=tolerance, rtol=0.01)
+            pairs += 1
+    assert pairs == 18
+    assert fused.state_dict().keys() >= {"head.weight", "encoder.0.0.conv.weight", "decoder.3.3.conv.bias"}
+
+
+def double_convs(network):
+    return [module for module in network.modules() if isinstance(module, DoubleConv)]
+
+
+def test_without_fused_convolutions_the_completer_does_without(monkeypatch, frames):
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
+    plain = DepthCompleter.load("mscsa", precision="bf16")
+    assert not any(isinstance(module, FusedConvReLU) for module in plain.network.modules())
+    monkeypatch.undo()
+    rgb, sparse, _ = (array[0] for array in frames)
+    difference = np.abs(plain(rgb, sparse)[0] / DepthCompleter.load("mscsa", precision="bf16")(rgb, sparse)[0] - 1)
+    assert np.median(difference) < BFLOAT16_TOLERANCE

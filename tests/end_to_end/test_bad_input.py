@@ -1,0 +1,211 @@
+"""Bad input: one clear sentence on standard error, exit code 1, no traceback."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from pipeline.cli.main import main as cli
+from tests.helpers.videos import textured_frames, write_video
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Call `reconstruct` with arguments; returns (exit code, standard error)."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.reconstruct_main()
+        return stop.value.code, capsys.readouterr().err
+
+    monkeypatch.chdir(tmp_path)
+    return call
+
+
+def assert_one_sentence(outcome, words):
+    code, error = outcome
+    assert code == 1
+    lines = [line for line in error.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1
+    assert error.strip().splitlines()[-1] == lines[0]
+    assert words in lines[0]
+    assert "Traceback" not in error
+
+
+def test_missing_file(run):
+    assert_one_sentence(run("nowhere.mp4"), "there is no file or folder nowhere.mp4")
+
+
+def test_zero_byte_file(run, tmp_path):
+    (tmp_path / "a.mp4").touch()
+    assert_one_sentence(run("a.mp4"), "is empty")
+
+
+def test_text_file_named_mp4(run, tmp_path):
+    (tmp_path / "a.mp4").write_text("this is not a video\n" * 100)
+    assert_one_sentence(run("a.mp4"), "not a video")
+
+
+def test_video_without_its_index(run, tmp_path):
+    """An MP4 recorder writes the index last; a file cut off before it cannot be read at all."""
+    import av
+
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width = stream.height = 160
+        for frame in textured_frames(30):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    data = (tmp_path / "a.mp4").read_bytes()
+    (tmp_path / "a.mp4").write_bytes(data[: len(data) // 2])
+    assert_one_sentence(run("a.mp4"), "not a video that FFmpeg can read (or its index is cut off)")
+
+
+def test_sound_without_pictures(run, tmp_path):
+    import wave
+
+    with wave.open(str(tmp_path / "a.wav"), "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(8000)
+        sound.writeframes(b"\0" * 8000)
+    assert_one_sentence(run("a.wav"), "no video stream")
+
+
+def test_one_frame_video(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(1))
+    assert_one_sentence(run("a.mp4"), "only 1 of 1 frames can be tracked")
+
+
+def test_all_black_video(run, tmp_path):
+    write_video(tmp_path / "a.mp4", [np.zeros((160, 160, 3), np.uint8)] * 10)
+    assert_one_sentence(run("a.mp4"), "the video is black")
+
+
+def test_static_video(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(1) * 10)
+    assert_one_sentence(run("a.mp4"), "9 repeated")
+
+
+def test_video_without_features(run, tmp_path):
+    ramp = np.linspace(60, 160, 160)
+    frames = [np.repeat(np.tile(ramp + 3 * i, (160, 1))[..., None], 3, 2).astype(np.uint8) for i in range(10)]
+    write_video(tmp_path / "a.mp4", frames)
+    assert_one_sentence(run("a.mp4"), "no texture")
+
+
+def test_unrelated_frames(run, tmp_path):
+    """Texture in plenty, but no two frames show the same thing: structure fails, in one sentence."""
+    write_video(tmp_path / "a.mp4", [textured_frames(1, seed=i)[0] for i in range(6)])
+    assert_one_sentence(run("a.mp4", "-q"), "no two frames could be related")
+
+
+def test_camera_file_for_another_resolution(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(6))
+    camera = {"model": "PINHOLE", "width": 320, "height": 320, "params": [160, 160, 160, 160]}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    assert_one_sentence(run("a.mp4", "--camera", "camera.json"), "is for 320x320 pixels, but the frames have 160x160")
+
+
+def test_unknown_preset(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    assert_one_sentence(run("a.mp4", "--camera", "olympus"), "neither 'auto', a file, nor a preset")
+
+
+def test_output_is_a_file(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    (tmp_path / "out").write_text("precious")
+    assert_one_sentence(run("a.mp4", "-o", "out"), "is a file; give a folder")
+    assert (tmp_path / "out").read_text() == "precious"
+
+
+def test_output_holds_other_things(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("precious")
+    assert_one_sentence(run("a.mp4", "-o", "out", "--overwrite"), "is not empty and holds no run")
+    assert (tmp_path / "out" / "thesis.tex").read_text() == "precious"
+
+
+def test_output_holds_a_run(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(1))
+    assert run("a.mp4", "-o", "out")[0] == 1
+    assert (tmp_path / "out" / "run.yaml").exists()
+    # It finished nothing, so the corrected command need not be told to overwrite it.
+    assert_one_sentence(run("a.mp4", "-o", "out"), "only 1 of 1 frames")
+    record = (tmp_path / "out" / "run.yaml").read_text()
+    (tmp_path / "out" / "run.yaml").write_text(record.replace("stages: {}", "stages: {frames: {}}"))
+    assert_one_sentence(run("a.mp4", "-o", "out"), "already holds a run; add --resume")
+    assert_one_sentence(run("a.mp4", "-o", "out", "--overwrite"), "only 1 of 1 frames")
+
+
+def test_resume_of_another_video(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(1))
+    write_video(tmp_path / "b.mp4", textured_frames(1, seed=1))
+    run("a.mp4", "-o", "out")
+    assert_one_sentence(run("b.mp4", "-o", "out", "--resume"), "is a run of another video")
+
+
+def test_resume_with_other_settings(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(1))
+    run("a.mp4", "-o", "out")
+    assert_one_sentence(run("a.mp4", "-o", "out", "--resume", "--seed", "4"), "other settings (seed: 0, now 4)")
+
+
+def test_resume_of_nothing(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(1))
+    assert_one_sentence(run("a.mp4", "-o", "out", "--resume"), "is not a run folder")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("frames: {stride: 0}", "frames.stride"),
+        ("colour: red", "colour"),
+        ("[1, 2]", "not a mapping"),
+        ("a: [", "cannot read"),
+    ],
+)
+def test_wrong_settings_are_named(run, tmp_path, text, words):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    (tmp_path / "c.yaml").write_text(text)
+    assert_one_sentence(run("a.mp4", "--config", "c.yaml"), words)
+
+
+def test_no_input_and_both_inputs(run):
+    assert_one_sentence(run(), "give one video or folder, or --demo")
+    assert_one_sentence(run("a.mp4", "--demo"), "give one video or folder, or --demo")
+
+
+def test_unknown_model(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    assert_one_sentence(run("a.mp4", "--model", "gpt"), "no model 'gpt'")
+
+
+def test_more_looks_than_the_model_was_trained_for(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    (tmp_path / "c.yaml").write_text("depth: {looks: 9}")
+    assert_one_sentence(run("a.mp4", "--config", "c.yaml"), "trained for 3 looks at most, and 9 are asked for")
+
+
+def test_a_pickle_is_not_a_model(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(2))
+    (tmp_path / "m.safetensors").write_bytes(b"\x80\x04K\x01.")
+    assert_one_sentence(run("a.mp4", "--model", "m.safetensors"), "not a readable safetensors file")
+
+
+def test_full_disk_keeps_what_is_done(run, tmp_path, monkeypatch):
+    """The write of the frame list fails as on a full disk: one sentence, and the run folder stays."""
+    import errno
+
+    import pipeline.input.frames
+
+    def no_space(path, value):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    write_video(tmp_path / "a.mp4", textured_frames(6))
+    monkeypatch.setattr(pipeline.frames, "write_json", no_space)
+    assert_one_sentence(run("a.mp4", "-o", "out"), "No space left on device")
+    assert len(list((tmp_path / "out" / "images").glob("*.jpg"))) == 6

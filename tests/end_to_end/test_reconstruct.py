@@ -1,0 +1,201 @@
+"""From a tiny phantom's video to a surface: the whole command, what it leaves, and going on after a stop."""
+
+import json
+import re
+import shutil
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import psutil
+import pytest
+import yaml
+
+from completion.inference.completer import DepthCompleter
+from haustra.core.errors import HaustraError, ReconstructionError
+from haustra.core.progress import SilentProgress
+from pipeline.cli.main import main as cli
+from pipeline.compare import compare_run
+from pipeline.config import load_config
+from pipeline.demo import CAMERA, FOLDER, VIDEO
+from pipeline.depth.completion_stage import planned_keyframes
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import load_frames
+from pipeline.run import reconstruct
+from pipeline.run_folder.subprocesses import run_isolated
+from pipeline.run_folder.workspace import open_workspace
+from pipeline.surface import fusion_stage as surface
+
+ARTEFACTS = [
+    *("run.yaml", "camera.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
+    *("metrics.json", "report.html", "sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"),
+]
+
+
+def tiny_config(**changes):
+    """The first 26 frames of the embedded clip, every second one used, by COLMAP."""
+    settings = {"camera": str(CAMERA), "frames": {"end_s": 0.86, "stride": 2}, "lumen_mm": 40.0, "front_end": "sfm"}
+    return load_config(None, **(settings | changes))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "tiny"
+    return folder, reconstruct(VIDEO, folder, tiny_config())
+
+
+def test_every_artefact_of_the_contract_is_there(finished):
+    folder, result = finished
+    assert [name for name in ARTEFACTS if not (folder / name).exists()] == []
+    assert (folder / "coverage.png").exists() == result.metrics["submaps"][0]["coverage"]["judged"]
+    keyframes = result.metrics["submaps"][0]["keyframes"]
+    assert len(list((folder / "depth").glob("*.png"))) == keyframes >= 5
+    assert len(list((folder / "confidence").glob("*.png"))) == keyframes
+    record = yaml.safe_load((folder / "run.yaml").read_text())
+    assert set(record["stages"]) == {"frames", "structure", "depth", "surface", "report"}  # COLMAP's map is not refined
+    entry = record["submaps"][0]
+    assert entry["unit"] == "mm"
+    first = entry["keyframes"][0]
+    steps = cv2.imread(str(folder / "depth" / f"{first:06d}.png"), cv2.IMREAD_UNCHANGED)
+    assert 5 < np.median(steps * entry["depth_png_step"]) < 80
+
+
+def test_error_against_the_clips_truth(finished):
+    comparison = compare_run(finished[0], FOLDER)
+    assert comparison.posed == comparison.total == 13
+    # 0.9 mm a frame: a tenth of a step, and surface that is mostly within a millimetre.
+    assert comparison.sim3.ate_rmse < 0.1
+    assert comparison.simcol3d.rot_median_deg < 0.5
+    assert comparison.surface.precision > 0.5
+    assert comparison.surface.accuracy_median < 1.0
+
+
+def test_the_default_goes_by_odometry(tmp_path, finished):
+    folder = tmp_path / "auto"
+    reconstruct(VIDEO, folder, tiny_config(front_end="auto"))
+    record = yaml.safe_load((folder / "run.yaml").read_text())
+    assert record["stages"]["structure"]["mapper"] == "odometry"
+    assert [name for name in ARTEFACTS if not (folder / name).exists()] == []
+    mine, colmaps = (compare_run(run, FOLDER) for run in (folder, finished[0]))
+    assert mine.posed == colmaps.posed
+    assert mine.sim3.ate_rmse < 0.1
+    assert mine.surface.precision > 0.5
+
+
+def test_the_sparse_model_is_in_output_units(finished):
+    """Read by COLMAP in a process of its own; its cameras are where trajectory.tum says."""
+    import subprocess
+
+    folder, _ = finished
+    code = (
+        "import cv2, json, pycolmap, sys; m = pycolmap.Reconstruction(sys.argv[1]);"
+        "print(json.dumps([list(i.projection_center()) for i in sorted(m.images.values(), key=lambda i: i.name)]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(folder / "sparse" / "0")], capture_output=True, text=True, check=True
+    )
+    trajectory = np.loadtxt(folder / "trajectory.tum")
+    np.testing.assert_allclose(json.loads(done.stdout.splitlines()[-1]), trajectory[:, 1:4], atol=1e-5)
+
+
+def test_the_report_is_whole_and_needs_no_network(finished):
+    """What a browser makes of it is in test_page_browser.py."""
+    page = (finished[0] / "report.html").read_text()
+    assert page.count('class="keyframe"') == finished[1].metrics["submaps"][0]["keyframes"]
+    page = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)  # run, but may fetch nothing: the policy
+    page = re.sub(r"data:[^\"]+", "", page)  # pictures are embedded, and base64 may spell anything
+    page = re.sub(r'"[A-Za-z0-9+/=]{100,}"', "", page)  # so are the scene's arrays; an address has a colon
+    assert "http" not in page.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "glb", "stl"])
+def test_export_writes_every_format(finished, tmp_path, suffix, monkeypatch, capsys):
+    import trimesh
+
+    target = tmp_path / f"out.{suffix}"
+    monkeypatch.setattr(sys, "argv", ["haustra", "export", str(finished[0]), str(target)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 0
+    loaded = trimesh.load(target, force="mesh", process=False)
+    assert len(loaded.faces) == finished[1].metrics["submaps"][0]["faces"]
+
+
+def test_two_runs_of_one_seed_agree_to_the_bit(finished, tmp_path):
+    reconstruct(VIDEO, tmp_path / "again", tiny_config())
+    for name in ("trajectory.tum", "mesh.ply", "sparse/0/points3D.bin"):
+        assert (tmp_path / "again" / name).read_bytes() == (finished[0] / name).read_bytes(), name
+
+
+def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch):
+    """Ctrl-C in completion after three keyframes, then in fusion; each resume keeps what was done."""
+    calls = []
+    complete = DepthCompleter.__call__
+
+    def stop_at_the_fourth(self, *arrays):
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return complete(self, *arrays)
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(DepthCompleter, "__call__", stop_at_the_fourth)
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(VIDEO, folder, tiny_config())
+    first = {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}
+    assert len(first) == 3
+    with monkeypatch.context() as patch:
+        patch.setattr(surface, "_fuse", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    assert {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}.items() >= first.items()
+    for name in ("trajectory.tum", "mesh.ply"):
+        assert (folder / name).read_bytes() == (finished[0] / name).read_bytes(), f"{name} depends on the stop"
+
+
+class StopAtOnce(SilentProgress):
+    """Ctrl-C as soon as COLMAP reports its first step."""
+
+    @contextmanager
+    def bar(self, label, total):
+        def advance(done, total=None, note=""):
+            if label == "features and matches":
+                raise KeyboardInterrupt
+
+        yield advance
+
+
+def test_ctrl_c_stops_colmap_at_once_and_resume_goes_on(tmp_path, finished):
+    folder = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(VIDEO, folder, tiny_config(), progress=StopAtOnce())
+    mine = psutil.Process().children(recursive=True)  # another run on this machine may have a worker of its own
+    assert [child for child in mine if "pipeline.frontend.colmap.worker" in child.cmdline()] == []
+    reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    assert compare_run(folder, FOLDER).sim3.ate_rmse < 0.1
+
+
+@pytest.mark.parametrize("name", ["frames.json", "mesh.ply", "log/models/0/model.npz"])
+def test_a_damaged_run_is_named(finished, tmp_path, name):
+    folder = tmp_path / "copy"
+    shutil.copytree(finished[0], folder)
+    (folder / name).write_bytes(b"\x00damage")
+    with pytest.raises((HaustraError, ReconstructionError), match=r"damaged|cannot be read"):
+        reconstruct(VIDEO, folder, tiny_config(), resume=True)
+
+
+def test_submaps_without_depth_end_empty_and_not_in_a_crash(finished, monkeypatch):
+    workspace = open_workspace(finished[0])
+    part = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)[0]
+    empty = replace(part, rows=part.rows[:0])
+    surfaced = surface._fuse(empty, tiny_config(), "fusion", SilentProgress())
+    assert len(surfaced.mesh.faces) == 0
+
+
+def test_a_failing_worker_is_one_sentence(tmp_path, monkeypatch):
+    with pytest.raises(HaustraError, match=r"structure failed \(exit code 1\); its log is"):
+        run_isolated("pipeline.frontend.colmap.worker", "map", {}, tmp_path / "x.log", "structure", SilentProgress())

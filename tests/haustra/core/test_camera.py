@@ -1,0 +1,137 @@
+"""Lens models against OpenCV, crops and scales against projecting first, rectification against straight lines."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from haustra.core.camera import Camera, guess_camera, read_camera
+from haustra.core.errors import HaustraError
+from pipeline.depth.rectification import make_rectifier
+from pipeline.input.calibration import calibrate
+from pipeline.input.camera_presets import PRESETS
+
+RAYS = np.random.default_rng(0).uniform([-0.8, -0.8, 1], [0.8, 0.8, 1.5], (200, 3))
+OPENCV = Camera("OPENCV", 640, 480, (400.0, 410.0, 322.0, 241.0, -0.2, 0.05, 0.001, -0.002))
+FISHEYE = Camera("OPENCV_FISHEYE", 640, 480, (300.0, 305.0, 318.0, 243.0, -0.05, 0.01, -0.002, 0.0004))
+
+
+def test_opencv_model_equals_opencv():
+    expected, _ = cv2.projectPoints(RAYS, np.zeros(3), np.zeros(3), OPENCV.matrix, np.array(OPENCV.distortion))
+    np.testing.assert_allclose(OPENCV.project(RAYS), expected[:, 0], atol=1e-9)
+
+
+def test_full_opencv_model_equals_opencv():
+    distortion = (-0.2, 0.05, 0.001, -0.002, 0.01, 0.02, 0.003, -0.001)
+    camera = Camera("FULL_OPENCV", 640, 480, (400.0, 410.0, 322.0, 241.0, *distortion))
+    expected, _ = cv2.projectPoints(RAYS, np.zeros(3), np.zeros(3), camera.matrix, np.array(distortion))
+    np.testing.assert_allclose(camera.project(RAYS), expected[:, 0], atol=1e-9)
+
+
+def test_fisheye_equals_opencv():
+    zero = np.zeros(3)
+    expected, _ = cv2.fisheye.projectPoints(RAYS[:, None], zero, zero, FISHEYE.matrix, np.array(FISHEYE.distortion))
+    np.testing.assert_allclose(FISHEYE.project(RAYS), expected[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL"])
+def test_radial_models_are_special_cases(model):
+    params = {
+        "SIMPLE_PINHOLE": (400.0, 322.0, 241.0),
+        "PINHOLE": (400.0, 400.0, 322.0, 241.0),
+        "SIMPLE_RADIAL": (400.0, 322.0, 241.0, -0.1),
+        "RADIAL": (400.0, 322.0, 241.0, -0.1, 0.02),
+    }[model]
+    k = {"SIMPLE_RADIAL": (-0.1, 0.0), "RADIAL": (-0.1, 0.02)}.get(model, (0.0, 0.0))
+    general = Camera("OPENCV", 640, 480, (400.0, 400.0, 322.0, 241.0, *k, 0.0, 0.0))
+    np.testing.assert_allclose(Camera(model, 640, 480, params).project(RAYS), general.project(RAYS), atol=1e-12)
+
+
+@given(st.integers(0, 200), st.integers(0, 150), st.floats(0.2, 3.0), st.sampled_from([OPENCV, FISHEYE]))
+def test_crop_and_scale_commute_with_projection(x0, y0, scale, camera):
+    moved = camera.cropped_and_scaled(x0, y0, 300, 200, scale)
+    np.testing.assert_allclose(moved.project(RAYS), (camera.project(RAYS) - [x0, y0]) * scale, atol=1e-9)
+    assert (moved.width, moved.height) == (round(300 * scale), round(200 * scale))
+
+
+def test_field_of_view_of_a_pinhole():
+    camera = Camera("PINHOLE", 320, 320, (159.45, 159.45, 160.0, 160.0))
+    assert camera.field_of_view()[0] == pytest.approx(2 * np.degrees(np.arctan(160 / 159.45)), abs=0.05)
+    assert guess_camera(320, 320, (0, 0, 320, 320)).field_of_view()[0] == pytest.approx(100, abs=0.05)
+
+
+@pytest.mark.parametrize("camera", [OPENCV, FISHEYE])
+def test_rectified_pixels_look_along_the_pinhole_ray(camera):
+    rectifier = make_rectifier(camera, 120)
+    for row, column in ((240, 320), (100, 500), (400, 60)):
+        (fx, fy), (cx, cy) = rectifier.camera.focal, rectifier.camera.centre
+        ray = np.array([[(column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy, 1.0]])
+        np.testing.assert_allclose(rectifier.map_xy[row, column] + 0.5, camera.project(ray)[0], atol=1e-3)
+
+
+def test_a_pinhole_is_not_resampled():
+    image = np.random.default_rng(0).integers(0, 255, (320, 320, 3), dtype=np.uint8)
+    rectifier = make_rectifier(PRESETS["vr-caps"].camera, 120)
+    assert rectifier.image(image) is image
+    assert rectifier.kept_share == 1
+
+
+def test_a_wide_fisheye_says_how_much_is_cut():
+    rectifier = make_rectifier(PRESETS["endomapper-03"].camera.cropped_and_scaled(0, 0, 1440, 1080, 1 / 3), 110)
+    assert 0.5 < rectifier.kept_share < 0.95
+    assert rectifier.camera.field_of_view()[0] == pytest.approx(110, abs=1)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_scale_with_the_frame_and_refuse_another_shape(name, tmp_path):
+    camera = PRESETS[name].camera
+    half = (camera.width // 2, camera.height // 2)
+    assert calibrate(name, tmp_path, half, (0, 0, *half)).camera.focal[0] == pytest.approx(
+        camera.focal[0] / 2, rel=0.01
+    )
+    with pytest.raises(HaustraError, match="cropped otherwise"):
+        calibrate(name, tmp_path, (camera.width, camera.height // 2), (0, 0, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"model": "PINHOLE", "width": 320, "height": 320}, "params"),
+        ({"model": "OMNI", "width": 320, "height": 320, "params": [1]}, "unknown camera model"),
+        ({"model": "PINHOLE", "width": 320, "height": 320, "params": [1, 2, 3]}, "takes 4 parameters"),
+        ({"model": "PINHOLE", "width": 320, "height": 320, "params": [-1, 2, 3, 4]}, "positive"),
+        ({"model": "PINHOLE", "width": 320, "height": 320, "params": [float("nan"), 2, 3, 4]}, "finite"),
+    ],
+)
+def test_wrong_camera_files_are_named(tmp_path, fields, message):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(fields))
+    with pytest.raises(HaustraError, match=message):
+        read_camera(path)
+
+
+def test_a_guessed_lens_can_become_a_fisheye():
+    """Two radial terms follow an equidistant lens over 118 degrees to two pixels at worst; one does not."""
+    theta = np.radians(np.linspace(0.5, 59, 60))
+    rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+    true = Camera("OPENCV_FISHEYE", 320, 320, (156.2, 156.2, 160.0, 160.0, -0.02, 0.0, 0.0, 0.0)).project(rays)[:, 0]
+    guess = guess_camera(320, 320, (0, 0, 320, 320))
+    free = [0, *range(3, len(guess.params))]  # focal length and radial terms
+
+    def off(values):
+        params = np.array(guess.params)
+        params[free] = values
+        return replace(guess, params=tuple(params)).project(rays)[:, 0] - true
+
+    found = least_squares(off, np.array(guess.params)[free]).x
+    assert np.abs(off(found)).max() < 2.0
+    one = replace(guess, model="SIMPLE_RADIAL", params=guess.params[:4])
+    best = least_squares(
+        lambda x: replace(one, params=(x[0], 160.0, 160.0, x[1])).project(rays)[:, 0] - true, [150, -0.1]
+    )
+    assert np.abs(best.fun).max() > 5.0

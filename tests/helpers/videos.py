@@ -1,0 +1,34 @@
+"""Small videos made on the spot."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+def write_video(path: Path, frames: Sequence[NDArray[np.uint8]], fps: int = 30, **options: str) -> Path:
+    """H.264, with the index in front so that a truncated file still opens."""
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("libx264", rate=fps)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "16", **options}
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+def textured_frames(count: int, size: int = 160, seed: int = 0, step: int = 4) -> list[NDArray[np.uint8]]:
+    """A smooth random texture that slides by `step` pixels a frame."""
+    rng = np.random.default_rng(seed)
+    texture = np.zeros((size, size + step * count), np.float32)
+    for cell in (4, 8, 24):
+        noise = rng.normal(size=(size // cell + 2, (size + step * count) // cell + 2)).astype(np.float32)
+        texture += cv2.resize(noise, texture.shape[::-1], interpolation=cv2.INTER_CUBIC)
+    # Grey-pink, since video stores colour at half the resolution.
+    texture = np.clip((110 + 22 * texture)[..., None] * (1.0, 0.8, 0.75), 0, 235).astype(np.uint8)
+    return [np.ascontiguousarray(texture[:, i * step : i * step + size]) for i in range(count)]

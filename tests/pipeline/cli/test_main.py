@@ -1,0 +1,146 @@
+"""What the command line says against the settings file, and the options that reach a run."""
+
+import sys
+
+import pytest
+
+from haustra.core.errors import CompletionError, HaustraError
+from pipeline import run
+from pipeline.cli import batch
+from pipeline.cli.main import main as cli
+from pipeline.config import FAST_KEYFRAME_MOTION, OdometrySettings, load_config
+from pipeline.demo import CAMERA, VIDEO
+from pipeline.report import rerun_export
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """(output, config) of each run that the command line starts, instead of the run; of a video that is there."""
+    started = []
+    monkeypatch.setattr(run, "reconstruct", lambda _, output, config, **__: started.append((output, config)))
+    return started
+
+
+def command(monkeypatch, *words):
+    monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, words)])
+    with pytest.raises(SystemExit) as stop:
+        cli.reconstruct_main()
+    return stop.value.code or 0
+
+
+def test_an_option_overrides_its_setting_and_leaves_the_section_alone(tmp_path):
+    path = tmp_path / "settings.yaml"
+    path.write_text("frames: {end_s: 9, long_side: 256, stride: 5}\n")
+    frames = load_config(path, frames={"start_s": 1.5, "end_s": None, "stride": 2}).frames
+    assert (frames.start_s, frames.end_s, frames.stride, frames.long_side) == (1.5, 9.0, 2, 256)
+
+
+def test_a_section_that_is_no_mapping_stays_one_sentence(tmp_path):
+    path = tmp_path / "settings.yaml"
+    for content in ("frames: 5\n", "frames:\n"):
+        path.write_text(content)
+        with pytest.raises(HaustraError, match=r"setting 'frames'"):
+            load_config(path, frames={"start_s": 1.0})
+
+
+def test_a_part_of_the_video_is_asked_for_by_options(monkeypatch, tmp_path, runs):
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--start", 1, "--end", 2.5, "--stride", 3, "-q") == 0
+    frames = runs[0][1].frames
+    assert (frames.start_s, frames.end_s, frames.stride) == (1.0, 2.5, 3)
+
+
+def test_a_setting_that_is_not_there_is_named(tmp_path):
+    path = tmp_path / "settings.yaml"
+    for text, name in (("odometry: {keyframe_motoin: 1}", "odometry.keyframe_motoin"), ("fast: true", "fast")):
+        path.write_text(text)
+        with pytest.raises(HaustraError, match=f"there is no setting '{name}'"):
+            load_config(path)
+
+
+@pytest.mark.parametrize("value", [".nan", ".inf"])
+def test_a_setting_is_a_finite_number(tmp_path, value):
+    path = tmp_path / "settings.yaml"
+    path.write_text(f"fusion: {{max_depth_ratio: {value}}}\n")
+    with pytest.raises(HaustraError, match=r"setting 'fusion.max_depth_ratio': .* finite number"):
+        load_config(path)
+
+
+def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs, capsys):
+    path = tmp_path / "settings.yaml"
+    path.write_text("odometry: {keyframe_motion: 0.03}\n")
+    for words in ((), ("--fast",), ("--config", path), ("--config", path, "--fast")):
+        assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
+    motions = [config.odometry.keyframe_motion for _, config in runs]
+    assert motions == [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION, 0.03, FAST_KEYFRAME_MOTION]
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--fast", "--front-end", "sfm") == 1
+    told = "error: the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto\n"
+    assert capsys.readouterr().err == told
+
+
+def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys):
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--start", 3, "--end", 2) == 1
+    assert capsys.readouterr().err == "error: setting 'frames': end_s must be after start_s\n"
+    assert runs == []
+
+
+def test_a_batch_hands_the_part_to_every_video(monkeypatch, tmp_path, runs):
+    """The words with which each video's own process is started give the settings that the batch compares runs with."""
+    given = []
+    words = ["haustra", "batch", "a.mp4", "-o", str(tmp_path), "--start", "1", "--stride", "2", "--fast"]
+    words += ["--jobs", "1", "-q"]
+    monkeypatch.setattr(batch, "run_batch", lambda _, __, words, settings, *___: given.append((words, settings)) or [])
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert not stop.value.code
+    words, settings = given[0]
+    assert (settings.frames.start_s, settings.frames.end_s, settings.frames.stride) == (1.0, None, 2)
+    assert settings.odometry.keyframe_motion == FAST_KEYFRAME_MOTION
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
+    assert runs[0][1] == settings
+
+
+@pytest.mark.parametrize("option", ["--start", "--end"])
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_a_time_must_be_a_number(monkeypatch, tmp_path, runs, option, value):
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, option, value) != 0
+    assert runs == []
+
+
+def test_a_part_beyond_the_end_is_one_sentence(tmp_path):
+    for end, told in ((None, "the end"), (600.0, "600 s")):
+        config = load_config(None, camera=str(CAMERA), frames={"start_s": 500.0, "end_s": end})
+        with pytest.raises(HaustraError, match=f"no frame lies between 500 s and {told}"):
+            run.reconstruct(VIDEO, tmp_path / "run", config, overwrite=True)
+
+
+def test_a_recording_is_written_into_the_run_folder(monkeypatch, tmp_path, runs, capsys):
+    monkeypatch.setattr(rerun_export, "check_rerun", lambda: None)
+    monkeypatch.setattr(rerun_export, "export_rerun", lambda made, target: target)
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun") == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "run.rrd")
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun", "-q") == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_a_missing_recorder_is_told_before_the_work(monkeypatch, tmp_path, runs, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--rerun") == 1
+    assert "pip install 'haustra[rerun]'" in capsys.readouterr().err
+    assert runs == []
+
+
+@pytest.mark.parametrize("tau", ["nan", "-1", "0", "inf"])
+def test_compare_wants_a_positive_distance(monkeypatch, capsys, tau):
+    monkeypatch.setattr(sys, "argv", ["haustra", "compare", "a", "b", "--tau-mm", tau])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 1
+    assert "positive distance" in capsys.readouterr().err
+
+
+def test_a_missing_gpu_is_refused_before_anything_is_written(monkeypatch, tmp_path):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(CompletionError, match="no CUDA device"):
+        run.reconstruct(VIDEO, tmp_path / "out", load_config(None).model_copy(update={"device": "cuda"}))
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,245 @@
+"""Submaps, their evidence and their sparse depth, on a made-up tube whose truth is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from haustra.core.camera import Camera
+from pipeline.config import SparseSettings
+from pipeline.depth.keyframe_selection import choose_keyframes
+from pipeline.depth.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
+from pipeline.frontend.colmap.worker import sequential_pairs
+from pipeline.frontend.select import _score, disjoint
+from pipeline.mapping.lighting_check import Evidence, judge_submap
+from pipeline.mapping.submap import Submap
+from pipeline.matching.place_recognition import loop_pairs
+
+CAMERA = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
+RADIUS = 20.0
+
+
+def tube_submap(frames=12, points=600, seed=0, noise_px=0.0):
+    """A camera that moves down the axis of a tube of radius 20; every frame sees what projects into it."""
+    rng = np.random.default_rng(seed)
+    angle, height = rng.uniform(0, 2 * np.pi, points), rng.uniform(5, 90, points)
+    world = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), height], axis=1)
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, :3, :3] = Rotation.from_euler("xy", rng.normal(0, 4, (frames, 2)), degrees=True).as_matrix()
+    poses[:, :3, 3] = np.stack([rng.normal(0, 2, frames), rng.normal(0, 2, frames), np.arange(frames)], axis=1)
+    observations, pixels = [], []
+    for row, pose in enumerate(poses):
+        local = (world - pose[:3, 3]) @ pose[:3, :3]
+        uv = CAMERA.project(local)
+        seen = np.flatnonzero((local[:, 2] > 3) & (uv > 0).all(1) & (uv < 320).all(1))
+        observations += [(row, point) for point in seen]
+        pixels.append(uv[seen] + rng.normal(0, noise_px, (len(seen), 2)) if noise_px else uv[seen])
+    return Submap(
+        np.arange(frames) * 2,
+        poses,
+        world,
+        np.full(points, 0.4),
+        np.array(observations),
+        np.concatenate(pixels),
+        CAMERA.params,
+    )
+
+
+@pytest.fixture(scope="module")
+def tube():
+    return tube_submap()
+
+
+def test_depth_is_the_third_coordinate_in_the_camera(tube):
+    depths = tube.depths()
+    for k in range(0, len(depths), 97):
+        frame, point = tube.observations[k]
+        camera_from_world = np.linalg.inv(tube.world_from_camera[frame])
+        expected = (camera_from_world @ np.append(tube.points[point], 1))[2]
+        assert depths[k] == pytest.approx(expected)
+        assert tube.points_in_camera(frame, tube.points[[point]])[0, 2] == pytest.approx(expected)
+
+
+def test_triangulation_angle_is_the_widest_of_all_pairs(tube):
+    angles = tube.triangulation_angles()
+    frame, point = tube.observations.T
+    for p in range(0, len(tube.points), 41):
+        centres = tube.centres[frame[point == p]]
+        rays = tube.points[p] - centres
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        widest = np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))) if len(rays) else 0.0
+        assert widest / 1.2 <= angles[p] + 1e-6 <= widest + 1e-5
+
+
+def lit_image(submap, row, exponent=-2.0):
+    """Brightness falls with the distance of the nearest point of the tube along each pixel's ray (by interpolation)."""
+    from scipy.interpolate import NearestNDInterpolator
+
+    mine = submap.observations[:, 0] == row
+    distance = np.linalg.norm(submap.points[submap.observations[mine, 1]] - submap.centres[row], axis=1)
+    rows, columns = np.mgrid[:320, :320] + 0.5
+    field = NearestNDInterpolator(submap.pixels[mine], distance)(columns, rows)
+    value = np.clip(200 * (field / field.min()) ** exponent, 0, 255)
+    return np.repeat(value[..., None], 3, axis=2).astype(np.uint8)
+
+
+def test_light_agrees_with_a_true_model_and_contradicts_a_mirrored_depth(tube):
+    rows = {int(index): row for row, index in enumerate(tube.frames)}
+    true = judge_submap(tube, lambda index: lit_image(tube, rows[index]))
+    assert true.contrary == 0
+    assert true.spearman < -0.8
+    false = judge_submap(tube, lambda index: lit_image(tube, rows[index], exponent=1.0))
+    assert false.contrary > 0.9
+    assert _score([(tube, true, Path())], 12) > _score([(tube, false, Path())], 12) + 1
+
+
+def test_a_mapper_that_leaves_frames_out_needs_clearly_better_light_to_win(tube):
+    whole = Evidence(12, 600, 0.5, 5.0, -0.9, 0.0, 12)
+    half = Evidence(6, 300, 0.4, 5.0, -0.95, 0.0, 6)
+    wrong = Evidence(12, 600, 0.3, 5.0, -0.86, 0.17, 12)
+    scores = [_score([(tube, evidence, Path())], 12) for evidence in (whole, half, wrong)]
+    assert scores[0] > scores[1] > scores[2]
+    two_halves = [(tube, half, Path()), (tube, half, Path())]
+    assert scores[2] < _score(two_halves, 12) < scores[0]
+
+
+def test_one_bad_frame_shows_although_the_median_does_not(tube):
+    rows = {int(index): row for row, index in enumerate(tube.frames)}
+    evidence = judge_submap(tube, lambda i: lit_image(tube, rows[i], 1.0 if rows[i] in (3, 4) else -2.0))
+    assert evidence.spearman < -0.8
+    assert evidence.contrary == pytest.approx(2 / 12)
+
+
+def test_sparse_depth_is_exact_on_an_exact_model(tube):
+    maker = SparseDepthMaker(tube, CAMERA, SparseSettings())
+    sparse = maker.sparse_depth(5)
+    local = tube.points_in_camera(5, tube.points)
+    pixels = CAMERA.project(local)
+    assert len(sparse.depth) > 100
+    for pixel, depth in zip(sparse.pixels, sparse.depth, strict=True):
+        nearest = np.linalg.norm(pixels - pixel, axis=1).argmin()
+        assert depth == pytest.approx(local[nearest, 2])
+    depth_map, error_map = sparse.maps(320, 320)
+    assert ((depth_map > 0) == (error_map > 0)).all()
+
+
+def test_predicted_error_follows_from_noise():
+    """Triangulating with noisy pixels (linear least squares, an oracle of its own) errs as the formula says."""
+    noise = 0.5
+    exact = tube_submap(frames=10, points=400)
+    noisy = tube_submap(frames=10, points=400, noise_px=noise)
+    good, predicted = reliable_points(exact, exact.triangulation_angles(), 160.0, SparseSettings(pixel_noise=noise))
+    ratios = []
+    for p in np.flatnonzero(good):
+        frame = exact.observations[exact.observations[:, 1] == p, 0]
+        uv = noisy.pixels[noisy.observations[:, 1] == p]
+        if len(uv) != len(frame):
+            continue
+        a, b = np.zeros((3, 3)), np.zeros(3)
+        for f, (u, v) in zip(frame, uv, strict=True):
+            ray = exact.world_from_camera[f, :3, :3] @ np.array([(u - 160) / 160, (v - 160) / 160, 1])
+            ray /= np.linalg.norm(ray)
+            square = np.eye(3) - np.outer(ray, ray)
+            a, b = a + square, b + square @ exact.centres[f]
+        to_point = exact.points[p] - exact.centres[frame].mean(0)
+        distance = np.linalg.norm(to_point)
+        off = np.linalg.solve(a, b) - exact.points[p]
+        ratios.append(abs(off @ to_point) / distance**2 / predicted[p])
+    assert len(ratios) > 50
+    # The median of |N(0,1)| is 0.67.
+    assert 0.5 < np.median(ratios) < 0.9
+
+
+def test_gross_outliers_are_found_and_fold_edges_are_not():
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(0, 320, (500, 2))
+    depth = np.where(pixels[:, 0] < 160, 20.0, 60.0) * rng.normal(1, 0.02, 500)
+    wrong = rng.choice(500, 10, replace=False)
+    spoilt = depth.copy()
+    spoilt[wrong] *= 2.5
+    found = is_outlier(pixels, spoilt, 0.25)
+    near_edge = np.abs(pixels[:, 0] - 160) < 25
+    assert found[wrong[~near_edge[wrong]]].all()
+    assert found.sum() - found[wrong].sum() < 0.03 * 500
+
+
+def test_points_hidden_behind_a_nearer_surface_are_not_lent():
+    """Two frames; the second sees a far wall that a near wall hides from the first."""
+    near = np.stack([np.linspace(-3, 3, 60), np.zeros(60), np.full(60, 10.0)], axis=1)
+    far = np.stack([np.linspace(-1, 1, 20), np.zeros(20), np.full(20, 40.0)], axis=1)
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    observations = [(0, i) for i in range(60)] + [(1, i) for i in range(60, 80)]
+    submap = Submap(
+        np.arange(2), poses, np.concatenate([near, far]), np.zeros(80), np.array(observations),
+        np.zeros((80, 2)), CAMERA.params,
+    )  # fmt: skip
+    settings = SparseSettings(min_track_length=2, min_angle_deg=0)
+    maker = SparseDepthMaker(submap, CAMERA, settings)
+    maker.good[:] = True
+    maker.error[:] = 0.01
+    sparse = SparseDepthMaker.sparse_depth(maker, 0)
+    assert (sparse.depth == 10).all()
+    assert len(sparse.depth) == 60
+
+
+def test_a_frame_belongs_to_one_submap_only(tube):
+    first, second = tube.without_frames({16, 18, 20, 22}), tube.without_frames({0, 2, 4})
+    parts = disjoint([first, second])
+    assert parts[0].frames.tolist() == list(range(0, 16, 2))
+    assert parts[1].frames.tolist() == [16, 18, 20, 22]
+    pixels = CAMERA.project(parts[1].points_in_camera(2, parts[1].points))
+    mine = parts[1].observations[:, 0] == 2
+    np.testing.assert_allclose(parts[1].pixels[mine], pixels[parts[1].observations[mine, 1]], atol=1e-6)
+
+
+def test_a_still_camera_has_one_keyframe_and_a_moving_one_several(tube):
+    still = tube.__class__(
+        tube.frames,
+        np.repeat(tube.world_from_camera[:1], len(tube.frames), axis=0),
+        tube.points,
+        tube.error_px,
+        np.array([(f, p) for f in range(len(tube.frames)) for p in range(50)]),
+        np.tile(np.random.default_rng(0).uniform(0, 320, (50, 2)), (len(tube.frames), 1)),
+        tube.camera_params,
+    )
+    assert choose_keyframes(still, 320, 0.02).tolist() == [0]
+    assert 3 <= len(choose_keyframes(tube, 320, 0.02)) <= len(tube.frames)
+
+
+def test_a_frame_that_sees_far_less_than_those_around_it_is_no_keyframe():
+    """As odometry leaves it: every fourth frame has features of its own, those between only what was followed."""
+    rng, frames = np.random.default_rng(1), 24
+    start = rng.uniform(0, 320, (100, 2))
+    rows = [(f, p) for f in range(frames) for p in range(100 if f % 4 == 1 else 30)]
+    pixels = np.array([start[p] + [4.0 * f, 0.0] for f, p in rows])
+    poses = np.repeat(np.eye(4)[None], frames, axis=0)
+    submap = Submap(np.arange(frames), poses, np.ones((100, 3)), np.ones(100), np.array(rows), pixels, CAMERA.params)
+    assert choose_keyframes(submap, 320, 0.02).tolist() == list(range(1, frames, 4))
+
+
+def test_the_wall_that_passes_the_camera_makes_a_keyframe_though_the_middle_stands_still():
+    frames, share = 10, 30  # of 100 points, near the camera
+    start = np.random.default_rng(2).uniform(0, 320, (100, 2))
+    rows = [(f, p) for f in range(frames) for p in range(100)]
+    pixels = np.array([start[p] + [(8.0 if p < share else 0.1) * f, 0.0] for f, p in rows])
+    poses = np.repeat(np.eye(4)[None], frames, axis=0)
+    submap = Submap(np.arange(frames), poses, np.ones((100, 3)), np.ones(100), np.array(rows), pixels, CAMERA.params)
+    assert choose_keyframes(submap, 320, 0.02).tolist() == list(range(frames))
+
+
+def test_sequential_pairs_are_unique_and_in_reach():
+    pairs = sequential_pairs([f"{i:02d}" for i in range(50)], 8)
+    assert len(pairs) == len(set(pairs))
+    offsets = {int(b) - int(a) for a, b in pairs}
+    assert offsets == {*range(1, 9), 16, 32}
+
+
+def test_loop_pairs_find_the_place_seen_before():
+    rng = np.random.default_rng(0)
+    places = [rng.normal(0, 60, (80, 128)) for _ in range(60)]
+    places[55] = places[5] + rng.normal(0, 4, (80, 128))
+    pairs = loop_pairs(places, stride=5, neighbours=1, min_gap=20, seed=0)
+    assert (5, 55) in pairs
+    assert all(b - a >= 20 for a, b in pairs)
+    assert pairs == loop_pairs(places, stride=5, neighbours=1, min_gap=20, seed=0)

@@ -1,0 +1,178 @@
+"""Decoding, content area, highlights and the judgement of frames."""
+
+from fractions import Fraction
+
+import cv2
+import numpy as np
+import pytest
+
+from haustra.core.errors import HaustraError
+from pipeline.config import FrameSettings
+from pipeline.input.content_area import find_content, highlight_mask
+from pipeline.input.frame_quality import FrameJudge
+from pipeline.input.video import Source
+from tests.helpers.real_data import shared
+from tests.helpers.videos import textured_frames, write_video
+
+
+def on_black(frames, shape, top_left, mask=None):
+    y, x = top_left
+    canvases = []
+    for frame in frames:
+        canvas = np.zeros((*shape, 3), np.uint8)
+        height, width = frame.shape[:2]
+        canvas[y : y + height, x : x + width] = frame if mask is None else np.where(mask[..., None], frame, 0)
+        canvases.append(canvas)
+    return canvases
+
+
+def disc(size):
+    y, x = np.mgrid[:size, :size] - (size - 1) / 2
+    return x * x + y * y < (0.49 * size) ** 2
+
+
+def test_video_gives_every_frame_with_its_time(tmp_path):
+    frames = textured_frames(12)
+    read = list(Source(write_video(tmp_path / "a.mp4", frames, fps=25)))
+    assert [f.index for f in read] == list(range(12))
+    np.testing.assert_allclose([f.seconds for f in read], np.arange(12) / 25, atol=1e-6)
+    assert np.abs(read[5].rgb.astype(int) - frames[5]).mean() < 6
+
+
+def test_a_truncated_video_gives_what_decodes_and_says_so(tmp_path):
+    path = write_video(tmp_path / "a.mp4", textured_frames(60), g="5")
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    source = Source(path)
+    count = len(list(source))
+    assert 10 < count < 60
+    assert any("ends early" in note or "decoding stopped" in note for note in source.notes)
+
+
+def test_variable_frame_rate_keeps_the_time_stamps(tmp_path):
+    import av
+
+    path = tmp_path / "vfr.mkv"
+    stamps = [0, 33, 66, 200, 233, 600]
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=1000)
+        stream.width = stream.height = 160
+        stream.pix_fmt = "yuv420p"
+        for pts, rgb in zip(stamps, textured_frames(6), strict=True):
+            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
+            frame.pts, frame.time_base = pts, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    np.testing.assert_allclose([f.seconds for f in Source(path)], np.array(stamps) / 1000, atol=2e-3)
+
+
+def test_pixels_are_made_square(tmp_path):
+    path = write_video(tmp_path / "sar.mp4", textured_frames(3), **{"x264-params": "sar=3/2"})
+    source = Source(path)
+    assert next(iter(source)).rgb.shape == (160, 240, 3)
+    assert any("not square" in note for note in source.notes)
+
+
+def test_damage_in_the_middle_costs_only_what_is_damaged(tmp_path):
+    path = write_video(tmp_path / "a.mp4", textured_frames(60), g="10")
+    data = bytearray(path.read_bytes())
+    half = len(data) // 2
+    data[half : half + 200] = bytes(200)
+    path.write_bytes(bytes(data))
+    frames = list(Source(path))
+    assert len(frames) > 40
+    assert frames[-1].seconds == pytest.approx(59 / 30, abs=0.01)
+
+
+def test_an_unpadded_data_set_is_read_in_the_order_of_its_numbers(tmp_path):
+    """C3VD's cecum_t1_a: unpadded numbers, and maps of other kinds in the same folder."""
+    for i in (0, 1, 2, 10, 11):
+        for kind in ("color", "normals", "occlusion"):
+            cv2.imwrite(str(tmp_path / f"{i}_{kind}.png"), textured_frames(1)[0])
+    source = Source(tmp_path)
+    assert [p.name for p in source.images] == [f"{i}_color.png" for i in (0, 1, 2, 10, 11)]
+    assert source.notes == [f"10 images of other kinds in {tmp_path.name} were left out"]
+
+
+def test_kinds_of_images_are_not_guessed(tmp_path):
+    for i in range(4):
+        for kind in ("left", "right"):
+            cv2.imwrite(str(tmp_path / f"{kind}{i}.png"), textured_frames(1)[0])
+    with pytest.raises(HaustraError, match="several kinds of images"):
+        Source(tmp_path)
+
+
+def test_an_rgbd_folder_keeps_its_frame_rate(tmp_path):
+    (tmp_path / "rgb").mkdir()
+    for i, frame in enumerate(textured_frames(3)):
+        cv2.imwrite(str(tmp_path / "rgb" / f"{i:05d}.png"), frame)
+    (tmp_path / "camera.json").write_text('{"fps": 25}')
+    np.testing.assert_allclose([f.seconds for f in Source(tmp_path)], [0, 0.04, 0.08])
+
+
+def test_an_image_folder_is_read_in_name_order_without_depth_maps(tmp_path):
+    for i, frame in enumerate(textured_frames(3)):
+        cv2.imwrite(str(tmp_path / f"FrameBuffer_{i:04d}.png"), frame)
+        cv2.imwrite(str(tmp_path / f"Depth_{i:04d}.png"), frame)
+    assert [f.index for f in Source(tmp_path)] == [0, 1, 2]
+
+
+def test_content_is_the_lit_disc_without_burned_in_text():
+    canvases = on_black(textured_frames(8, 200), (300, 500), (50, 250), disc(200))
+    for canvas in canvases:
+        cv2.putText(canvas, "J. DOE 1970", (10, 40), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (255, 255, 255), 2)
+    area = find_content(canvases)
+    truth = np.zeros((300, 500), bool)
+    truth[50:250, 250:450] = disc(200)
+    found = area.mask > 0
+    assert not (found & ~truth).any()
+    assert found.sum() > 0.8 * truth.sum()
+    assert area.box[0] >= 250
+    assert not found[:60, :200].any()
+
+
+def test_content_is_the_whole_frame_when_there_is_no_border():
+    assert (find_content(textured_frames(5)).mask == 255).all()
+
+
+def test_a_title_card_does_not_light_the_border():
+    canvases = on_black(textured_frames(16, 200), (300, 500), (50, 250), disc(200))
+    canvases[3] = np.full_like(canvases[3], 200)
+    assert find_content(canvases).box[0] >= 250
+
+
+def test_black_has_no_content():
+    with pytest.raises(HaustraError, match="black"):
+        find_content([np.zeros((100, 100, 3), np.uint8)] * 3)
+
+
+def test_highlights_are_masked_and_tissue_is_not():
+    frame = textured_frames(1)[0].copy()
+    frame[60:66, 80:86] = 255
+    mask = highlight_mask(frame)
+    assert mask[63, 83] == 255
+    assert (mask > 0).mean() < 0.02
+
+
+def test_the_sinus_disc_agrees_with_the_authors_mask():
+    folder = shared("sinus")
+    frames = [cv2.imread(str(p))[..., ::-1] for p in sorted(folder.glob("*.jpg"))[::5]]
+    found = find_content(frames).mask > 0
+    theirs = cv2.imread(str(folder / "undistorted_mask.png"), cv2.IMREAD_GRAYSCALE) > 128
+    assert (found & theirs).sum() / (found | theirs).sum() > 0.9
+    assert (found & ~theirs).mean() < 0.001
+
+
+def judge_all(frames):
+    judge = FrameJudge(FrameSettings())
+    content = np.full(frames[0].shape[:2], 255, np.uint8)
+    return [judge.judge(frame, content) for frame in frames]
+
+
+def test_each_kind_of_useless_frame_is_named():
+    good = textured_frames(8)
+    blurred = cv2.GaussianBlur(good[7], (0, 0), 2.5)
+    red_out = np.full_like(good[0], (180, 30, 25))
+    black, burnt = np.zeros_like(good[0]), np.full_like(good[0], 255)
+    verdicts = judge_all([*good[:6], blurred, red_out, black, burnt, good[6], good[6]])
+    assert verdicts == ["used"] * 6 + ["blurred", "no texture", "black", "burnt out", "used", "repeated"]

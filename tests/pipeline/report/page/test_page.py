@@ -1,0 +1,205 @@
+"""The report as a file: whole, bounded, escaped, and readable without a script."""
+
+import base64
+import hashlib
+import html.parser
+import json
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.demo import FOLDER
+from pipeline.report.page import keyframe_gallery as browser
+from pipeline.report.page import scene, write_page
+from pipeline.report.page.keyframe_gallery import Shown, choose_shown
+from pipeline.report.page.timeline import MOST_COLUMNS, FrameStates, timeline_section
+from reconstruction.mesh.decimation import decimated
+from reconstruction.mesh.mesh_io import read_mesh
+from tests.helpers.tiny_run import make_tiny_run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    made = make_tiny_run(tmp_path_factory.mktemp("page") / "tiny <run>")
+    write_page(*made.parts)
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(run):
+    return run.workspace.report.read_text()
+
+
+def without_scripts(page):
+    return re.sub(r"<script(?! type).*?</script>", "", page, flags=re.DOTALL)
+
+
+def scene_of(page):
+    return json.loads(re.search(r'id="run-data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_nothing_is_fetched_and_the_policy_says_so(page):
+    found: list[str] = []
+
+    class Addresses(html.parser.HTMLParser):
+        def handle_starttag(self, tag, attrs):
+            found.extend(value for name, value in attrs if name in ("src", "href", "srcset", "action", "data"))
+
+    Addresses().feed(without_scripts(page))
+    assert len(found) > 100
+    assert [a for a in found if not a.startswith(("data:image/", "#"))] == []
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)[1]
+    allowed = {words[0]: words[1:] for words in map(str.split, policy.split(";"))}
+    scripts = re.findall(r"<script>(.*?)</script>", page, flags=re.DOTALL)
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    assert allowed.pop("script-src") == [f"'sha256-{digest}'" for digest in digests], "these scripts and no others"
+    assert allowed == {
+        "default-src": ["'none'"],
+        "style-src": ["'unsafe-inline'"],
+        "img-src": ["data:", "blob:"],
+        "base-uri": ["'none'"],
+        "form-action": ["'none'"],
+    }
+    assert page.index("Content-Security-Policy") < page.index("<style")
+
+
+def test_names_are_escaped(page):
+    text = without_scripts(page)
+    assert "tiny &lt;run&gt;" in text
+    assert "tiny &lt;b&gt;&amp;&lt;/b&gt; video.mp4" in text
+    assert "<i>note</i>" not in text
+    assert "<run>" not in text
+    assert "<!--" not in text, "a mark of the template was not filled in"
+
+
+def test_the_keyframes_are_counted_and_bounded(run, page):
+    assert sum(map(len, run.dense)) == 120
+    assert page.count('<article class="keyframe"') == browser.MOST_KEYFRAMES == 60
+    assert "60 of 120 keyframes, evenly spread" in page
+    shown = choose_shown(run.frames, run.dense)
+    assert {k.submap for k in shown} == {0, 1}
+    assert (shown[0].frame, shown[-1].frame) == (run.dense[0].submap.frames[0], run.dense[1].submap.frames[-1])
+    assert run.workspace.report.stat().st_size < 15e6
+
+
+def test_noisy_pictures_are_coded_more_coarsely(run, monkeypatch):
+    shown = choose_shown(run.frames, run.dense, 6)
+    limits = [(0.0, 4.0)] * 2
+
+    def size():
+        panels = browser._within_budget(shown, run.dense, run.surfaces, limits)
+        return sum(len(picture) for panel in panels for picture in panel.pictures)
+
+    fine = size()
+    monkeypatch.setattr(browser, "BUDGET", int(0.8 * fine))
+    assert size() <= 0.8 * fine
+
+
+def test_the_scene_holds_what_the_run_holds(run, page):
+    data = scene_of(page)
+    first, second = data["submaps"]
+    assert (first["unit"], second["unit"]) == ("mm", "scene units")
+    centres = np.frombuffer(base64.b64decode(first["path"]["places"]), "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(centres, 25 * run.dense[0].submap.centres, atol=1e-4)
+    mesh, packed = run.surfaces[0].mesh, first["mesh"]
+    steps = np.frombuffer(base64.b64decode(packed["vertices"]), "<u2").reshape(-1, 3) / 65535
+    np.testing.assert_allclose(packed["low"] + steps * packed["span"], mesh.vertices, atol=0.01)
+    assert np.frombuffer(base64.b64decode(packed["faces"]), "<u4").reshape(-1, 3).tolist() == mesh.faces.tolist()
+    (region,) = first["missed"]["regions"]
+    assert region["frame"] == run.coverage[0].record["missed_regions"][0]["frame"]
+    assert second["missed"]["regions"] == []
+    assert sum(len(s["shown"]) for s in data["submaps"]) == len(data["shown"]) == 60
+
+
+def test_the_timeline_counts_every_frame(page):
+    film = page[page.index('class="timeline"') : page.index('class="key"') + 1500]
+    for words in ("used (125)", "blurred (2)", "black (2)", "burnt out (1)", "repeated (1)", "posed, submap 1 (30)"):
+        assert words in film, words
+    assert "used, but not posed (5)" in film
+    assert film.count('class="shown"') == 60
+
+
+def test_a_long_video_keeps_its_timeline_small():
+    count = 100_000
+    verdicts = np.random.default_rng(0).choice(["used", "blurred", "black"], count).tolist()
+    states = FrameStates(np.arange(count), np.arange(count) / 30, verdicts, np.zeros(count, int))
+    section = timeline_section(states, [], [])
+    assert len(section) < 400_000
+    assert section.count("<rect") <= 4 * MOST_COLUMNS + 1
+
+
+@pytest.mark.parametrize("seconds", [[7.0] * 4, [7.0], [0.0, 0.0, 0.0, 9.0]])
+def test_times_that_tell_nothing_still_give_a_timeline(seconds):
+    count = len(seconds)
+    states = FrameStates(np.arange(count), np.array(seconds), ["used"] * count, np.zeros(count, int))
+    section = timeline_section(states, [Shown(0, 0, 0, seconds[0])], [])
+    assert states.range[1] > states.range[0]
+    assert "nan" not in section
+    assert f"used ({count})" in section
+
+
+def test_a_vertex_nowhere_and_a_submap_without_keyframes_are_shown_without_them(tmp_path):
+    made = make_tiny_run(tmp_path / "tiny", 12, 4)
+    mesh = made.surfaces[0].mesh
+    vertices = mesh.vertices.copy()
+    vertices[5] = np.nan
+    surfaces = [replace(made.surfaces[0], mesh=replace(mesh, vertices=vertices)), made.surfaces[1]]
+    dense = [made.dense[0], replace(made.dense[1], rows=made.dense[1].rows[:0])]
+    write_page(made.frames, dense, surfaces, *made.parts[3:])
+    first, second = scene_of(made.workspace.report.read_text())["submaps"]
+    touching = int((mesh.faces == 5).any(axis=1).sum())
+    assert first["triangles"] == len(mesh.faces) - touching > 0
+    assert second["triangles"] == len(made.surfaces[1].mesh.faces)
+    assert second["shown"] == []
+
+
+def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
+    """60 submaps with pictures of noise, the worst for any coding: the largest get maps and keyframes, and the page
+    says so."""
+    made, count = make_tiny_run(tmp_path / "tiny", 12, 4), 60
+    picture, rng = tmp_path / "coverage.png", np.random.default_rng(0)
+    cv2.imwrite(str(picture), rng.integers(0, 256, (200, 300, 3)))  # 180 kB
+    judged = replace(made.coverage[0], picture=picture)
+    monkeypatch.setattr("pipeline.report.page.MOST_STATIC", 1)  # a few small pictures, slowly drawn
+    submaps = [made.metrics["submaps"][0]] * count
+    write_page(
+        made.frames,
+        [made.dense[0]] * count,
+        [made.surfaces[0]] * count,
+        [judged] * count,
+        made.metrics | {"submaps": submaps},
+        made.workspace,
+    )
+    page = made.workspace.report.read_text()
+    data = scene_of(page)
+    assert len(page) < 15e6
+    assert len(data["submaps"]) == count
+    assert sum(submap["triangles"] for submap in data["submaps"]) < 1.3 * scene.TRIANGLES
+    assert all(submap["triangles"] > 50 for submap in data["submaps"])
+    assert {shown["submap"] for shown in data["shown"]} == set(range(browser.MOST_SUBMAPS))
+    assert f"60 of {12 * count} keyframes, evenly spread over the 12 largest of 60 submaps" in page
+    assert page.count('class="map"') == 6
+    assert "maps are shown of the 6 largest of 60 submaps" in page
+    assert page.count("<li>submap ") == count - 6
+
+
+def test_a_decimated_mesh_is_the_same_surface():
+    mesh = read_mesh(FOLDER / "mesh.ply")
+    target = len(mesh.faces) // 4
+    few = decimated(mesh, target)
+    assert 0.9 * target <= len(few.faces) <= target
+    assert few.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.02)
+    np.testing.assert_allclose(few.vertices.min(axis=0), mesh.vertices.min(axis=0), atol=1)
+    # Still wound towards the lumen: the signed volume keeps its sign and size.
+    volume = [np.einsum("fi,fi->", m.vertices[m.faces[:, 0]], _face_vectors(m)) / 6 for m in (mesh, few)]
+    assert volume[1] == pytest.approx(volume[0], rel=0.05)
+    assert decimated(few, target) is few
+    assert len(decimated(mesh, len(mesh.faces) // 15).faces) <= len(mesh.faces) // 15
+
+
+def _face_vectors(mesh):
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)

@@ -1,0 +1,36 @@
+"""Freed memory is kept: by the kernel's own count of page faults."""
+
+import subprocess
+import sys
+
+import pytest
+
+COUNT_FAULTS = """
+import resource
+import numpy as np
+from pipeline.run_folder.malloc import LARGEST_REUSED, keep_freed_memory
+
+def faults(size):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(10):
+        for array in [np.empty(size, np.uint8) for _ in range(2)]:
+            array[::4096] = 1
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+faults(20 << 20)
+usual = faults(20 << 20)
+kept = keep_freed_memory()
+faults(20 << 20)
+print(usual, int(kept), faults(20 << 20), faults(2 * LARGEST_REUSED))
+"""
+
+
+def test_memory_that_is_freed_comes_back_without_page_faults_and_the_largest_blocks_still_go():
+    run = subprocess.run([sys.executable, "-c", COUNT_FAULTS], capture_output=True, text=True, check=True)
+    usual, kept, after, largest = map(int, run.stdout.split())
+    if not kept or usual < 1000:
+        pytest.skip("not glibc's allocator, or the kernel does not count faults or has huge pages")
+    pages = 2 * (20 << 20) // 4096  # of one turn, without huge pages
+    assert after < pages / 100
+    assert after < usual / 10
+    assert largest > 10 * after

@@ -1,0 +1,85 @@
+"""Millimetres: the lumen of a tube of known width, and scale files."""
+
+import numpy as np
+import pytest
+
+from haustra.core.errors import HaustraError
+from pipeline.config import Config
+from pipeline.mapping.submap import Submap
+from pipeline.surface.scale import find_scale
+from reconstruction.coverage.lumen_diameter import measure_lumen
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+
+def bent_tube(radius=8.0, bend=60.0, turns=1.2):
+    """A tube about an arc of a circle of radius `bend` in the x-z plane, and camera poses along its middle."""
+    along, around = np.linspace(0, turns, 160), np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    centre = np.stack([bend * np.cos(along), 0 * along, bend * np.sin(along)], axis=1)
+    outward = np.stack([np.cos(along), 0 * along, np.sin(along)], axis=1)
+    ring = np.cos(around)[None, :, None] * outward[:, None] + np.sin(around)[None, :, None] * np.array([0, 1.0, 0])
+    vertices = (centre[:, None] + radius * ring).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(159), np.arange(64), indexing="ij")
+    a, b, c, d = i * 64 + j, i * 64 + (j + 1) % 64, (i + 1) * 64 + j, (i + 1) * 64 + (j + 1) % 64
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    for pose, k in zip(poses, np.linspace(30, 130, 40).astype(int), strict=True):
+        tangent = np.cross(outward[k], [0, 1.0, 0])
+        pose[:3, :3] = np.stack([outward[k], np.cross(tangent, outward[k]), tangent], axis=1)
+        # Far off the middle: the width must not depend on where the camera is.
+        pose[:3, 3] = centre[k] + 0.5 * radius * outward[k]
+    return vertices, faces, poses
+
+
+@pytest.mark.parametrize("radius", [5.0, 8.0])
+def test_lumen_of_a_bent_tube(radius):
+    vertices, faces, poses = bent_tube(radius)
+    width = measure_lumen(vertices, faces, poses, reach=10.0)
+    assert width.diameter == pytest.approx(2 * radius, rel=0.02)
+    assert width.stations > 30
+
+
+def test_an_open_wall_has_no_lumen():
+    vertices, faces, poses = bent_tube()
+    one_side = vertices[faces].mean(axis=1)[:, 1] > 4
+    assert measure_lumen(vertices, faces[one_side], poses, reach=10.0) is None
+
+
+def submap_of(poses):
+    empty = np.zeros((0, 2))
+    return Submap(
+        np.arange(len(poses)), poses, np.zeros((0, 3)), np.zeros(0), empty.astype(int), empty, (1.0, 1.0, 0.0, 0.0)
+    )
+
+
+def test_the_lumen_sets_millimetres():
+    vertices, faces, poses = bent_tube(radius=0.8, bend=9.0)
+    scale = find_scale(Config(lumen_mm=48.0), submap_of(poses), SurfaceMesh.from_triangles(vertices, faces))
+    assert scale.unit == "mm"
+    assert scale.factor == pytest.approx(30.0, rel=0.02)
+
+
+def test_scale_files(tmp_path):
+    _, _, poses = bent_tube()
+    mesh = SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]])
+    path = tmp_path / "scale.yaml"
+    path.write_text("mm_per_unit: 2.5")
+    assert find_scale(Config(scale_file=str(path)), submap_of(poses), mesh).factor == 2.5
+    path.write_text("frame_a: 0\nframe_b: 7\ndistance_mm: 12.0")
+    true = np.linalg.norm(poses[7, :3, 3] - poses[0, :3, 3])
+    assert find_scale(Config(scale_file=str(path)), submap_of(poses), mesh).factor == pytest.approx(12 / true)
+    for text, words in (
+        ("frame_a: 0\nframe_b: 99\ndistance_mm: 12.0", "frame 99 of the scale file"),
+        ("mm_per_unit: -1", "positive numbers"),
+        ("mm_per_unit: 0", "positive numbers"),
+        ("mm_per_unit: .nan", "positive numbers"),
+        ("width: 3", "must give mm_per_unit"),
+        ("mm_per_unit: wide", "must name numbers"),
+    ):
+        path.write_text(text)
+        with pytest.raises(HaustraError, match=words):
+            find_scale(Config(scale_file=str(path)), submap_of(poses), mesh)
+
+
+def test_no_scale_stays_scene():
+    scale = find_scale(Config(), submap_of(np.eye(4)[None]), SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]))
+    assert (scale.factor, scale.unit) == (1.0, "scene")

@@ -1,0 +1,52 @@
+"""Which parts of a surface its depth maps bear out: a screen before a wall, seen by some and looked past by others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reconstruction.coverage.depth_support import SurfaceWitness
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+
+def screen_before_wall():
+    """A wall at z = 30 and a small screen at 20 before it, its 441 vertices last; intrinsics; the wall's depth."""
+    x, y = np.meshgrid(np.linspace(-10, 10, 21), np.linspace(-10, 10, 21))
+    grid = np.stack([x, y], -1).reshape(-1, 2)
+    cell = np.arange(20 * 21).reshape(20, 21)[:, :-1].ravel()
+    faces = np.concatenate([np.stack([cell, cell + 21, cell + 1], 1), np.stack([cell + 1, cell + 21, cell + 22], 1)])
+    wall, screen = np.column_stack([grid, np.full(441, 30.0)]), np.column_stack([0.2 * grid, np.full(441, 20.0)])
+    mesh = SurfaceMesh.from_triangles(np.concatenate([wall, screen]), np.concatenate([faces, faces + 441]))
+    return mesh, np.array([[50.0, 0, 40], [0, 50.0, 40], [0, 0, 1]]), np.full((80, 80), 30, np.float32)
+
+
+def test_a_wall_that_other_frames_look_through_is_not_believed():
+    """Two of three depth maps see past the screen."""
+    mesh, intrinsics, far = screen_before_wall()
+    witness = SurfaceWitness(mesh)
+    near = far.copy()
+    near[34:46, 34:46] = 20
+    for depth in (near, far, far):
+        witness.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
+    np.testing.assert_allclose(witness.contradiction[441:], 2 / 3, atol=1e-6)
+    assert witness.contradiction[:441].max() == 0
+    assert witness.best_cosine[220] == pytest.approx(1.0)
+    believed = witness.believed()
+    assert (believed.vertices[:, 2] == 30).all()
+    assert len(believed.faces) == len(mesh.faces) // 2
+
+
+@pytest.mark.parametrize(("off_px", "contradicted"), [(1, 0), (3, 2)])
+def test_an_edge_that_a_frame_meets_a_pixel_off_is_believed(off_px, contradicted):
+    """The screen's first column falls on pixel 35, where a frame that is `off_px` wrong sees the wall behind."""
+    mesh, intrinsics, far = screen_before_wall()
+    witness = SurfaceWitness(mesh)
+    for first in (35, 35 + off_px):
+        depth = far.copy()
+        depth[34:46, first:46] = 20
+        depth[:, 47:] = 0  # unknown pixels say nothing
+        witness.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
+    column = np.floor(witness._mesh.vertices[441:, 0] * 50 / 20 + 40)
+    doubted = np.unique(column[witness.contradiction[441:] > 0])
+    assert len(doubted) == contradicted
+    assert (doubted == np.arange(35, 35 + contradicted)).all()

@@ -1,0 +1,114 @@
+"""Mesh files read back by us, by trimesh and by Open3D."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from haustra.core.errors import ReconstructionError
+from reconstruction.mesh.mesh_io import read_face_property, read_mesh, write_mesh
+from reconstruction.mesh.open3d_import import import_open3d
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+SUFFIXES = [".ply", ".glb", ".obj", ".stl"]
+
+
+@pytest.fixture
+def mesh():
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=20)
+    rng = np.random.default_rng(0)
+    count = len(sphere.vertices)
+    return SurfaceMesh.from_triangles(
+        sphere.vertices,
+        sphere.faces,
+        colours=rng.integers(0, 256, (count, 3)),
+        confidence=rng.random(count),
+        observations=rng.integers(0, 500, count),
+    )
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_open3d_and_trimesh_find_the_same_triangles(mesh, tmp_path, suffix):
+    path = write_mesh(mesh, tmp_path / f"mesh{suffix}")
+    by_trimesh = trimesh.load(path, process=False, force="mesh")
+    by_open3d = import_open3d().io.read_triangle_mesh(str(path))
+    assert len(by_trimesh.faces) == len(by_open3d.triangles) == len(mesh.faces)
+    expected = mesh.vertices[mesh.faces].mean(axis=1)
+    for vertices, faces in (
+        (by_trimesh.vertices, by_trimesh.faces),
+        (np.asarray(by_open3d.vertices), np.asarray(by_open3d.triangles)),
+    ):
+        np.testing.assert_allclose(vertices[faces].mean(axis=1), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_open3d_and_trimesh_find_the_same_colours(mesh, tmp_path, suffix):
+    path = write_mesh(mesh, tmp_path / f"mesh{suffix}")
+    by_trimesh = trimesh.load(path, process=False, force="mesh")
+    by_open3d = import_open3d().io.read_triangle_mesh(str(path))
+    expected = mesh.colours[mesh.faces]  # by face: Open3D numbers the vertices of an OBJ anew
+    np.testing.assert_array_equal(by_trimesh.visual.vertex_colors[:, :3][by_trimesh.faces], expected)
+    theirs = np.asarray(by_open3d.vertex_colors)[np.asarray(by_open3d.triangles)]
+    np.testing.assert_array_equal(np.rint(255 * theirs), expected)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_reading_gives_back_what_the_format_holds(mesh, tmp_path, suffix):
+    again = read_mesh(write_mesh(mesh, tmp_path / f"mesh{suffix}"))
+    assert len(again.vertices) == len(mesh.vertices)
+    np.testing.assert_allclose(again.vertices[again.faces], mesh.vertices[mesh.faces], atol=1e-4)
+    if suffix != ".stl":
+        # Eight linear bits hold the darkest sRGB values of a GLB only to within six levels.
+        assert np.abs(again.colours.astype(int) - mesh.colours).max() <= (6 if suffix == ".glb" else 0)
+    if suffix == ".ply":
+        np.testing.assert_allclose(again.normals, mesh.normals, atol=1e-6)
+        np.testing.assert_allclose(again.confidence, mesh.confidence)
+        np.testing.assert_array_equal(again.observations, mesh.observations)
+    else:
+        assert np.isnan(again.confidence).all()
+        assert not again.observations.any()
+
+
+def test_glb_colours_are_linear(mesh, tmp_path):
+    """glTF wants linear light: sRGB 188 is half of the light of 255."""
+    grey = SurfaceMesh.from_triangles(mesh.vertices, mesh.faces, colours=np.full((len(mesh.vertices), 3), 188))
+    loaded = trimesh.load(write_mesh(grey, tmp_path / "grey.glb"), process=False, force="mesh")
+    assert np.abs(loaded.visual.vertex_colors[:, :3].astype(int) - 128).max() <= 1
+
+
+def test_an_empty_surface_survives_ply_only(tmp_path):
+    empty = SurfaceMesh.from_triangles(np.empty((0, 3)), np.empty((0, 3), int))
+    assert not len(read_mesh(write_mesh(empty, tmp_path / "empty.ply")).faces)
+    with pytest.raises(ReconstructionError, match="without faces"):
+        write_mesh(empty, tmp_path / "empty.glb")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_flags_of_faces_are_read(tmp_path, encoding):
+    sphere = trimesh.creation.icosphere(subdivisions=1)
+    flags = np.arange(len(sphere.faces)) % 3 == 0
+    sphere.face_attributes["seen"] = flags.astype(np.uint8)
+    sphere.export(tmp_path / "truth.ply", encoding=encoding)
+    np.testing.assert_array_equal(read_face_property(tmp_path / "truth.ply", "seen"), flags)
+    assert read_face_property(tmp_path / "truth.ply", "other") is None
+
+
+def test_files_that_cannot_be_used_are_named(mesh, tmp_path):
+    with pytest.raises(ReconstructionError, match=r"mesh\.fbx: meshes are written as"):
+        write_mesh(mesh, tmp_path / "mesh.fbx")
+    with pytest.raises(ReconstructionError, match="there is no mesh"):
+        read_mesh(tmp_path / "absent.ply")
+    (tmp_path / "broken.ply").write_bytes(b"this is not a mesh")
+    with pytest.raises(ReconstructionError, match="cannot be read"):
+        read_mesh(tmp_path / "broken.ply")
+    trimesh.PointCloud(mesh.vertices).export(tmp_path / "points.ply")
+    with pytest.raises(ReconstructionError, match="no faces"):
+        read_mesh(tmp_path / "points.ply")
+
+
+def test_arrays_that_do_not_belong_together_are_refused(mesh):
+    with pytest.raises(ReconstructionError, match="colours must be"):
+        SurfaceMesh.from_triangles(mesh.vertices, mesh.faces, colours=np.zeros((3, 3), np.uint8))
+    with pytest.raises(ReconstructionError, match="one value for each"):
+        SurfaceMesh.from_triangles(mesh.vertices, mesh.faces, confidence=np.zeros(3))
+    with pytest.raises(ReconstructionError, match="outside"):
+        SurfaceMesh.from_triangles(mesh.vertices, mesh.faces + len(mesh.vertices))
