@@ -2,7 +2,8 @@
 
 The public names, each loaded at its first use, so that importing this package takes no time:
 
-- `reconstruct(source, output, config)`: the whole pipeline.
+- `reconstruct(source, output, config)`: the whole pipeline; returns a `Run`.
+- `open_run(folder)`: a finished `Run`: frames, submaps, keyframes, surfaces, coverage, metrics.
 - `Config`, `Camera`: settings of the pipeline, and a lens.
 - `DepthCompleter`: image and sparse depth to dense depth and confidence.
 - `HaustraError`: every known failure, with one sentence that says what to do.
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from haustra.core.camera import Camera as Camera
     from haustra.core.errors import HaustraError as HaustraError
     from pipeline.config import Config as Config
+    from pipeline.finished_run import Run as Run
+    from pipeline.finished_run import open_run as open_run
     from pipeline.run import reconstruct as reconstruct
 
 _MODULE_OF = {
@@ -23,9 +26,11 @@ _MODULE_OF = {
     "Config": "pipeline.config",
     "DepthCompleter": "completion.inference.completer",
     "HaustraError": "haustra.core.errors",
+    "Run": "pipeline.finished_run",
+    "open_run": "pipeline.finished_run",
     "reconstruct": "pipeline.run",
 }
-__all__ = ["Camera", "Config", "DepthCompleter", "HaustraError", "reconstruct"]
+__all__ = ["Camera", "Config", "DepthCompleter", "HaustraError", "Run", "open_run", "reconstruct"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,6 +1,5 @@
 """A run against truth: errors of the camera path, the surface and the coverage, each with protocol, unit and count."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.depth.completion_stage import planned_keyframes
-from pipeline.frontend.select import load_structure
-from pipeline.input.frames import load_frames
-from pipeline.loop_closing.close_loops import refined_keyframes
-from pipeline.run_folder.workspace import Workspace, damage_named, open_workspace
-from pipeline.surface.coverage_stage import measure_submap
-from pipeline.surface.fusion_stage import load_surfaces
+from pipeline.finished_run import Run, open_run
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
@@ -80,13 +73,9 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     """
     if not 0 < tau < np.inf:
         raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
-    workspace = open_workspace(run)
-    if not workspace.is_done("report"):
-        raise HaustraError(f"the run {run} is not finished; go on with --resume")
-    with damage_named(workspace.metrics):
-        metrics = json.loads(workspace.metrics.read_text())
-    with damage_named(workspace.trajectory):
-        seconds, poses = read_tum(workspace.trajectory)
+    finished = open_run(run)
+    metrics = finished.metrics
+    seconds, poses = finished.trajectory()
     true_seconds, true_poses, points = _load_truth(truth)
     if len(true_seconds) < 3:
         raise HaustraError(f"{truth} has {len(true_seconds)} poses; three are needed")
@@ -102,21 +91,19 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     surface, coverage = None, None
     if points is not None:
         truth_from_run = align_poses(estimated, true)
-        mesh = read_mesh(workspace.mesh).transformed(truth_from_run)
+        mesh = read_mesh(finished.mesh).transformed(truth_from_run)
         surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
-        coverage = _coverage(workspace, truth_from_run, truth)
+        coverage = _coverage(finished, truth_from_run, truth)
     return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface, coverage)
 
 
-def _coverage(workspace: Workspace, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:
+def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:
     """The run's own coverage, moved to the truth, against the true wall's own flags."""
     wall = read_true_wall(truth / "mesh.ply") if truth.is_dir() and (truth / "mesh.ply").exists() else None
     if wall is None:
         return None
-    frames = load_frames(workspace)
-    part = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)[0]
     try:
-        coverage = measure_submap(frames, part, load_surfaces(workspace)[0])
+        coverage = run.measure_coverage()
     except NotATube as reason:
         return f"not judged: {reason}"
     return coverage_errors(coverage.transformed(truth_from_run), wall)

@@ -7,12 +7,13 @@ from completion.weights.shipped import check_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import complete_depth
+from pipeline.finished_run import Run
 from pipeline.frontend.select import solve_structure
 from pipeline.input.calibration import check_choice
 from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import refine_poses
-from pipeline.report.report import RunResult, write_report
+from pipeline.report.report import write_report
 from pipeline.run_folder.workspace import create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import judge_coverage
 from pipeline.surface.fusion_stage import fuse_depth
@@ -27,7 +28,7 @@ def reconstruct(
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> RunResult:
+) -> Run:
     """Reconstruct a video, image folder or RGB-D folder into the run folder `output`.
 
     Finished stages stay on disk whatever happens, and `resume` goes on from them. Raises `HaustraError` (one
@@ -51,4 +52,7 @@ def reconstruct(
         dense = refine_poses(frames, dense, config, workspace, progress)  # places seen twice close the path
         surfaces = fuse_depth(dense, config, workspace, progress)
         coverage = judge_coverage(frames, dense, surfaces, workspace)  # what was not seen
-        return write_report(frames, dense, surfaces, coverage, workspace, progress)
+        write_report(frames, dense, surfaces, coverage, workspace, progress)
+        run = Run(workspace)
+        progress.say(str(run))
+        return run

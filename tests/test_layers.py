@@ -20,6 +20,7 @@ pipeline.demo
 pipeline.compare
 pipeline.run
 pipeline.report
+pipeline.finished_run
 pipeline.surface
 pipeline.loop_closing
 pipeline.depth

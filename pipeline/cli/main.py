@@ -43,7 +43,7 @@ def export(
 
         print(export_rerun(run, target))
         return
-    from pipeline.surface.fusion_stage import export_mesh
+    from pipeline.report.mesh_export import export_mesh
 
     print(export_mesh(run, target, max_error, texture))
 

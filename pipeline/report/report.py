@@ -1,7 +1,6 @@
 """Stage 5: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -21,45 +20,6 @@ from reconstruction.evaluation.trajectory_metrics import write_tum
 from reconstruction.mesh.mesh_io import write_mesh
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """What a finished run hands back: its folder and its figures (`metrics.json`)."""
-
-    folder: Path
-    metrics: dict[str, Any]
-
-    @property
-    def mesh(self) -> Path:
-        return self.folder / "mesh.ply"
-
-    def __str__(self) -> str:
-        m = self.metrics
-        main = m["submaps"][0]
-        return (
-            f"{m['frames']['posed']} of {m['frames']['total']} frames posed, {main['keyframes']} keyframes, "
-            f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface; {self._coverage()}: "
-            f"{self.mesh}{self._caution()}"
-        )
-
-    def _coverage(self) -> str:
-        seen = self.metrics["submaps"][0]["coverage"]
-        if not seen["judged"]:
-            return "coverage not judged"
-        count = len(self.metrics["submaps"])
-        where = f" in the largest of {count} submaps" if count > 1 else ""
-        bare = seen.get("unmeasured_percent")  # absent in runs of earlier versions
-        part = "" if bare is None else f" ({bare:.0f} % not measured)"
-        return (
-            f"{seen['covered_percent']:.0f} % of the wall seen{part} over {seen['stretch']:.3g} {seen['unit']}{where}"
-        )
-
-    def _caution(self) -> str:
-        """Said with success, so that nobody overlooks it."""
-        doubts = [*self.metrics["warnings"], *(s["camera"]["trust"] for s in self.metrics["submaps"])]
-        doubts = [doubt for doubt in doubts if "trust" in doubt or "does not determine" in doubt]
-        return "; CAUTION: " + "; ".join(doubts) if doubts else ""
-
-
 def write_report(
     frames: Frames,
     dense: list[DenseSubmap],
@@ -67,7 +27,7 @@ def write_report(
     coverage: list[Judgement],
     workspace: Workspace,
     progress: Progress,
-) -> RunResult:
+) -> None:
     """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
     for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
         _write_paths(frames, part, surface, number, workspace)
@@ -78,9 +38,6 @@ def write_report(
     write_json(workspace.metrics, metrics)
     write_page(frames, dense, surfaces, coverage, metrics, workspace)
     workspace.finish("report")
-    result = RunResult(workspace.root, metrics)
-    progress.say(str(result))
-    return result
 
 
 def _submap_record(number: int, pair: tuple[DenseSubmap, Surface]) -> dict[str, Any]:

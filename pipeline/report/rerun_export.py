@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from haustra.core.errors import HaustraError
-from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
-from pipeline.frontend.select import load_structure
-from pipeline.input.frames import Frames, load_frames
-from pipeline.loop_closing.close_loops import refined_keyframes
-from pipeline.run_folder.workspace import Workspace, open_workspace
-from pipeline.surface.fusion_stage import Surface, load_surfaces
+from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.finished_run import open_run
+from pipeline.input.frames import Frames
+from pipeline.run_folder.workspace import Workspace
+from pipeline.surface.fusion_stage import Surface
 
 SUFFIX = ".rrd"
 TIMELINE = "video"
@@ -44,16 +43,12 @@ def import_rerun() -> Any:
 def export_rerun(run: Path, target: Path) -> Path:
     """Write a finished run as `target` (.rrd), in output units, in the axes of each submap's mesh."""
     rerun = import_rerun()
-    workspace = open_workspace(run)
-    if not workspace.is_done("surface"):
-        raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
-    frames = load_frames(workspace)
-    dense = refined_keyframes(planned_keyframes(frames, load_structure(workspace), workspace), workspace)
-    recording = rerun.RecordingStream("haustra", recording_id=recording_id(workspace))
+    finished = open_run(run)
+    recording = rerun.RecordingStream("haustra", recording_id=recording_id(finished.workspace))
     recording.save(str(target))
-    for number, (part, surface) in enumerate(zip(dense, load_surfaces(workspace), strict=True)):
+    for number, (part, surface) in enumerate(zip(finished.completed_submaps, finished.surfaces, strict=True)):
         # Submaps that could not be joined share no frame: each has a root of its own.
-        _log_submap(rerun, recording, f"submap_{number}", frames, part, surface)
+        _log_submap(rerun, recording, f"submap_{number}", finished.frames, part, surface)
     recording.flush()
     recording.disconnect()
     return target

@@ -9,14 +9,13 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import DenseSubmap
-from pipeline.run_folder.workspace import Workspace, open_workspace
+from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.scale import SCENE, Scale, find_scale
 from reconstruction.fusion.photometry import Lamp, fit_lamp
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
-from reconstruction.mesh.texture_atlas import check_textured, simplified, textured, write_textured
 
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
 LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
@@ -145,31 +144,3 @@ def _sentence(surface: Surface) -> str:
         f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
         f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale.origin}{without}"
     )
-
-
-def export_mesh(run: Path, target: Path, max_error: float | None = None, texture: bool = False) -> str:
-    """Write a finished run's mesh in the format of `target`'s suffix and say what was written.
-
-    max_error: largest distance, in the run's unit, of the full mesh from one with fewer triangles. texture: its colours
-    as a picture (.glb, .obj) instead of one for each vertex.
-    """
-    workspace = open_workspace(run)
-    if not workspace.is_done("surface"):
-        raise HaustraError(f"the run {run} has no mesh yet; go on with it by --resume")
-    if texture:
-        check_textured(target)
-    mesh, unit = read_mesh(workspace.mesh), load_surfaces(workspace)[0].scale.unit
-    light, error = (mesh, 0.0) if max_error is None else simplified(mesh, max_error)
-    if texture:
-        write_textured(textured(light, mesh), target)
-    else:
-        write_mesh(light, target)
-    if light is mesh:
-        return str(target)
-    return f"{target}: {len(light.faces)} of {len(mesh.faces)} triangles, at most {_rounded_up(error)} {unit} off"
-
-
-def _rounded_up(length: float) -> str:
-    """Two digits, never less than the length itself."""
-    step = 10.0 ** (np.floor(np.log10(length)) - 1)
-    return f"{np.ceil(length / step) * step:.2g}"

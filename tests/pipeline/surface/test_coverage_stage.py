@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.finished_run import summary
 from pipeline.report.page import coverage_section
-from pipeline.report.report import RunResult
 from pipeline.surface.coverage_stage import Judgement
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
@@ -126,6 +126,6 @@ def test_the_headline_names_the_submap_that_it_speaks_of(tmp_path):
     seen = {"judged": True, "covered_percent": 90.0, "stretch": 80.0, "unit": "mm"}
     one = {"coverage": seen, "keyframes": 3, "faces": 5, "area": 2.0, "unit": "mm", "camera": {"trust": "given"}}
     metrics = {"frames": {"posed": 5, "total": 9}, "submaps": [one], "warnings": []}
-    assert "of 1 submaps" not in str(RunResult(tmp_path, metrics))
+    assert "of 1 submaps" not in summary(metrics, tmp_path)
     metrics["submaps"] = [one, one, one]
-    assert "90 % of the wall seen over 80 mm in the largest of 3 submaps" in str(RunResult(tmp_path, metrics))
+    assert "90 % of the wall seen over 80 mm in the largest of 3 submaps" in summary(metrics, tmp_path)
