@@ -27,7 +27,7 @@ from pipeline.surface.coverage_stage import half_view, seen_picture
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.visibility import Picture
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 

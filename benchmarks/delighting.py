@@ -30,7 +30,7 @@ from pipeline.frontend.select import load_structure
 from pipeline.input.frames import load_frames
 from pipeline.loop_closing.close_loops import refined_keyframes
 from pipeline.run_folder.workspace import open_workspace
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.fusion.photometry import BURNT, DARK, GAMMA, LUMA, MIN_COSINE, Lamp, fit_lamp, geometry
 
 KEYFRAMES, AFTER, STRIDE = 24, 3, 4

@@ -18,7 +18,7 @@ from completion.data.readers import read_evaluation_frames
 from haustra.core.camera import read_camera
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.mesh.mesh_io import read_mesh
 from reconstruction.mesh.open3d_import import import_open3d
 

@@ -43,7 +43,8 @@ from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
 from pipeline.matching.sift_cache import ReadFrame
 from pipeline.run_folder.workspace import Workspace, create_workspace
-from reconstruction.evaluation.trajectory_metrics import read_tum, trajectory_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
 WRONG_DEG = 5.0
 MIN_FRAMES = 3  # for an alignment

@@ -26,7 +26,8 @@ from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import fusion_settings
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import surface_errors
-from reconstruction.evaluation.trajectory_metrics import align_poses, associate, read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses, associate
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.record import spread, write
 from haustra.core.camera import read_camera
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
 from reconstruction.mesh.open3d_import import import_open3d
 

@@ -23,6 +23,7 @@ import numpy as np
 from benchmarks.front_ends import store, tracked_maps
 from benchmarks.record import write
 from haustra.core.progress import SilentProgress
+from haustra.core.sim3 import scale_of
 from pipeline.config import Config
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.front_end import adjust_maps, join_maps
@@ -33,8 +34,8 @@ from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap_matching import Shown, find_links, joint_similarity, sure_links
 from pipeline.matching.keyframe_features import FindFeatures
 from pipeline.matching.sift_cache import KeyframeFeatures, ReadFrame
-from pipeline.matching.sim3_ransac import scale_of
-from reconstruction.evaluation.trajectory_metrics import align_poses, read_tum, trajectory_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses, trajectory_errors
 
 Held = tuple[LocalMap, float | None]  # and how wide the features that moved it were; None where they do not hold it
 

@@ -29,7 +29,8 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import Config, FrameSettings
 from pipeline.frontend.select import solve_structure
 from pipeline.mapping.submap import Submap
-from reconstruction.evaluation.trajectory_metrics import align_poses, read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses
 
 FITTED = 0.25  # of a stretch
 MIN_FITTED = 5  # frames

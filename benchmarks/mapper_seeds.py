@@ -31,7 +31,7 @@ from pipeline.frontend.select import WORKER, Judged, believed, best_mapper, colm
 from pipeline.input.frames import Frames
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 
 METHODS = ("odometry", "odometry-fast", "sfm", "global", "incremental")
 COLMAP = ("global", "incremental")

@@ -22,7 +22,8 @@ import pycolmap
 
 from benchmarks.colmap_features import extract_and_match
 from benchmarks.record import write
-from reconstruction.evaluation.trajectory_metrics import read_tum, trajectory_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
 DARKEST = 12  # of 255: pixels that never get brighter lie outside the border mask
 

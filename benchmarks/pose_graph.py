@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.record import write
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
+from haustra.core.sim3 import scale_of
 from pipeline.config import Config, FrameSettings
 from pipeline.depth.completion_stage import DenseSubmap, complete_depth
 from pipeline.frontend.select import solve_structure
@@ -40,10 +41,10 @@ from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import fusion_settings
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import surface_errors
-from reconstruction.evaluation.trajectory_metrics import align_poses, read_tum, trajectory_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses, trajectory_errors
 from reconstruction.fusion.tsdf import SurfaceFusion
 from reconstruction.mesh.surface_mesh import drop_small_components
-from reconstruction.pose_graph import scale_of
 
 ENDS = 0.15  # of the frames
 RETURNS_MM = 15.0  # between first and last camera of a film that comes back

@@ -21,7 +21,8 @@ from benchmarks.inputs import encode_video
 from benchmarks.record import write
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from reconstruction.evaluation.trajectory_metrics import read_tum, simcol3d_errors, trajectory_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import simcol3d_errors, trajectory_errors
 
 FPS = 30
 

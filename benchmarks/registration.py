@@ -32,7 +32,8 @@ from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
 from pipeline.frontend.select import load_structure
 from pipeline.input.frames import load_frames
 from pipeline.run_folder.workspace import open_workspace
-from reconstruction.evaluation.trajectory_metrics import read_tum, trajectory_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from reconstruction.fusion.depth_consistency import DepthView
 
 Array = NDArray[np.float64]

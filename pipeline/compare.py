@@ -13,12 +13,12 @@ from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import SurfaceErrors, surface_errors
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import (
     SimCol3DErrors,
     TrajectoryErrors,
     align_poses,
     associate,
-    read_tum,
     simcol3d_errors,
     trajectory_errors,
 )

@@ -24,7 +24,7 @@ from pipeline.run_folder.workspace import Workspace, damage_named, open_workspac
 from pipeline.surface.coverage_stage import measure_submap
 from pipeline.surface.fusion_stage import Surface, load_surfaces
 from reconstruction.coverage.coverage import Coverage
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
+from haustra.core.sim3 import scale_of
 
 Array = NDArray[np.float64]
 
@@ -126,11 +127,6 @@ def tie_information(points: Array, across: Array, along: Array, floor: Array = L
 def with_common_error(information: Array, sigma: Array) -> Array:
     """Information (7,7) less what errors common to all points hide: `sigma` (7,), one of each direction, is added."""
     return np.linalg.inv(np.linalg.inv(information) + np.diag(sigma**2))
-
-
-def scale_of(matrix: Array) -> Array:
-    """Scale of one (4,4) or many (N,4,4) similarities."""
-    return np.cbrt(np.linalg.det(matrix[..., :3, :3]))
 
 
 def between(first: Array, second: Array, share: float) -> Array:

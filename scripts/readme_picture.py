@@ -22,7 +22,7 @@ from pipeline.input.frames import load_frames
 from pipeline.loop_closing.close_loops import refined_keyframes
 from pipeline.run_folder.workspace import Workspace, open_workspace
 from pipeline.surface.fusion_stage import load_surfaces
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.mesh.rendering import render_mesh
 
 CLAY = (214, 178, 160)

@@ -14,17 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-
-# Number of parameters, and whether there is one focal length or two.
-MODELS = {
-    "SIMPLE_PINHOLE": (3, 1),
-    "PINHOLE": (4, 2),
-    "SIMPLE_RADIAL": (4, 1),
-    "RADIAL": (5, 1),
-    "OPENCV": (8, 2),
-    "FULL_OPENCV": (12, 2),
-    "OPENCV_FISHEYE": (8, 2),
-}
+from haustra.core.lenses import LENS_MODELS
+from haustra.core.lenses.model import LensModel
 
 
 @dataclass(frozen=True)
@@ -38,31 +29,35 @@ class Camera:
     trusted: bool = True
 
     def __post_init__(self) -> None:
-        if self.model not in MODELS:
-            raise HaustraError(f"unknown camera model '{self.model}'; known: {', '.join(MODELS)}")
-        if len(self.params) != MODELS[self.model][0]:
-            raise HaustraError(f"{self.model} takes {MODELS[self.model][0]} parameters, not {len(self.params)}")
+        if self.model not in LENS_MODELS:
+            raise HaustraError(f"unknown camera model '{self.model}'; known: {', '.join(LENS_MODELS)}")
+        if len(self.params) != self.lens.parameters:
+            raise HaustraError(f"{self.model} takes {self.lens.parameters} parameters, not {len(self.params)}")
         if not all(math.isfinite(p) for p in self.params) or min(self.focal) <= 0:
             raise HaustraError(f"the {self.model} camera's parameters must be finite and its focal length positive")
         if self.width < 1 or self.height < 1:
             raise HaustraError(f"a camera of {self.width}x{self.height} pixels is impossible")
 
     @property
+    def lens(self) -> LensModel:
+        return LENS_MODELS[self.model]
+
+    @property
     def focal(self) -> tuple[float, float]:
-        return (self.params[0], self.params[MODELS[self.model][1] - 1])
+        return (self.params[0], self.params[self.lens.focal_lengths - 1])
 
     @property
     def centre(self) -> tuple[float, float]:
-        first = MODELS[self.model][1]
+        first = self.lens.focal_lengths
         return (self.params[first], self.params[first + 1])
 
     @property
     def distortion(self) -> tuple[float, ...]:
-        return self.params[MODELS[self.model][1] + 2 :]
+        return self.params[self.lens.focal_lengths + 2 :]
 
     @property
     def is_pinhole(self) -> bool:
-        return not any(self.distortion) and self.model != "OPENCV_FISHEYE"
+        return self.lens.straight_at_zero and not any(self.distortion)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -72,14 +67,13 @@ class Camera:
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N,3) points in camera axes, z > 0 (fisheye: any z) -> (N,2) pixels."""
-        distort = distort_fisheye if self.model == "OPENCV_FISHEYE" else distort_polynomial
-        uv = distort(points, self.distortion)
+        uv = self.lens.distort(points, self.distortion)
         return uv * np.array(self.focal) + np.array(self.centre)
 
     def cropped_and_scaled(self, x0: int, y0: int, width: int, height: int, scale: float) -> "Camera":
         """The camera of the image after cutting out a box and resizing it."""
         (fx, fy), (cx, cy) = self.focal, self.centre
-        one = MODELS[self.model][1] == 1
+        one = self.lens.focal_lengths == 1
         focal = (fx * scale,) if one else (fx * scale, fy * scale)
         params = (*focal, (cx - x0) * scale, (cy - y0) * scale, *self.distortion)
         return replace(self, width=round(width * scale), height=round(height * scale), params=params)
@@ -94,10 +88,9 @@ class Camera:
 
     def _angle_of_radius(self, radius: float) -> float:
         """Angle off the axis whose distorted normalised radius is `radius`, radians."""
-        theta = np.linspace(0, 1.5 if self.model != "OPENCV_FISHEYE" else 1.9, 4000)
+        theta = np.linspace(0, self.lens.widest, 4000)
         rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
-        distort = distort_fisheye if self.model == "OPENCV_FISHEYE" else distort_polynomial
-        growing = np.maximum.accumulate(distort(rays, self.distortion)[:, 0])
+        growing = np.maximum.accumulate(self.lens.distort(rays, self.distortion)[:, 0])
         return float(np.interp(radius, growing, theta))
 
     @staticmethod
@@ -113,32 +106,6 @@ class Camera:
             "params": list(self.params),
             "trusted": self.trusted,
         }
-
-
-def distort_polynomial(points: NDArray[np.float64], distortion: tuple[float, ...]) -> NDArray[np.float64]:
-    """Brown's model as OpenCV orders it: k1 k2 p1 p2 k3 k4 k5 k6 (shorter: k1, or k1 k2). (N,3) -> (N,2)."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, *[0.0] * (8 - len(distortion)))
-    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=1,
-    )
-
-
-def distort_fisheye(points: NDArray[np.float64], distortion: tuple[float, ...]) -> NDArray[np.float64]:
-    """Kannala-Brandt with four terms: radius = theta (1 + k1 theta^2 + ... + k4 theta^8). (N,3) -> (N,2)."""
-    radius = np.hypot(points[:, 0], points[:, 1])
-    theta = np.arctan2(radius, points[:, 2])
-    t2 = theta * theta
-    k1, k2, k3, k4 = distortion
-    distorted = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
-    scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 1e-12)
-    return points[:, :2] * scale[:, None]
 
 
 def read_camera(path: Path) -> Camera:

@@ -25,7 +25,7 @@ class RayTable:
         self.camera = camera
         columns, rows = np.meshgrid(np.arange(camera.width + 1.0), np.arange(camera.height + 1.0))
         pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
-        plane, valid = _invert(camera, pixels)
+        plane, valid = unproject(camera, pixels)
         table = np.concatenate([plane, _gain(camera, plane).reshape(-1, 4)], axis=1)
         self._table = table.reshape(camera.height + 1, camera.width + 1, 6)
         corners = valid.reshape(camera.height + 1, camera.width + 1)
@@ -87,12 +87,12 @@ def _gain(camera: Camera, plane: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack(columns, axis=2)
 
 
-def _invert(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Newton's method from the ideal lens; which pixels it reached, within the widest useful angle."""
-    plane = (pixels - np.array(camera.centre)) / np.array(camera.focal)
-    if camera.model == "OPENCV_FISHEYE":
-        theta = np.linalg.norm(plane, axis=1, keepdims=True)
-        plane *= np.tan(np.minimum(theta, 1.3)) / np.maximum(theta, 1e-9)
+def unproject(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them within `WIDEST`.
+
+    Newton's method from the lens model's first guess.
+    """
+    plane = camera.lens.first_guess((pixels - np.array(camera.centre)) / np.array(camera.focal))
     left = np.arange(len(pixels))  # those that are not there yet
     for _ in range(0 if camera.is_pinhole else NEWTON_STEPS):
         off = pixels[left] - camera.project(_on_plane(plane[left]))

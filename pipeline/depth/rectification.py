@@ -68,14 +68,8 @@ def _widest_pinhole(camera: Camera, max_fov_deg: float) -> Camera:
 
 def _within_valid_radius(camera: Camera, rays: NDArray[np.float64]) -> NDArray[np.bool_]:
     """False where a polynomial lens model has turned back on itself, far outside the image it was fitted to."""
-    if camera.model == "OPENCV_FISHEYE":
-        return np.ones(len(rays), dtype=bool)
-    theta = np.linspace(0, 1.5, 3000)
-    ahead = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
-    radius = (camera.project(ahead)[:, 0] - camera.centre[0]) / camera.focal[0]
-    falling = np.flatnonzero(np.diff(radius) <= 0)
-    limit = theta[falling[0]] if len(falling) else theta[-1]
-    return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]) < limit
+    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    return angle < camera.lens.valid_angle(camera.distortion)
 
 
 def _kept_share(camera: Camera, source: NDArray[np.float64]) -> float:

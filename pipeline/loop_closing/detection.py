@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from haustra.core.sim3 import scale_of
 from pipeline.config import PoseGraphSettings
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
@@ -28,7 +29,7 @@ from pipeline.matching.keyframe_features import (
 from pipeline.matching.place_recognition import vlad
 from pipeline.matching.sim3_ransac import Side, refine_similarity, sure_similarity
 from reconstruction.fusion.depth_consistency import DepthView, agreement
-from reconstruction.pose_graph import scale_of, tie_information, with_common_error
+from reconstruction.pose_graph import tie_information, with_common_error
 
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MAX_STEP = 8  # keyframes between places; farther apart, two loops do not support each other (keyframe_graph.REACH)

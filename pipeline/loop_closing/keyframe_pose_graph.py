@@ -8,18 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
+from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.loop_closing.detection import Link, Place
-from reconstruction.pose_graph import (
-    Edge,
-    between,
-    misfit,
-    scale_of,
-    solve_pose_graph,
-    supported,
-    tie_information,
-)
+from reconstruction.pose_graph import Edge, between, misfit, solve_pose_graph, supported, tie_information
 
 MIN_TIE = 20  # points that two keyframes share; consecutive ones are tied by however few
 PIXEL_NOISE = 0.5  # px, across

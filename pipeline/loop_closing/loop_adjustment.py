@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
+from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.detection import Link, Place, every_place
@@ -22,7 +23,7 @@ from pipeline.mapping.global_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
 from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
 from pipeline.matching.keyframe_features import match, rooted
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
-from reconstruction.pose_graph import Edge, misfit, scale_of
+from reconstruction.pose_graph import Edge, misfit
 
 AHEAD = 5  # keyframes with which each one's features are compared
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe

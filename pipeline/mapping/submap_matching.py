@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.se3 import Array, in_camera, inverse
+from haustra.core.sim3 import transform_points
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.keyframe_features import STILL_PX, Place, inverse_depth_at, look_alikes, match
 from pipeline.matching.sim3_ransac import (
@@ -19,7 +20,6 @@ from pipeline.matching.sim3_ransac import (
     Side,
     Stack,
     is_sure,
-    moved_points,
     refine_similarity,
     similarity_errors,
     sure_similarity,
@@ -191,8 +191,8 @@ def _around(row: int, reach: int, count: int) -> range:
 
 def _lays_surfaces_together(second_from_first: Array, first: Shown, place: Place, second: Shown, other: Place) -> bool:
     """Whether most features of each place that fall on the other's surface lie on it."""
-    there = _share_on(moved_points(second_from_first, place.points), second.map, other)
-    back = _share_on(moved_points(np.linalg.inv(second_from_first), other.points), first.map, place)
+    there = _share_on(transform_points(second_from_first, place.points), second.map, other)
+    back = _share_on(transform_points(np.linalg.inv(second_from_first), other.points), first.map, place)
     return min(there, back) >= SAME_SURFACE
 
 

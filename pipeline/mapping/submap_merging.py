@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.se3 import in_camera
+from haustra.core.sim3 import scale_of, transform_camera, transform_points
 from pipeline.mapping.lift_features import find_places
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap_matching import AROUND, Link, Shown, find_links, joint_similarity, strongest, sure_links
 from pipeline.matching.keyframe_features import FindFeatures, Place, match
-from pipeline.matching.sim3_ransac import moved_points, moved_pose, scale_of
 from pipeline.optimization.resection import reprojection_errors
 
 MAX_TIE_PX = 12.0  # of a matched point from where it should be in a neighbouring place
@@ -70,18 +70,18 @@ def absorb(shown: Shown, others: Shown, links: list[Link]) -> list[Place]:
     first_keyframe, first_track = len(base.keyframes), len(base.known)
     base.reserve(first_track + len(other.known))
     fresh = slice(first_track, first_track + len(other.known))
-    base.points[fresh] = moved_points(base_from_other, other.points)
+    base.points[fresh] = transform_points(base_from_other, other.points)
     base.known[fresh], base.barred[fresh], base.followed[fresh] = other.known, other.barred, other.followed
     for keyframe in other.keyframes:
-        keyframe.pose, keyframe.ids = moved_pose(base_from_other, keyframe.pose), keyframe.ids + first_track
+        keyframe.pose, keyframe.ids = transform_camera(base_from_other, keyframe.pose), keyframe.ids + first_track
         base.keyframes.append(keyframe)
     for posed in other.posed:
         ids = (posed.ids + first_track).astype(np.int32)
-        base.posed.append(replace(posed.scaled(scale), keyframe=posed.keyframe + first_keyframe, ids=ids))
+        base.posed.append(replace(posed.scaled(float(scale)), keyframe=posed.keyframe + first_keyframe, ids=ids))
     for link in strongest(links):
         _tie(base, link, (shown.places, others.places), (0, first_keyframe))
     return [
-        replace(p, keyframe=p.keyframe + first_keyframe, points=moved_points(base_from_other, p.points))
+        replace(p, keyframe=p.keyframe + first_keyframe, points=transform_points(base_from_other, p.points))
         for p in others.places
     ]
 

@@ -8,9 +8,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from haustra.core.se3 import Array
+from haustra.core.sim3 import scale_of, transform_points, umeyama_batch
 from pipeline.optimization.kernels import MIN_DEPTH, moved_residuals
 from pipeline.optimization.resection import reprojection_errors, rounds_needed
-from reconstruction.evaluation.trajectory_metrics import align_each
 
 MAX_ERROR_PX = 4.0
 MIN_INLIERS = 20
@@ -76,8 +76,8 @@ class Stack:
 
 def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Array:
     """(N,) worse of the two reprojection errors, pixels: each map's points, moved, in the other's camera."""
-    ahead = moved_points(second_from_first, first.points)
-    back = moved_points(np.linalg.inv(second_from_first), second.points)
+    ahead = transform_points(second_from_first, first.points)
+    back = transform_points(np.linalg.inv(second_from_first), second.points)
     return np.maximum(
         reprojection_errors(second.pose, ahead, second.seen, second.gain),
         reprojection_errors(first.pose, back, first.seen, first.gain),
@@ -121,17 +121,13 @@ def _refitted(best: Array, first: Side, second: Side, max_error_px: float) -> tu
     return best, inlier
 
 
-def scale_of(similarity: Array) -> float:
-    return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-
-
 def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Array:
     """`second_from_first` fitted to the images of all pairs of sides, both ways, with Cauchy's loss.
 
     The closed form above takes one map's points to be exact, which lowers the scale; asking both maps' images alike
     favours neither.
     """
-    scale = scale_of(similarity)
+    scale = float(scale_of(similarity))
     start = np.concatenate(
         [Rotation.from_matrix(similarity[:3, :3] / scale).as_rotvec(), similarity[:3, 3], [np.log(scale)]]
     )
@@ -155,8 +151,8 @@ def _fits(source: Array, target: Array) -> Array:
     """(K',4,4) similarities of K sets of points (K,N,3), without those of sets that none can have moved so."""
     if source.shape[0] == 0 or source.shape[1] < 3:
         return np.zeros((0, 4, 4))
-    found = align_each(np.asarray(source, np.float64), np.asarray(target, np.float64), with_scale=True)
-    scale = np.cbrt(np.linalg.det(found[:, :3, :3]))
+    found = umeyama_batch(np.asarray(source, np.float64), np.asarray(target, np.float64), with_scale=True)
+    scale = scale_of(found)
     return found[np.isfinite(found).all(axis=(1, 2)) & (scale > 1 / MAX_SCALE) & (scale < MAX_SCALE)]
 
 
@@ -213,15 +209,3 @@ def _are_alike(source: Array, target: Array) -> NDArray[np.bool_]:
     sides = [np.linalg.norm(p - p[:, [1, 2, 0]], axis=2) for p in (source, target)]
     ratio = sides[1] / np.maximum(sides[0], 1e-12)
     return (ratio.min(axis=1) > 0) & (ratio.max(axis=1) < 1.5 * ratio.min(axis=1))
-
-
-def moved_pose(transform: Array, camera_from_world: Array) -> Array:
-    """A pose of the world that `transform`, a similarity, moves elsewhere, in that world and its unit."""
-    scale, result = scale_of(transform), np.eye(4)
-    result[:3, :3] = camera_from_world[:3, :3] @ (transform[:3, :3] / scale).T
-    result[:3, 3] = scale * camera_from_world[:3, 3] - result[:3, :3] @ transform[:3, 3]
-    return result
-
-
-def moved_points(transform: Array, points: Array) -> Array:
-    return points @ transform[:3, :3].T + transform[:3, 3]

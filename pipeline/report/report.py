@@ -16,7 +16,7 @@ from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace, write_json
 from pipeline.surface.coverage_stage import Judgement
 from pipeline.surface.fusion_stage import Surface, mesh_path
-from reconstruction.evaluation.trajectory_metrics import write_tum
+from reconstruction.evaluation.trajectory_io import write_tum
 from reconstruction.mesh.mesh_io import write_mesh
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
+from haustra.core.sim3 import scale_of
 from reconstruction.coverage.path_ordering import ordered_path
 from reconstruction.coverage.wall_rays import WallRays
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -68,7 +69,7 @@ class Centreline:
     def transformed(self, target_from_line: Array) -> Centreline:
         """The same line moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
         linear = target_from_line[:3, :3]
-        scale = float(np.cbrt(np.linalg.det(linear)))
+        scale = float(scale_of(linear))
         return Centreline(
             scale * self.arc,
             self.points @ linear.T + target_from_line[:3, 3],

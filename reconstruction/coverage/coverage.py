@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.sim3 import scale_of
 from reconstruction.coverage.centreline import (
     STANDSTILL,
     Centreline,
@@ -130,7 +131,7 @@ class Coverage:
 
     def transformed(self, target_from_mesh: Array) -> Coverage:
         """The same coverage moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
-        scale = float(np.cbrt(np.linalg.det(target_from_mesh[:3, :3])))
+        scale = float(scale_of(target_from_mesh))
         regions = [region.transformed(target_from_mesh, scale) for region in self.regions]
         return Coverage(
             self.line.transformed(target_from_mesh),

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.sim3 import scale_of
 from reconstruction.coverage.centreline import Centreline, NotATube
 from reconstruction.coverage.visibility import Picture, Sight, in_plain_view
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
@@ -56,7 +57,7 @@ class Closure:
         """The same closing moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
         linear = target_from_mesh[:3, :3]
         vertices = self.vertices @ linear.T + target_from_mesh[:3, 3]
-        return replace(self, vertices=vertices, arc=float(np.cbrt(np.linalg.det(linear))) * self.arc)
+        return replace(self, vertices=vertices, arc=float(scale_of(linear)) * self.arc)
 
     def part(self, kept: NDArray[np.bool_]) -> Closure:
         """Only the triangles of the mask (F,)."""

@@ -14,14 +14,15 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera, read_camera
 from haustra.core.errors import ReconstructionError
+from haustra.core.ray_table import unproject
 from reconstruction.evaluation.surface_metrics import sample_surface
-from reconstruction.evaluation.trajectory_metrics import read_tum
+from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -103,52 +104,41 @@ def _thin_views(views: list[tuple[Array, Array]], spacing: float) -> tuple[Array
 
 def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
     """World points (N,3) of each frame's pixels with depth, and their z-depth (N,), mm."""
-    camera = _read_camera(folder / "camera.json")
-    rays = _rays(camera)
+    camera, unit_mm = _read_camera(folder / "camera.json")
+    rays, valid = _rays(camera)
     _, world_from_camera = read_tum(folder / "trajectory.txt")
     files = sorted((folder / "depth").glob("*.png"))
     if len(files) != len(world_from_camera):
         raise ReconstructionError(f"{folder} has {len(files)} depth images for {len(world_from_camera)} poses")
     for path, pose in list(zip(files, world_from_camera, strict=True))[::every]:
-        depth = _read_depth(path, camera)
-        known = depth > 0
+        depth = _read_depth(path, camera, unit_mm)
+        known = (depth > 0) & valid
         yield (rays[known] * depth[known, None]) @ pose[:3, :3].T + pose[:3, 3], depth[known]
 
 
-def _read_camera(path: Path) -> dict[str, Any]:
+def _read_camera(path: Path) -> tuple[Camera, float]:
+    """The camera, and the length in mm of one count of its depth images."""
     try:
-        camera = json.loads(path.read_text())
-        camera["model"], camera["params"], camera["width"], camera["height"], camera["depth_unit_mm"]
-    except (OSError, json.JSONDecodeError, KeyError) as error:
-        raise ReconstructionError(f"{path} is not a camera file with model, params, size and depth unit") from error
-    return camera
+        unit_mm = float(json.loads(path.read_text())["depth_unit_mm"])
+        return read_camera(path), unit_mm
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        message = f"{path} is not a camera file with model, params, size and depth unit ({error})"
+        raise ReconstructionError(message) from error
 
 
-def _read_depth(path: Path, camera: dict[str, Any]) -> Array:
+def _read_depth(path: Path, camera: Camera, unit_mm: float) -> Array:
     """z-depth (H,W) in mm, 0 = none."""
     import cv2
 
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None or image.dtype != np.uint16 or image.shape != (camera["height"], camera["width"]):
+    if image is None or image.dtype != np.uint16 or image.shape != (camera.height, camera.width):
         raise ReconstructionError(f"{path} is not a 16-bit depth image of the size in camera.json")
-    return image * float(camera["depth_unit_mm"])
+    return image * unit_mm
 
 
-def _rays(camera: dict[str, Any]) -> Array:
-    """Points (H,W,3) at z-depth 1 that the pixels' centres see; pixel centres lie at half integers."""
-    import cv2
-
-    fx, fy, cx, cy, *distortion = camera["params"]
-    x, y = np.meshgrid(np.arange(camera["width"]) + 0.5, np.arange(camera["height"]) + 0.5)
-    pixels, matrix = (
-        np.stack([x, y], axis=-1).reshape(-1, 1, 2),
-        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-    )
-    if camera["model"] == "OPENCV_FISHEYE":
-        plane = cv2.fisheye.undistortPoints(pixels, matrix, np.array(distortion))
-    elif camera["model"] in ("PINHOLE", "OPENCV"):
-        plane = cv2.undistortPoints(pixels, matrix, np.array(distortion) if distortion else None)
-    else:
-        raise ReconstructionError(f"camera model {camera['model']!r} is not known; PINHOLE, OPENCV, OPENCV_FISHEYE are")
-    plane = plane.reshape(camera["height"], camera["width"], 2)
-    return np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1)
+def _rays(camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """Points (H,W,3) at z-depth 1 that the pixels' centres see, and which pixels (H,W) the lens model covers."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    plane, valid = unproject(camera, np.stack([x.ravel(), y.ravel()], axis=1))
+    shape = (camera.height, camera.width)
+    return np.column_stack([plane, np.ones(len(plane))]).reshape(*shape, 3), valid.reshape(shape)

@@ -6,7 +6,6 @@ Poses are `world_from_camera` (N,4,4): the camera's centre is the last column. Q
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,43 +13,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import ReconstructionError
+from haustra.core.sim3 import scale_of, umeyama
+from reconstruction.evaluation.trajectory_io import checked_poses
 
 Array = NDArray[np.float64]
 Alignment = Literal["sim3", "se3", "none"]
 
 COLLINEAR = 1e-9  # second singular value of the centres' covariance over the first: below it they lie on one line
-QUATERNION_SLACK = 1e-3  # a file's rounding may move a unit quaternion's length by this much
-
-
-def read_tum(path: Path | str) -> tuple[Array, Array]:
-    """Seconds (N,) and `world_from_camera` (N,4,4) of a file with lines `seconds tx ty tz qx qy qz qw`.
-
-    Blank lines and lines that begin with # are skipped; anything else that is not a pose raises
-    `ReconstructionError`, and so does time that stands still or runs backwards.
-    """
-    rows: list[list[float]] = []
-    for number, line in enumerate(Path(path).read_text().splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            rows.append(_tum_row(line, f"{path}, line {number}"))
-            if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-                raise ReconstructionError(f"{path}, line {number}: time must increase from pose to pose")
-    if not rows:
-        raise ReconstructionError(f"{path} has no poses")
-    table = np.array(rows)
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
-    poses[:, :3, 3] = table[:, 1:4]
-    return table[:, 0], poses
-
-
-def write_tum(path: Path | str, seconds: Array, world_from_camera: Array) -> None:
-    """Write poses (N,4,4) at `seconds` (N,), microseconds and nine decimals of the unit of length."""
-    poses = _poses(world_from_camera)
-    if np.shape(seconds) != (len(poses),):
-        raise ReconstructionError(f"{len(poses)} poses need {len(poses)} times, got {np.size(seconds)}")
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
-    table = np.column_stack([seconds, poses[:, :3, 3], quaternions])
-    np.savetxt(path, table, fmt=["%.6f"] + ["%.9f"] * 7)
 
 
 def associate(
@@ -75,38 +44,6 @@ def _nearest(query: Array, ascending: Array) -> NDArray[np.int64]:
     right = np.minimum(right, len(ascending) - 1)
     left = np.maximum(right - 1, 0)
     return np.where(query - ascending[left] <= ascending[right] - query, left, right)
-
-
-def align_umeyama(source: Array, target: Array, with_scale: bool) -> Array:
-    """The 4x4 `target_from_source` that minimises the squared distance of points (N,3) to their partners.
-
-    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991;
-    the equation numbers are his. Points on one line leave the roll about it free: any minimiser is returned.
-    """
-    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 2:
-        raise ReconstructionError(f"alignment needs two or more pairs of points, got {source.shape} and {target.shape}")
-    target_from_source = align_each(source[None], target[None], with_scale)[0]
-    if not np.isfinite(target_from_source).all():
-        raise ReconstructionError("the camera does not move, so the scale of its path cannot be aligned")
-    return target_from_source
-
-
-def align_each(source: Array, target: Array, with_scale: bool) -> Array:
-    """(K,4,4), as `align_umeyama` gives them, of K sets of points (K,N,3); NaN where no scale can be aligned."""
-    source_mean, target_mean = source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True)  # eqs. 34, 35
-    source_variance = ((source - source_mean) ** 2).sum(axis=2).mean(axis=1)  # eq. 36
-    covariance = np.swapaxes(target - target_mean, 1, 2) @ (source - source_mean) / source.shape[1]  # eq. 38
-    u, singular, vt = np.linalg.svd(covariance)
-    signs = np.ones_like(singular)
-    signs[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))  # eqs. 39, 43: no mirror
-    scale = np.ones(len(source))
-    if with_scale:
-        known = (singular[:, 0] > 0) & (source_variance > 0)
-        scale = np.where(known, (singular * signs).sum(axis=1) / np.where(known, source_variance, 1), np.nan)  # eq. 42
-    found = np.tile(np.eye(4), (len(source), 1, 1))
-    found[:, :3, :3] = scale[:, None, None] * (u * signs[:, None]) @ vt  # eq. 40
-    found[:, :3, 3] = target_mean[:, 0] - np.einsum("kij,kj->ki", found[:, :3, :3], source_mean[:, 0])  # eq. 41
-    return found
 
 
 @dataclass(frozen=True)
@@ -144,7 +81,7 @@ def trajectory_errors(
     if alignment not in get_args(Alignment):
         raise ReconstructionError(f"alignment is one of {', '.join(get_args(Alignment))}, not {alignment!r}")
     truth_from_estimate = np.eye(4) if alignment == "none" else _align_poses(estimated, truth, alignment == "sim3")
-    scale = float(np.cbrt(np.linalg.det(truth_from_estimate[:3, :3])))
+    scale = float(scale_of(truth_from_estimate))
     aligned = truth_from_estimate @ estimated
     distance = np.linalg.norm(aligned[:, :3, 3] - truth[:, :3, 3], axis=1)
     angle = _angle_deg(np.swapaxes(truth[:, :3, :3], 1, 2) @ (aligned[:, :3, :3] / scale))
@@ -188,7 +125,7 @@ def simcol3d_errors(estimated: Array, truth: Array, unit: str = "mm") -> SimCol3
 def _align_poses(estimated: Array, truth: Array, with_scale: bool) -> Array:
     """Umeyama on the centres; where they lie on one line, the orientations settle the roll about it."""
     centres, true_centres = estimated[:, :3, 3], truth[:, :3, 3]
-    truth_from_estimate = align_umeyama(centres, true_centres, with_scale)
+    truth_from_estimate = umeyama(centres, true_centres, with_scale)
     pivot = true_centres.mean(axis=0)
     directions, spread, _ = np.linalg.svd((true_centres - pivot).T @ (centres - centres.mean(axis=0)))
     if spread[1] > COLLINEAR * spread[0]:
@@ -208,14 +145,14 @@ def align_poses(estimated: Array, truth: Array) -> Array:
     millimetres. So each camera also gives the tips of its three axes, as long as the true centres' spread.
     """
     estimated, truth = _paired(estimated, truth)
-    from_centres = align_umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale=True)
-    scale = float(np.cbrt(np.linalg.det(from_centres[:3, :3])))
+    from_centres = umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale=True)
+    scale = float(scale_of(from_centres))
     reach = float(np.sqrt(truth[:, :3, 3].var(axis=0).sum()))
     points = [
         np.concatenate([poses[:, :3, 3], *(poses[:, :3, 3] + length * poses[:, :3, axis] for axis in range(3))])
         for poses, length in ((estimated, reach / scale), (truth, reach))
     ]
-    return align_umeyama(points[0], points[1], with_scale=True)
+    return umeyama(points[0], points[1], with_scale=True)
 
 
 def _best_roll(axis: Array, rotations: Array, true_rotations: Array) -> Array:
@@ -240,27 +177,7 @@ def _angle_deg(rotations: Array) -> Array:
 
 
 def _paired(estimated: Array, truth: Array) -> tuple[Array, Array]:
-    estimated, truth = _poses(estimated), _poses(truth)
+    estimated, truth = checked_poses(estimated), checked_poses(truth)
     if len(estimated) != len(truth) or len(truth) < 2:
         raise ReconstructionError(f"two or more pairs of poses are needed, got {len(estimated)} and {len(truth)}")
     return estimated, truth
-
-
-def _poses(world_from_camera: Array) -> Array:
-    poses = np.asarray(world_from_camera, np.float64)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
-        raise ReconstructionError(f"poses must be finite and (N,4,4), not {poses.shape}")
-    return poses
-
-
-def _tum_row(line: str, where: str) -> list[float]:
-    try:
-        values = [float(word) for word in line.split()]
-    except ValueError as error:
-        raise ReconstructionError(f"{where}: a pose is eight numbers, got {line.strip()!r}") from error
-    if len(values) != 8 or not np.isfinite(values).all():
-        raise ReconstructionError(f"{where}: a pose is eight finite numbers, got {line.strip()!r}")
-    length = float(np.linalg.norm(values[4:]))
-    if abs(length - 1) > QUATERNION_SLACK:
-        raise ReconstructionError(f"{where}: the quaternion's length is {length:.4g}, not 1")
-    return values

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from haustra.core.errors import ReconstructionError
+from haustra.core.sim3 import scale_of
 
 UNCOLOURED = 200  # light grey
 
@@ -84,7 +85,7 @@ class SurfaceMesh:
     def transformed(self, target_from_mesh: NDArray[np.float64]) -> SurfaceMesh:
         """A new mesh moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
         linear = np.asarray(target_from_mesh, np.float64)[:3, :3]
-        scale = np.cbrt(np.linalg.det(linear))
+        scale = float(scale_of(linear))
         if not scale > 0 or not np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-6 * scale**2):
             raise ReconstructionError(
                 "a mesh is moved only by a scale, a rotation and a shift, without mirror or shear"

@@ -8,12 +8,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import logm
 from scipy.optimize import least_squares
 
+from haustra.core.sim3 import scale_of
 from reconstruction.pose_graph import (
     Edge,
     between,
     misfit,
     residual,
-    scale_of,
     solve_pose_graph,
     supported,
     tie_information,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from haustra.core.se3 import Array, in_camera, inverse
+from haustra.core.sim3 import transform_camera, transform_points
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.keyframe_features import MIN_POINTS, inverse_depth_at, triangulated
-from pipeline.matching.sim3_ransac import moved_points, moved_pose
 
 MIN_SHARED = 10  # frames
 MIN_AGREEING = 0.8  # of them
@@ -100,7 +100,7 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
         getattr(result, name)[:offset] = getattr(first, name)[:offset]
         getattr(result, name)[offset : offset + len(second.known)] = getattr(second, name)
     after = slice(offset, offset + len(second.known))
-    result.points[after] = moved_points(first_from_second, second.points)
+    result.points[after] = transform_points(first_from_second, second.points)
     for frame in sorted(here.keys() | there.keys()):
         mine, theirs = here.get(frame), there.get(frame)
         parts = [(s.ids + o, s.pixels) for s, o in ((mine, 0), (theirs, offset)) if s is not None]
@@ -109,7 +109,7 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
             pose = mine.pose
         else:
             assert theirs is not None
-            pose = moved_pose(first_from_second, theirs.pose)
+            pose = transform_camera(first_from_second, theirs.pose)
         if not result.keyframes or any(s is not None and s.key for s in (mine, theirs)):
             result.add_keyframe(frame, pose, ids, pixels)
         else:

@@ -10,6 +10,7 @@ import pipeline.loop_closing.close_loops
 from haustra.core.camera import Camera
 from haustra.core.errors import ReconstructionError
 from haustra.core.progress import SilentProgress
+from haustra.core.sim3 import scale_of
 from pipeline.config import Config, PoseGraphSettings
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.depth_io import DEPTH_STEP, write_confidence, write_depth
@@ -20,7 +21,6 @@ from pipeline.loop_closing.detection import Link, Place
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, join, moved, point_ties, united
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
-from reconstruction.pose_graph import scale_of
 from tests.helpers.pose_circle import circle, exponential
 
 CAMERA = Camera("PINHOLE", 64, 64, (40.0, 40.0, 32.0, 32.0))

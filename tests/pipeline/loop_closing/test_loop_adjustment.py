@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from haustra.core.camera import Camera
+from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.rectification import make_rectifier
 from pipeline.loop_closing.detection import Link, Place
@@ -24,7 +25,6 @@ from pipeline.loop_closing.loop_adjustment import (
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
-from reconstruction.pose_graph import scale_of
 from tests.helpers.pose_circle import circle, exponential
 
 CAMERA = Camera("PINHOLE", 320, 320, (200.0, 200.0, 160.0, 160.0))

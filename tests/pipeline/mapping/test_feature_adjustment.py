@@ -9,12 +9,13 @@ import pytest
 
 import pipeline.mapping.feature_adjustment as refitting
 from haustra.core.se3 import in_camera, inverse
+from haustra.core.sim3 import umeyama
 from pipeline.mapping.feature_adjustment import refit
 from pipeline.mapping.global_adjustment import to_submap
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching import sift_cache as keyframe_features
 from pipeline.matching.sift_cache import KeyframeFeatures
-from reconstruction.evaluation.trajectory_metrics import align_umeyama, trajectory_errors
+from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.textured_tube import CAMERA, MASK, RADIUS, camera_at, polished, render, run
 
 TRUE = np.stack([camera_at(k) for k in range(40)])
@@ -92,7 +93,7 @@ def test_the_features_lie_on_the_wall(finished):
     local_map = copy.deepcopy(finished)
     assert refit(local_map, KeyframeFeatures(read))
     submap = to_submap(local_map.of_features(), CAMERA.params)
-    aligned = align_umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
+    aligned = umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
     points = submap.points @ aligned[:3, :3].T + aligned[:3, 3]
     off = np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)
     assert len(points) > 300
@@ -114,7 +115,7 @@ def test_wall_beyond_the_followed_corners_gets_points_too(finished):
     point = submap.observations[:, 1]
     out = np.linalg.norm(submap.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) > 0.85 * half
     assert out.sum() > 5 * len(local_map.keyframes)
-    aligned = align_umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
+    aligned = umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
     points = submap.points[np.unique(point[out])] @ aligned[:3, :3].T + aligned[:3, 3]
     assert np.median(np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)) < 0.01 * RADIUS
 
@@ -171,7 +172,7 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
     assert refit(local_map, KeyframeFeatures(lambda number: (IMAGES[number], hidden if number == frame else MASK)))
     poses = np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
     true = TRUE[[keyframe.frame for keyframe in local_map.keyframes]]
-    aligned = align_umeyama(poses[:, :3, 3], true[:, :3, 3], with_scale=True)
+    aligned = umeyama(poses[:, :3, 3], true[:, :3, 3], with_scale=True)
     off = np.linalg.norm(poses[:, :3, 3] @ aligned[:3, :3].T + aligned[:3, 3] - true[:, :3, 3], axis=1)
     step = np.linalg.norm(true[blind, :3, 3] - true[blind - 1, :3, 3])
     assert off[blind] < 0.2 * step

@@ -11,15 +11,14 @@ from scipy.spatial.transform import Rotation
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import angle_between, inverse
+from haustra.core.sim3 import scale_of, transform_points
 from pipeline.frontend.odometry.two_view import judge, parallax_px, start_pose
 from pipeline.matching.sim3_ransac import (
     Side,
     Stack,
     _errors_of_each,
-    moved_points,
     refine_similarity,
     robust_similarity,
-    scale_of,
     similarity_errors,
 )
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
@@ -306,7 +305,7 @@ def test_many_sides_are_judged_as_each_alone():
     sides, transform = [random_sides(count, rng)[0] for count in (5, 30, 9)], random_similarity(rng)
     stack = Stack.of(sides)
     together = stack.errors(transform, stack.points)
-    alone = [reprojection_errors(s.pose, moved_points(transform, s.points), s.seen, s.gain) for s in sides]
+    alone = [reprojection_errors(s.pose, transform_points(transform, s.points), s.seen, s.gain) for s in sides]
     assert stack.starts.tolist() == [0, 5, 35]
     assert 0 < np.isinf(together).mean() < 1
     np.testing.assert_allclose(together, np.concatenate(alone), rtol=1e-9)

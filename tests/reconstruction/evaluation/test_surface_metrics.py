@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from haustra.core.errors import ReconstructionError
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth, thin, truth_from_mesh
 from reconstruction.evaluation.surface_metrics import point_errors, sample_surface, surface_errors
-from reconstruction.evaluation.trajectory_metrics import read_tum, write_tum
+from reconstruction.evaluation.trajectory_io import read_tum, write_tum
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 from tests.helpers.real_data import shared

@@ -13,16 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import ReconstructionError
-from reconstruction.evaluation.trajectory_metrics import (
-    align_each,
-    align_poses,
-    align_umeyama,
-    associate,
-    read_tum,
-    simcol3d_errors,
-    trajectory_errors,
-    write_tum,
-)
+from haustra.core.sim3 import umeyama, umeyama_batch
+from reconstruction.evaluation.trajectory_io import read_tum, write_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses, associate, simcol3d_errors, trajectory_errors
 
 SEEDS = st.integers(0, 2**31)
 
@@ -69,7 +62,7 @@ def evo_trajectory(poses):
 def test_umeyama_recovers_any_sim3(seed):
     points = np.random.default_rng(seed).normal(0, 10, (12, 3))
     sim3 = random_sim3(seed)
-    found = align_umeyama(points, points @ sim3[:3, :3].T + sim3[:3, 3], with_scale=True)
+    found = umeyama(points, points @ sim3[:3, :3].T + sim3[:3, 3], with_scale=True)
     np.testing.assert_allclose(found, sim3, atol=1e-9 * np.abs(sim3).max())
 
 
@@ -77,7 +70,7 @@ def test_umeyama_recovers_any_sim3(seed):
 @settings(max_examples=30, deadline=None)
 def test_umeyama_of_a_mirrored_cloud_is_still_a_rotation(seed):
     points = np.random.default_rng(seed).normal(0, 10, (12, 3))
-    rotation = align_umeyama(points, points * [1, 1, -1], with_scale=False)[:3, :3]
+    rotation = umeyama(points, points * [1, 1, -1], with_scale=False)[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(rotation) > 0
 
@@ -86,24 +79,24 @@ def test_umeyama_of_a_mirrored_cloud_equals_scipys_kabsch():
     points = np.random.default_rng(4).normal(0, 10, (12, 3))
     target = points * [1, 1, -1]
     best, _ = Rotation.align_vectors(target - target.mean(0), points - points.mean(0))
-    np.testing.assert_allclose(align_umeyama(points, target, False)[:3, :3], best.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(umeyama(points, target, False)[:3, :3], best.as_matrix(), atol=1e-9)
 
 
 def test_umeyama_rejects_what_has_no_answer():
     with pytest.raises(ReconstructionError, match="two or more"):
-        align_umeyama(np.zeros((1, 3)), np.zeros((1, 3)), False)
+        umeyama(np.zeros((1, 3)), np.zeros((1, 3)), False)
     with pytest.raises(ReconstructionError, match="does not move"):
-        align_umeyama(np.ones((5, 3)), np.random.default_rng(0).normal(size=(5, 3)), True)
+        umeyama(np.ones((5, 3)), np.random.default_rng(0).normal(size=(5, 3)), True)
 
 
 def test_many_alignments_are_those_of_each_alone_and_nan_where_there_is_none():
     rng = np.random.default_rng(8)
     source, target = rng.normal(size=(2, 6, 3, 3))
     source[4] = source[4, :1]  # one place
-    found = align_each(source, target, True)
+    found = umeyama_batch(source, target, True)
     assert np.isnan(found[4]).any()
     for k in (0, 1, 2, 3, 5):
-        np.testing.assert_allclose(found[k], align_umeyama(source[k], target[k], True), atol=1e-12)
+        np.testing.assert_allclose(found[k], umeyama(source[k], target[k], True), atol=1e-12)
 
 
 @pytest.mark.parametrize("alignment", ["sim3", "se3", "none"])

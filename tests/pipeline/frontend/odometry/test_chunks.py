@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
+from haustra.core.sim3 import transform_points
 from pipeline.config import Config, OdometrySettings, load_config
 from pipeline.frontend.odometry import chunks, front_end
 from pipeline.frontend.odometry.chunk_stitching import first_from_second, frames_of
@@ -22,7 +23,6 @@ from pipeline.frontend.select import solve_structure
 from pipeline.mapping.global_adjustment import to_submap
 from pipeline.mapping.map_io import load_maps, save_maps
 from pipeline.mapping.submap_merging import Merged
-from pipeline.matching.sim3_ransac import moved_points
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.processes import alive
 from tests.helpers.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
@@ -53,7 +53,7 @@ def elsewhere(local_map, scale):
         pose[:3, :3] = pose[:3, :3] @ rotation.T
         pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ world_from_old[:3, 3]
         keyframe.pose = pose
-    local_map.points = moved_points(world_from_old, local_map.points)
+    local_map.points = transform_points(world_from_old, local_map.points)
     local_map.posed = [posed.scaled(scale) for posed in local_map.posed]
     return local_map
 

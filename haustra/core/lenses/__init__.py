@@ -1,0 +1,27 @@
+"""Lens models: how a camera's ray becomes a point of its picture. One file a model, one row in `LENS_MODELS`."""
+
+from haustra.core.lenses.brown import distort as _brown
+from haustra.core.lenses.brown import first_guess as _brown_guess
+from haustra.core.lenses.brown import valid_angle as _brown_limit
+from haustra.core.lenses.kannala_brandt import distort as _kannala_brandt
+from haustra.core.lenses.kannala_brandt import first_guess as _kannala_brandt_guess
+from haustra.core.lenses.kannala_brandt import valid_angle as _kannala_brandt_limit
+from haustra.core.lenses.model import LensModel
+
+
+def _polynomial(parameters: int, focal_lengths: int) -> LensModel:
+    return LensModel(parameters, focal_lengths, _brown, _brown_guess, _brown_limit)
+
+
+# By COLMAP's names and in COLMAP's order of parameters: focal length(s), centre x and y, distortion.
+LENS_MODELS: dict[str, LensModel] = {
+    "SIMPLE_PINHOLE": _polynomial(3, 1),
+    "PINHOLE": _polynomial(4, 2),
+    "SIMPLE_RADIAL": _polynomial(4, 1),
+    "RADIAL": _polynomial(5, 1),
+    "OPENCV": _polynomial(8, 2),
+    "FULL_OPENCV": _polynomial(12, 2),
+    "OPENCV_FISHEYE": LensModel(
+        8, 2, _kannala_brandt, _kannala_brandt_guess, _kannala_brandt_limit, widest=1.9, straight_at_zero=False
+    ),
+}

@@ -1,0 +1,34 @@
+"""Kannala and Brandt's fisheye (PAMI 2006) with four terms, as OpenCV has it.
+
+The distorted radius is theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta the angle off the axis.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+WIDEST_GUESS = 1.3  # rad; tan grows without bound beyond
+
+
+def distort(points: Array, distortion: tuple[float, ...]) -> Array:
+    """(N,3) points, any z -> (N,2)."""
+    radius = np.hypot(points[:, 0], points[:, 1])
+    theta = np.arctan2(radius, points[:, 2])
+    t2 = theta * theta
+    k1, k2, k3, k4 = distortion
+    distorted = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+    scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 1e-12)
+    return points[:, :2] * scale[:, None]
+
+
+def first_guess(distorted: Array) -> Array:
+    """As if the distorted radius were the angle itself."""
+    theta = np.linalg.norm(distorted, axis=1, keepdims=True)
+    return distorted * (np.tan(np.minimum(theta, WIDEST_GUESS)) / np.maximum(theta, 1e-9))
+
+
+def valid_angle(distortion: tuple[float, ...]) -> float:
+    """Infinite: the fitted polynomials grow over the half sphere that they are used for."""
+    return math.inf

@@ -1,0 +1,66 @@
+"""Camera paths on disk: TUM files. Poses are `world_from_camera` (N,4,4); quaternions are written x y z w."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import ReconstructionError
+
+Array = NDArray[np.float64]
+
+QUATERNION_SLACK = 1e-3  # a file's rounding may move a unit quaternion's length by this much
+
+
+def read_tum(path: Path | str) -> tuple[Array, Array]:
+    """Seconds (N,) and `world_from_camera` (N,4,4) of a file with lines `seconds tx ty tz qx qy qz qw`.
+
+    Blank lines and lines that begin with # are skipped; anything else that is not a pose raises
+    `ReconstructionError`, and so does time that stands still or runs backwards.
+    """
+    rows: list[list[float]] = []
+    for number, line in enumerate(Path(path).read_text().splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            rows.append(_tum_row(line, f"{path}, line {number}"))
+            if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+                raise ReconstructionError(f"{path}, line {number}: time must increase from pose to pose")
+    if not rows:
+        raise ReconstructionError(f"{path} has no poses")
+    table = np.array(rows)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+    poses[:, :3, 3] = table[:, 1:4]
+    return table[:, 0], poses
+
+
+def write_tum(path: Path | str, seconds: Array, world_from_camera: Array) -> None:
+    """Write poses (N,4,4) at `seconds` (N,), microseconds and nine decimals of the unit of length."""
+    poses = checked_poses(world_from_camera)
+    if np.shape(seconds) != (len(poses),):
+        raise ReconstructionError(f"{len(poses)} poses need {len(poses)} times, got {np.size(seconds)}")
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    table = np.column_stack([seconds, poses[:, :3, 3], quaternions])
+    np.savetxt(path, table, fmt=["%.6f"] + ["%.9f"] * 7)
+
+
+def _tum_row(line: str, where: str) -> list[float]:
+    try:
+        values = [float(word) for word in line.split()]
+    except ValueError as error:
+        raise ReconstructionError(f"{where}: a pose is eight numbers, got {line.strip()!r}") from error
+    if len(values) != 8 or not np.isfinite(values).all():
+        raise ReconstructionError(f"{where}: a pose is eight finite numbers, got {line.strip()!r}")
+    length = float(np.linalg.norm(values[4:]))
+    if abs(length - 1) > QUATERNION_SLACK:
+        raise ReconstructionError(f"{where}: the quaternion's length is {length:.4g}, not 1")
+    return values
+
+
+def checked_poses(world_from_camera: Array) -> Array:
+    poses = np.asarray(world_from_camera, np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
+        raise ReconstructionError(f"poses must be finite and (N,4,4), not {poses.shape}")
+    return poses
