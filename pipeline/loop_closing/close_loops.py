@@ -16,8 +16,14 @@ from pipeline.config import Config
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.frontend.select import structure_camera
 from pipeline.input.frames import Frames
-from pipeline.loop_closing.detection import Place, find_links, find_places, join_candidates, loop_candidates
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, join
+from pipeline.loop_closing.detection import (
+    SubmapFeatures,
+    find_features,
+    loop_candidates,
+    merge_candidates,
+    verify_loops,
+)
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import read_submap
@@ -33,7 +39,7 @@ class _Piece:
 
     part: DenseSubmap
     members: list[int]
-    places: list[Place]
+    seen: SubmapFeatures
     proposed: int = 0
     supported: int = 0
     loops: list[tuple[int, int]] = field(default_factory=list)
@@ -54,7 +60,7 @@ def refine_poses(
     with progress.bar("places seen twice", len(dense)) as advance:
         pieces = []
         for number, part in enumerate(dense):
-            pieces.append(_Piece(part, [number], find_places(part, frames, config.pose_graph)))
+            pieces.append(_Piece(part, [number], find_features(part, frames, config.pose_graph)))
             advance(number + 1)
     if config.pose_graph.join:
         pieces = _joined(frames, pieces, config, warnings)
@@ -112,31 +118,28 @@ def _joined(frames: Frames, pieces: list[_Piece], config: Config, warnings: list
 
 
 def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings: list[str]) -> _Piece | None:
-    parts, places = (base.part, other.part), (base.places, other.places)
-    if min(len(part) for part in parts) == 0:
+    seen = base.seen, other.seen
+    if min(len(base.part), len(other.part)) == 0:
         return None
     try:
-        pairs = join_candidates(*places, config.pose_graph, config.seed)
-        links = find_links(parts, places, pairs, config.seed)
-        part = join(parts, places, links)
+        pairs = merge_candidates(*seen, config.pose_graph, config.seed)
+        part = merge(seen, verify_loops(*seen, pairs, config.seed))
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not joined: {error}")
         return None
     if part is None:
         return None
-    return _Piece(part, base.members + other.members, find_places(part, frames, config.pose_graph))
+    return _Piece(part, base.members + other.members, find_features(part, frames, config.pose_graph))
 
 
 def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -> None:
     if len(piece.part) < 2:
         return
     try:
-        pairs = loop_candidates(piece.part, piece.places, config.pose_graph, config.seed)
-        both = (piece.part, piece.part), (piece.places, piece.places)
-        links = find_links(*both, pairs, config.seed)
-        closed = close_loops(piece.part, piece.places, links)
+        pairs = loop_candidates(piece.seen, config.pose_graph, config.seed)
+        closed = close_loops(piece.seen, verify_loops(piece.seen, piece.seen, pairs, config.seed))
         piece.proposed, piece.supported = closed.proposed, closed.supported
-        adjusted = adjust_loops(piece.part, closed, piece.places, frames) if closed.kept else piece.part
+        adjusted = adjust_loops(piece.seen, closed, frames) if closed.kept else piece.part
     except FAILURES as error:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {error}")
         return

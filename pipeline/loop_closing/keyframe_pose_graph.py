@@ -11,7 +11,7 @@ from scipy.sparse import coo_array, csr_array
 from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
-from pipeline.loop_closing.detection import Link, Place
+from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
 from reconstruction.pose_graph import Edge, between, misfit, solve_pose_graph, supported, tie_information
 
 MIN_TIE = 20  # points that two keyframes share; consecutive ones are tied by however few
@@ -35,14 +35,15 @@ class Closed:
     part: DenseSubmap
     proposed: int
     supported: int
-    links: tuple[Link, ...]
+    links: tuple[LoopClosure, ...]
     kept: tuple[tuple[int, int], ...]  # frame numbers of `links`
 
 
-def close_loops(part: DenseSubmap, places: list[Place], links: list[Link]) -> Closed:
+def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> Closed:
     """Move the submap by those of its own links that can be believed; it comes back as it is if there are none."""
+    part = seen.part
     poses = part.submap.world_from_camera[part.rows]
-    loops = _edges(part, places, part, places, links)
+    loops = _edges(seen, seen, links)
     company = supported(loops, poses, poses, REACH)
     good, theirs = list(compress(loops, company)), list(compress(links, company))
     off = np.array([misfit(poses, loop) for loop in good])
@@ -51,29 +52,27 @@ def close_loops(part: DenseSubmap, places: list[Place], links: list[Link]) -> Cl
         return Closed(part, len(links), len(good), (), ())
     if missed < FULFILLED:
         near = tuple(compress(theirs, off < FULFILLED))
-        return Closed(part, len(links), len(good), near, _frames_of(part, places, near))
+        return Closed(part, len(links), len(good), near, _frames_of(seen, near))
     solution = solve_pose_graph(poses, point_ties(part), good)
     believed = tuple(compress(theirs, solution.kept))
     if not believed:
         return Closed(part, len(links), len(good), (), ())
     after = moved(part, part.rows, solution.world_from_node)
-    return Closed(after, len(links), len(good), believed, _frames_of(part, places, believed))
+    return Closed(after, len(links), len(good), believed, _frames_of(seen, believed))
 
 
-def _frames_of(part: DenseSubmap, places: list[Place], links: Iterable[Link]) -> tuple[tuple[int, int], ...]:
-    number = part.submap.frames[[place.row for place in places]]
-    return tuple((int(number[link.first]), int(number[link.second])) for link in links)
+def _frames_of(seen: SubmapFeatures, links: Iterable[LoopClosure]) -> tuple[tuple[int, int], ...]:
+    number = seen.part.submap.frames[seen.rows]
+    return tuple((int(number[link.match.first]), int(number[link.match.second])) for link in links)
 
 
-def join(
-    parts: tuple[DenseSubmap, DenseSubmap], places: tuple[list[Place], list[Place]], links: list[Link]
-) -> DenseSubmap | None:
+def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure]) -> DenseSubmap | None:
     """The second submap in the frame and scale of the first, both bent to agree; None without enough evidence."""
-    first, second = parts
+    parts = first, second = seen[0].part, seen[1].part
     if first.camera != second.camera or first.submap.camera_params != second.submap.camera_params:
         return None  # one pinhole may stand for two lenses, where the field of view is cut
     nodes = [part.submap.world_from_camera[part.rows] for part in parts]
-    loops = _edges(first, places[0], second, places[1], links)
+    loops = _edges(*seen, links)
     good = [loop for loop, yes in zip(loops, supported(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
     if not good:
         return None
@@ -204,10 +203,10 @@ def _spread(change: Array, rows: NDArray[np.int64], count: int) -> Array:
     return result
 
 
-def _edges(
-    first: DenseSubmap, first_places: list[Place], second: DenseSubmap, second_places: list[Place], links: list[Link]
-) -> list[Edge]:
-    """Links between places as edges between keyframe numbers."""
-    here = np.searchsorted(first.rows, [place.row for place in first_places])
-    there = np.searchsorted(second.rows, [place.row for place in second_places])
-    return [Edge(int(here[k.first]), int(there[k.second]), k.first_from_second, k.information) for k in links]
+def _edges(first: SubmapFeatures, second: SubmapFeatures, links: list[LoopClosure]) -> list[Edge]:
+    """Loop closures as edges between keyframe numbers."""
+    here, there = (np.searchsorted(seen.part.rows, seen.rows) for seen in (first, second))
+    return [
+        Edge(int(here[k.match.first]), int(there[k.match.second]), k.match.first_from_second, k.information)
+        for k in links
+    ]

@@ -16,12 +16,14 @@ from scipy.sparse import coo_array
 from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.input.frames import Frames
-from pipeline.loop_closing.detection import Link, Place, every_place
+from pipeline.loop_closing.detection import SubmapFeatures, features_of_all
 from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
 from pipeline.mapping.feature_adjustment import widest_narrow
-from pipeline.mapping.global_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
+from pipeline.mapping.map_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
+from pipeline.matching.descriptor_matching import match_descriptors
 from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
-from pipeline.matching.keyframe_features import match, rooted
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.sim3_match import Sim3Match
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from reconstruction.pose_graph import Edge, misfit
 
@@ -38,17 +40,22 @@ Array = NDArray[np.float64]
 Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
 
 
-def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames: Frames) -> DenseSubmap | None:
-    """The submap `part`, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or
-    if the adjusted map fulfils its loops no better than before."""
-    every = every_place(part, places, frames)
-    number = np.searchsorted(part.rows, [place.row for place in places])
-    links = [replace(k, first=int(number[k.first]), second=int(number[k.second])) for k in closed.links]
-    found = adjust_nodes(part, every, links, nodes_of(part, closed.part))
+def adjust_loops(seen: SubmapFeatures, closed: Closed, frames: Frames) -> DenseSubmap | None:
+    """The submap, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or if the
+    adjusted map fulfils its loops no better than before."""
+    part, every = seen.part, features_of_all(seen, frames).features
+    number = np.searchsorted(part.rows, seen.rows)
+    matches = [
+        replace(k.match, first=int(number[k.match.first]), second=int(number[k.match.second])) for k in closed.links
+    ]
+    found = adjust_nodes(part, every, matches, nodes_of(part, closed.part))
     if found is None:
         return None
     adjusted = moved(part, part.rows[found[0]], found[1])
-    edges = [Edge(link.first, link.second, link.first_from_second, link.information) for link in links]
+    edges = [
+        Edge(match.first, match.second, match.first_from_second, link.information)
+        for match, link in zip(matches, closed.links, strict=True)
+    ]
     before, after = (
         np.median([misfit(nodes, edge) for edge in edges])
         for nodes in (part.submap.world_from_camera[part.rows], nodes_of(part, adjusted))
@@ -57,7 +64,7 @@ def adjust_loops(part: DenseSubmap, closed: Closed, places: list[Place], frames:
 
 
 def adjust_nodes(
-    part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
+    part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[NDArray[np.int64], Array] | None:
     """Numbers of keyframes and their nodes (.,4,4), Sim(3), as the images have them; None if the features do not hold.
 
@@ -96,7 +103,7 @@ def adjust_nodes(
 
 
 def _held_tracks(
-    part: DenseSubmap, places: list[Place], links: Sequence[Link], world_from_node: Array
+    part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[Tracks, NDArray[np.int64]] | None:
     """Tracks of narrow features, since wide ones slide and bend the scale (docs/front_end.md); of all where those are
     too few; None if these are, too. And numbers of the places that they fix."""
@@ -109,10 +116,10 @@ def _held_tracks(
     return None
 
 
-def same_features(part: DenseSubmap, places: list[Place], links: Sequence[Link]) -> Same:
+def same_features(part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match]) -> Same:
     """Pairs of places, and of each the features (K,2) that look alike and lie where the map has them, or that a link
     matched."""
-    pairs, same = [(k.first, k.second) for k in links], [np.column_stack(k.rows) for k in links]
+    pairs, same = [(k.first, k.second) for k in links], [k.rows for k in links]
     for one in range(len(places)):
         for other in range(one + 1, min(len(places), one + AHEAD + 1)):
             pairs.append((one, other))
@@ -120,7 +127,7 @@ def same_features(part: DenseSubmap, places: list[Place], links: Sequence[Link])
     return pairs, same
 
 
-def tie_tracks(places: list[Place], same: Same, world_from_node: Array, widest: float = np.inf) -> Tracks:
+def tie_tracks(places: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf) -> Tracks:
     """Features of at most `widest` pixels across that are the same are one point."""
     narrow = both_narrow([place.sizes for place in places], *same, widest)
     chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
@@ -144,21 +151,21 @@ def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
     return bool((seen[1:].multiply(seen[:-1]).sum(axis=1) >= MIN_SHARED).all())
 
 
-def _followed(part: DenseSubmap, here: Place, there: Place) -> NDArray[np.int64]:
+def _followed(part: DenseSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
     """(K,2) features of two near keyframes that look alike and lie where the map says."""
-    pairs = match(rooted(here.descriptors), rooted(there.descriptors))
+    pairs = match_descriptors(here.rootsift, there.rootsift)
     if len(pairs) == 0:
         return pairs
-    pose = part.submap.world_from_camera[here.row]
+    pose = part.submap.world_from_camera[here.keyframe]
     world = here.points[pairs[:, 0]] @ pose[:3, :3].T + pose[:3, 3]
-    local = part.submap.points_in_camera(there.row, world)
+    local = part.submap.points_in_camera(there.keyframe, world)
     front = local[:, 2] > 1e-6
     local[:, 2] = np.where(front, local[:, 2], 1.0)
     off = np.linalg.norm(part.camera.project(local) - there.pixels[pairs[:, 1]], axis=1)
     return pairs[front & (off < MAX_OFF_PX)]
 
 
-def _all(places: list[Place], place: NDArray[np.int64], feature: NDArray[np.int64]) -> Array:
+def _all(places: list[KeyframeFeatures], place: NDArray[np.int64], feature: NDArray[np.int64]) -> Array:
     """(M,3) points of features in their cameras' axes."""
     starts = np.concatenate([[0], np.cumsum([len(p.points) for p in places])])
     return np.concatenate([p.points for p in places])[starts[place] + feature]

@@ -31,9 +31,9 @@ def _arrays(local_map: LocalMap) -> dict[str, NDArray]:
     highest = [int(k.ids.max(initial=-1)) for k in keyframes] + [int(p.ids.max(initial=-1)) for p in posed]
     used = 1 + max(highest, default=-1)
     return {
-        "points": local_map.points[:used],
-        "known": local_map.known[:used],
-        "barred": local_map.barred[:used],
+        "points": local_map.tracks.points[:used],
+        "known": local_map.tracks.known[:used],
+        "barred": local_map.tracks.barred[:used],
         "keyframe_frames": np.array([k.frame for k in keyframes], np.int64),
         "keyframe_poses": np.array([k.pose for k in keyframes]).reshape(-1, 4, 4),
         "keyframe_counts": np.array([len(k.ids) for k in keyframes], np.int64),
@@ -52,9 +52,9 @@ def _map(arrays: np.lib.npyio.NpzFile, prefix: str, rays: RayTable) -> LocalMap:
     read = {name.removeprefix(prefix): arrays[name] for name in arrays.files if name.startswith(prefix)}
     result = LocalMap(rays)
     used = len(read["known"])
-    result.reserve(used)
+    result.tracks.reserve(used)
     for name in ("points", "known", "barred"):
-        getattr(result, name)[:used] = read[name]
+        getattr(result.tracks, name)[:used] = read[name]
     for frame, pose, ids, pixels in zip(
         read["keyframe_frames"].tolist(),
         read["keyframe_poses"],

@@ -1,8 +1,9 @@
-"""Links: pairs of places of two maps that one similarity explains, and when they are evidence enough for a join.
+"""When two submaps saw the same place: verified matches of their keyframes that agree with one another.
 
-A pair that looks alike is fitted for itself; such fits must agree with one another. What they agree on is then asked of
-the places around them as it stands, and it must hold from different views. Every link, fitted or asked, must also lay
-the two maps' surfaces on each other: what was matched may be one thing that occurs twice, the wall around it is not.
+A pair of keyframes that looks alike is matched for itself; such matches must agree on one similarity of the two
+worlds. It is then asked of the keyframes around them as it stands, and it must hold from different views. Every match
+must also lay the two maps' surfaces on each other: what was matched may be one thing that occurs twice, the wall
+around it is not.
 """
 
 from dataclasses import dataclass
@@ -14,174 +15,171 @@ from numpy.typing import NDArray
 from haustra.core.se3 import Array, in_camera, inverse
 from haustra.core.sim3 import transform_points
 from pipeline.mapping.local_map import LocalMap
-from pipeline.matching.keyframe_features import STILL_PX, Place, inverse_depth_at, look_alikes, match
+from pipeline.matching.depth_interpolation import interpolate_inverse_depth
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.place_recognition import retrieve, similarities
+from pipeline.matching.sim3_match import (
+    MIN_INLIER_SHARE,
+    Sim3Match,
+    candidate_rows,
+    correspondences,
+    verify_match,
+)
 from pipeline.matching.sim3_ransac import (
     MAX_ERROR_PX,
-    Side,
-    Stack,
-    is_sure,
+    Correspondences,
+    StackedCorrespondences,
+    is_well_conditioned,
     refine_similarity,
     similarity_errors,
-    sure_similarity,
 )
 
-PER_PLACE = 3  # look-alikes tried
-MIN_BASELINE = 0.1  # of the median depth, between two pairs on both sides: neighbours see one and the same picture
-SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must explain
+PER_KEYFRAME = 3  # look-alikes tried
+MIN_BASELINE = 0.1  # of the median depth, between two matches on both sides: neighbours see one and the same picture
+SAME_SHARE = 0.7  # of one match's inliers that another match's similarity must explain
 MAX_SAME_PX = 8.0
-AROUND = 4  # places on each side of a linked one that are asked for support
-# Of the matches. Places that are not the same agree in 12 of them at most, a fifth: the number of inliers, 20, is the
-# stricter limit there, the share where there are hundreds of matches (docs/front_end.md).
-MIN_INLIER_SHARE = 0.2
-ROUNDS = 1000  # so few that agree are met in 99.9 of 100 tries
-# Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true links 0.67 and more
-# are, of tubes laid into each other at random under 0.4 in the median (docs/front_end.md).
+AROUND = 4  # compared keyframes on each side of a matched one that are asked for support
+# Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true matches 0.67 and more
+# are, of tubes laid into each other at random under 0.4 in the median (docs/lab/front_end.md).
 SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
-ASKED = 5  # links, the strongest, around which they are asked
+EXPANDED = 5  # matches, those with most inliers, around which keyframes are asked
 
 
 @dataclass(frozen=True)
-class Link:
-    """A pair of places that fit: similarity, the points matched (inliers only), and their rows in the places."""
-
-    places: tuple[Place, Place]
-    second_from_first: Array
-    first: Side
-    second: Side
-    rows: tuple[NDArray[np.int64], NDArray[np.int64]]
-
-    def keyframe(self, side: int) -> int:
-        return self.places[side].keyframe
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A map and its places."""
+class MapFeatures:
+    """A map and the features of those of its keyframes that are compared."""
 
     map: LocalMap
-    places: list[Place]
+    features: list[KeyframeFeatures]
+
+    def pose(self, number: int) -> Array:
+        """camera_from_world (4,4) of the keyframe that features `number` belong to."""
+        return self.map.keyframes[self.features[number].keyframe].pose
+
+    def seen(self, number: int, rows: NDArray[np.int64]) -> Correspondences:
+        """Some of the features in the map's world."""
+        return correspondences(self.features[number], rows, self.map.rays, self.pose(number))
 
 
-def find_links(first: Shown, second: Shown, rng: np.random.Generator, seed: int) -> list[Link]:
-    """Every look-alike pair of places that fits, each with a similarity of its own."""
-    if not first.places or not second.places:
-        return []
-    pairs = look_alikes(first.places, second.places, PER_PLACE, seed)
-    links = (_fitted(first, first.places[i], second, second.places[j], rng) for i, j in pairs)
-    return [link for link in links if link is not None]
+Maps = tuple[MapFeatures, MapFeatures]
 
 
-def sure_links(links: list[Link], first: Shown, second: Shown) -> list[Link]:
-    """What bears out the similarity on which most links agree: the pairs of places around them that it explains.
+def find_matches(maps: Maps, rng: np.random.Generator, seed: int, first: int = 0) -> list[Sim3Match]:
+    """Verified matches of keyframes that look alike; of the first map only those from number `first` on."""
+    pairs = retrieve(similarities(maps[0].features[first:], maps[1].features, seed), PER_KEYFRAME)
+    found = (_verified(maps, i + first, j, rng) for i, j in pairs)
+    return [match for match in found if match is not None]
 
-    Empty unless two links agree, and unless two of the pairs come from different views on both sides: neighbours see
+
+def consistent_matches(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
+    """What bears out the similarity on which most matches agree: the pairs of keyframes around them that it explains.
+
+    Empty unless two matches agree, and unless two of the pairs come from different views on both sides: neighbours see
     one and the same picture. Pairs that do not bear it out are not counted against it, since they may see other wall.
     """
-    agreeing = _agreeing(links)
+    agreeing = _agreeing(matches, maps)
     if len(agreeing) < 2:
         return []
-    asked = _asked(agreeing, first, second)
-    found = _support(joint_similarity(agreeing), asked, first, second)
-    found = _support(joint_similarity(found), asked, first, second) if found else []
-    maps = first.map, second.map
+    asked = _pairs_around(agreeing, maps)
+    found = _support(joint_similarity(agreeing, maps), asked, maps)
+    found = _support(joint_similarity(found, maps), asked, maps) if found else []
     return found if any(_are_apart(one, other, maps) for one, other in combinations(found, 2)) else []
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """Two places with their matched features, (K,2) rows, and what either map knows of these."""
-
-    places: tuple[Place, Place]
-    pairs: NDArray[np.int64]
-    sides: tuple[Side, Side]
-
-    @property
-    def pixels(self) -> tuple[Array, Array]:
-        return self.places[0].pixels[self.pairs[:, 0]], self.places[1].pixels[self.pairs[:, 1]]
-
-    def link(self, similarity: Array, inlier: NDArray[np.bool_]) -> Link:
-        rows = self.pairs[inlier, 0], self.pairs[inlier, 1]
-        return Link(self.places, similarity, self.sides[0].at(inlier), self.sides[1].at(inlier), rows)
+def joint_similarity(matches: list[Sim3Match], maps: Maps) -> Array:
+    """`second_from_first` (4,4) of the worlds from the points of all matches: one pair of views alone leaves the scale
+    to its noise."""
+    best = matches[int(_explained(matches, maps).sum(axis=1).argmax())]
+    return refine_similarity(second_from_first(best, maps), [_sides(match, maps) for match in matches])
 
 
-def _fitted(first: Shown, place: Place, second: Shown, other: Place, rng: np.random.Generator) -> Link | None:
-    pair = _matched(first, place, second, other)
-    width = first.map.rays.camera.width
-    found = sure_similarity(*pair.sides, pair.pixels, width, rng, MIN_INLIER_SHARE, ROUNDS)
-    if found is None or not _lays_surfaces_together(found[0], first, place, second, other):
-        return None
-    return pair.link(*found)
+def second_from_first(match: Sim3Match, maps: Maps) -> Array:
+    """The similarity (4,4) of the two worlds that one match measures."""
+    cameras = np.linalg.inv(match.first_from_second)
+    return inverse(maps[1].pose(match.second)) @ cameras @ maps[0].pose(match.first)
 
 
-def _matched(first: Shown, place: Place, second: Shown, other: Place) -> _Pair:
-    """Features that look alike; not those at the same pixel in both, as dirt and text are wherever the camera is."""
-    pairs = match(place.rooted, other.rooted)
-    way = np.linalg.norm(place.pixels[pairs[:, 0]] - other.pixels[pairs[:, 1]], axis=1)
-    pairs = pairs[way > STILL_PX]
-    sides = _side(first.map, place, pairs[:, 0]), _side(second.map, other, pairs[:, 1])
-    return _Pair((place, other), pairs, sides)
-
-
-def _side(local_map: LocalMap, place: Place, rows: NDArray[np.int64]) -> Side:
-    seen, gain = local_map.rays.look_up(place.pixels[rows])
-    return Side(place.points[rows], local_map.keyframes[place.keyframe].pose, seen, gain)
-
-
-def strongest(links: list[Link]) -> list[Link]:
-    """Of links the strongest, each place in one of them at most: what ties the maps, without saying all of it twice."""
-    kept: list[Link] = []
-    for link in sorted(links, key=lambda link: -len(link.rows[0])):
-        if not any(link.keyframe(side) == other.keyframe(side) for other in kept for side in (0, 1)):
-            kept.append(link)
+def best_matches(matches: list[Sim3Match]) -> list[Sim3Match]:
+    """Those with most inliers, each keyframe in one of them at most: what holds the maps, without saying it twice."""
+    kept: list[Sim3Match] = []
+    for match in sorted(matches, key=lambda match: -match.inliers):
+        if not any(match.first == other.first or match.second == other.second for other in kept):
+            kept.append(match)
     return kept
 
 
-def _agreeing(links: list[Link]) -> list[Link]:
-    """The largest set of links that the similarity of one of them explains."""
-    if not links:
+def _verified(maps: Maps, i: int, j: int, rng: np.random.Generator) -> Sim3Match | None:
+    pair = maps[0].features[i], maps[1].features[j]
+    match = verify_match((i, j), *pair, (maps[0].map.rays, maps[1].map.rays), rng)
+    return match if match is not None and _surfaces_agree(second_from_first(match, maps), i, j, maps) else None
+
+
+def _sides(match: Sim3Match, maps: Maps) -> tuple[Correspondences, Correspondences]:
+    """The inliers of a match in either world."""
+    return maps[0].seen(match.first, match.rows[:, 0]), maps[1].seen(match.second, match.rows[:, 1])
+
+
+def _agreeing(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
+    """The largest set of matches that the similarity of one of them explains."""
+    if not matches:
         return []
-    explained = _explained(links)
-    return [links[k] for k in np.flatnonzero(explained[explained.sum(axis=1).argmax()])]
+    explained = _explained(matches, maps)
+    return [matches[k] for k in np.flatnonzero(explained[explained.sum(axis=1).argmax()])]
 
 
-def _explained(links: list[Link]) -> NDArray[np.bool_]:
+def _explained(matches: list[Sim3Match], maps: Maps) -> NDArray[np.bool_]:
     """(L,L) whether the similarity of the one (row) explains the other (column)."""
-    first, second = Stack.of([link.first for link in links]), Stack.of([link.second for link in links])
+    sides = [_sides(match, maps) for match in matches]
+    first, second = (StackedCorrespondences.of([pair[k] for pair in sides]) for k in (0, 1))
     counts = np.diff([*first.starts, len(first.points)])
     rows = []
-    for link in links:
-        ahead = second.errors(link.second_from_first, first.points)
-        back = first.errors(np.linalg.inv(link.second_from_first), second.points)
+    for match in matches:
+        similarity = second_from_first(match, maps)
+        ahead = second.errors(similarity, first.points)
+        back = first.errors(np.linalg.inv(similarity), second.points)
         explained = np.maximum(ahead, back) < MAX_SAME_PX
         rows.append(np.add.reduceat(explained.astype(np.int64), first.starts) >= SAME_SHARE * counts)
     return np.stack(rows)
 
 
-def joint_similarity(links: list[Link]) -> Array:
-    """One similarity from the points of all links: one pair of views alone leaves the scale to its noise."""
-    best = links[int(_explained(links).sum(axis=1).argmax())]
-    return refine_similarity(best.second_from_first, [(link.first, link.second) for link in links])
+@dataclass(frozen=True)
+class _Candidate:
+    """Two keyframes with the features (K,2) that look alike, and these in either world."""
+
+    first: int
+    second: int
+    rows: NDArray[np.int64]
+    sides: tuple[Correspondences, Correspondences]
 
 
-def _asked(links: list[Link], first: Shown, second: Shown) -> list[_Pair]:
-    """Linked pairs of places, and pairs around the strongest."""
-    rows = [{place.keyframe: row for row, place in enumerate(shown.places)} for shown in (first, second)]
-    asked = set()
-    for number, link in enumerate(sorted(links, key=lambda link: -len(link.rows[0]))):
-        i, j = (of[link.keyframe(side)] for side, of in enumerate(rows))
-        reach = AROUND if number < ASKED else 0
-        asked |= set(product(_around(i, reach, len(first.places)), _around(j, reach, len(second.places))))
-    return [_matched(first, first.places[a], second, second.places[b]) for a, b in sorted(asked)]
+def _pairs_around(matches: list[Sim3Match], maps: Maps) -> list[_Candidate]:
+    """Matched pairs of keyframes, and pairs around those with most inliers."""
+    pairs = set()
+    for number, match in enumerate(sorted(matches, key=lambda match: -match.inliers)):
+        reach = AROUND if number < EXPANDED else 0
+        here = _around(match.first, reach, len(maps[0].features))
+        pairs |= set(product(here, _around(match.second, reach, len(maps[1].features))))
+    return [_candidate(i, j, maps) for i, j in sorted(pairs)]
 
 
-def _support(similarity: Array, asked: list[_Pair], first: Shown, second: Shown) -> list[Link]:
-    """The pairs whose matches and surfaces `similarity` explains as it stands."""
-    width, found = first.map.rays.camera.width, []
+def _candidate(i: int, j: int, maps: Maps) -> _Candidate:
+    rows = candidate_rows(maps[0].features[i], maps[1].features[j])
+    return _Candidate(i, j, rows, (maps[0].seen(i, rows[:, 0]), maps[1].seen(j, rows[:, 1])))
+
+
+def _support(similarity: Array, asked: list[_Candidate], maps: Maps) -> list[Sim3Match]:
+    """The pairs whose matches and surfaces `similarity` (of the worlds) explains as it stands."""
+    width, found = maps[0].map.rays.camera.width, []
     for pair in asked:
         inlier = similarity_errors(similarity, *pair.sides) < MAX_ERROR_PX
-        sure = is_sure(inlier, pair.pixels, width, MIN_INLIER_SHARE)
-        if sure and _lays_surfaces_together(similarity, first, pair.places[0], second, pair.places[1]):
-            found.append(pair.link(similarity, inlier))
+        features = maps[0].features[pair.first], maps[1].features[pair.second]
+        pixels = features[0].pixels[pair.rows[:, 0]], features[1].pixels[pair.rows[:, 1]]
+        if is_well_conditioned(inlier, pixels, width, MIN_INLIER_SHARE) and _surfaces_agree(
+            similarity, pair.first, pair.second, maps
+        ):
+            cameras = maps[1].pose(pair.second) @ similarity @ inverse(maps[0].pose(pair.first))
+            between = np.asarray(np.linalg.inv(cameras), np.float64)
+            found.append(Sim3Match(pair.first, pair.second, between, pair.rows[inlier]))
     return found
 
 
@@ -189,30 +187,30 @@ def _around(row: int, reach: int, count: int) -> range:
     return range(max(0, row - reach), min(row + reach + 1, count))
 
 
-def _lays_surfaces_together(second_from_first: Array, first: Shown, place: Place, second: Shown, other: Place) -> bool:
-    """Whether most features of each place that fall on the other's surface lie on it."""
-    there = _share_on(transform_points(second_from_first, place.points), second.map, other)
-    back = _share_on(transform_points(np.linalg.inv(second_from_first), other.points), first.map, place)
-    return min(there, back) >= SAME_SURFACE
+def _surfaces_agree(similarity: Array, i: int, j: int, maps: Maps) -> bool:
+    """Whether most features of each keyframe that fall on the other's surface lie on it."""
+    here, there = (shown.features[k].world_points(shown.pose(k)) for shown, k in zip(maps, (i, j), strict=True))
+    ahead = _share_on(transform_points(similarity, here), maps[1], j)
+    back = _share_on(transform_points(np.linalg.inv(similarity), there), maps[0], i)
+    return min(ahead, back) >= SAME_SURFACE
 
 
-def _share_on(points: Array, local_map: LocalMap, place: Place) -> float:
-    """Share of points (N,3), of those in the hull of a place's features, that are as far as the features around."""
-    pose = local_map.keyframes[place.keyframe].pose
-    local = in_camera(pose, points)
+def _share_on(points: Array, shown: MapFeatures, number: int) -> float:
+    """Share of points (N,3), of those in the hull of a keyframe's features, that are as far as the features around."""
+    features = shown.features[number]
+    local = in_camera(shown.pose(number), points)
     local = local[local[:, 2] > 0]
-    depth = in_camera(pose, place.points)[:, 2]
-    surface = inverse_depth_at(local_map.rays.project(local), place.triangles, depth)
+    surface = interpolate_inverse_depth(shown.map.rays.project(local), features.triangles, features.points[:, 2])
     inside = np.isfinite(surface) & (surface > 0)
     off = np.abs(np.log(local[inside, 2] * surface[inside]))
     return float((off < MAX_DEPTH_RATIO).mean()) if len(off) else 0.0
 
 
-def _are_apart(one: Link, other: Link, maps: tuple[LocalMap, LocalMap]) -> bool:
-    """Whether two links have a baseline between them, in the first map and in the second."""
-    for side, local_map in enumerate(maps):
-        here, there = (local_map.keyframes[link.keyframe(side)] for link in (one, other))
-        baseline = float(np.linalg.norm(inverse(here.pose)[:3, 3] - inverse(there.pose)[:3, 3]))
-        if baseline < MIN_BASELINE * local_map.median_depth(here):
+def _are_apart(one: Sim3Match, other: Sim3Match, maps: Maps) -> bool:
+    """Whether two matches have a baseline between them, in the first map and in the second."""
+    for shown, here, there in zip(maps, (one.first, one.second), (other.first, other.second), strict=True):
+        centres = [inverse(shown.pose(number))[:3, 3] for number in (here, there)]
+        keyframe = shown.map.keyframes[shown.features[here].keyframe]
+        if np.linalg.norm(centres[0] - centres[1]) < MIN_BASELINE * shown.map.median_depth(keyframe):
             return False
     return True

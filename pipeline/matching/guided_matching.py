@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from haustra.core.numba_cache import compiled
 from haustra.core.se3 import Array
-from pipeline.matching.keyframe_features import RATIO
+from pipeline.matching.descriptor_matching import RATIO
 
 Descriptors = NDArray[np.float32]  # (N,128), of length one
 

@@ -1,20 +1,74 @@
-"""Which far-apart frames may show the same place: VLAD over the video's own SIFT descriptors.
+"""Which pictures may show the same place: VLAD over the video's own descriptors.
 
-VLAD (Jegou et al., CVPR 2010) sums, for each visual word, how the image's descriptors deviate from it. The words are
-learnt from the video itself, so no vocabulary file is needed. Only candidates: matching must confirm each.
+VLAD (Jegou et al., CVPR 2010) sums, for each visual word, how the picture's descriptors deviate from it. The words are
+learnt from the video itself, so no vocabulary file is needed. Only candidates: geometry must confirm each.
 """
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures
+
 WORDS = 32
 SAMPLE = 20_000  # descriptors from which the words are learnt
 
+Pair = tuple[int, int]
 
-def loop_pairs(
-    descriptors: list[NDArray], stride: int, neighbours: int, min_gap: int, seed: int
-) -> list[tuple[int, int]]:
+
+def learn_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
+    """(WORDS,128) k-means centres of a sample of descriptors (N,128)."""
+    if len(descriptors) > SAMPLE:
+        chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
+        descriptors = descriptors[np.sort(chosen)]
+    cv2.setRNGSeed(seed + 1)
+    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
+    return cv2.kmeans(descriptors, WORDS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]
+
+
+def vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Signature (WORDS*128,) of unit length, by signed square root; zero for a picture without features."""
+    signature = np.zeros_like(words)
+    if len(descriptors):
+        distance = (words * words).sum(1)[None] - 2 * descriptors @ words.T
+        nearest = distance.argmin(axis=1)
+        np.add.at(signature, nearest, descriptors - words[nearest])
+    flat = (np.sign(signature) * np.sqrt(np.abs(signature))).ravel()
+    return (flat / max(float(np.linalg.norm(flat)), 1e-12)).astype(np.float32)
+
+
+def similarities(
+    first: Sequence[KeyframeFeatures], second: Sequence[KeyframeFeatures], seed: int
+) -> NDArray[np.float32]:
+    """(F,S) cosine of the keyframes' signatures; minus infinity where one has too few features."""
+    nowhere = np.full((len(first), len(second)), -np.inf, np.float32)
+    if not first or not second:
+        return nowhere
+    roots = [[features.rootsift for features in side] for side in (first, second)]
+    stacked = np.concatenate(roots[0] + roots[1])
+    if len(stacked) < WORDS:
+        return nowhere
+    words = learn_words(stacked, seed)
+    one, other = (np.stack([vlad(root, words) for root in side]) for side in roots)
+    enough = [np.array([len(features) >= MIN_FEATURES for features in side]) for side in (first, second)]
+    return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
+
+
+def retrieve(similarity: NDArray[np.float32], per_row: int) -> list[Pair]:
+    """Row and column of the `per_row` most similar columns of each row, most similar first; none at minus infinity."""
+    order = np.argsort(-similarity, axis=1, kind="stable")[:, :per_row]
+    pairs = [(float(-similarity[i, j]), i, int(j)) for i in range(len(order)) for j in order[i]]
+    return [(i, j) for value, i, j in sorted(pairs) if np.isfinite(value)]
+
+
+def retrieve_within(similarity: NDArray[np.float32], per_row: int) -> list[Pair]:
+    """`retrieve` within one list: each pair once, the smaller number first, in ascending order."""
+    return sorted({(min(pair), max(pair)) for pair in retrieve(similarity, per_row)})
+
+
+def loop_pairs(descriptors: list[NDArray], stride: int, neighbours: int, min_gap: int, seed: int) -> list[Pair]:
     """Pairs (earlier, later) of frame rows at least `min_gap` apart; every `stride`-th frame proposes `neighbours`.
 
     descriptors: one (n_i, 128) array per frame.
@@ -24,7 +78,7 @@ def loop_pairs(
     stacked = [d.astype(np.float32) for d in descriptors]
     if sum(len(d) for d in stacked) < 2 * WORDS:
         return []
-    words = _learn_words(np.concatenate(stacked), seed)
+    words = learn_words(np.concatenate(stacked), seed)
     signatures = np.stack([vlad(d, words) for d in stacked])
     pairs = set()
     for row in range(0, len(signatures), stride):
@@ -33,24 +87,3 @@ def loop_pairs(
         best = np.argsort(-similarity, kind="stable")[:neighbours]
         pairs |= {(min(row, int(b)), max(row, int(b))) for b in best if np.isfinite(similarity[b])}
     return sorted(pairs)
-
-
-def _learn_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
-    """(WORDS,128) k-means centres of a sample."""
-    rng = np.random.default_rng(seed)
-    if len(descriptors) > SAMPLE:
-        descriptors = descriptors[np.sort(rng.choice(len(descriptors), SAMPLE, replace=False))]
-    cv2.setRNGSeed(seed + 1)
-    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
-    return cv2.kmeans(descriptors, WORDS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]
-
-
-def vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Signature (WORDS*128,) of unit length, by signed square root; zero for an image without features."""
-    signature = np.zeros_like(words)
-    if len(descriptors):
-        distance = (words * words).sum(1)[None] - 2 * descriptors @ words.T
-        nearest = distance.argmin(axis=1)
-        np.add.at(signature, nearest, descriptors - words[nearest])
-    flat = (np.sign(signature) * np.sqrt(np.abs(signature))).ravel()
-    return (flat / max(float(np.linalg.norm(flat)), 1e-12)).astype(np.float32)

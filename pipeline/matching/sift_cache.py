@@ -13,12 +13,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.matching.keyframe_features import CONTRAST, Features, sift
+from pipeline.matching.sift import SiftFeatures, detect_sift
 
 ReadFrame = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # frame -> rgb (H,W,3), mask (H,W)
 
 
-class KeyframeFeatures:
+class SiftCache:
     """Call it with the number of a frame. What `read` raises is raised by the call.
 
     One thread finds what was begun, so that tracking keeps a processor for itself; who asks for what that thread has
@@ -27,7 +27,7 @@ class KeyframeFeatures:
 
     def __init__(self, read: ReadFrame) -> None:
         self._read = read
-        self._found: dict[int, Future[Features]] = {}
+        self._found: dict[int, Future[SiftFeatures]] = {}
         self._guard = threading.Lock()
         self._thread = ThreadPoolExecutor(1, "features")  # OpenCV lets go of the interpreter
 
@@ -37,7 +37,7 @@ class KeyframeFeatures:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def __call__(self, frame: int) -> Features:
+    def __call__(self, frame: int) -> SiftFeatures:
         with self._guard:
             future = self._found.get(frame)
             unclaimed = future is None or future.cancel()  # what has begun cannot be cancelled
@@ -55,10 +55,10 @@ class KeyframeFeatures:
             if frame not in self._found:
                 self._found[frame] = self._thread.submit(self._find, frame)
 
-    def _find(self, frame: int) -> Features:
-        return sift(*self._read(frame), CONTRAST)
+    def _find(self, frame: int) -> SiftFeatures:
+        return detect_sift(*self._read(frame))
 
-    def _settle(self, future: Future[Features], frame: int) -> None:
+    def _settle(self, future: Future[SiftFeatures], frame: int) -> None:
         """Find them now; what is raised goes to everybody who waits for them."""
         try:
             future.set_result(self._find(frame))

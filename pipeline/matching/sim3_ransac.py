@@ -20,7 +20,7 @@ BATCH = 64  # samples judged at once
 
 
 @dataclass(frozen=True)
-class Side:
+class Correspondences:
     """One map's view of the shared points: points (N,3) in its world, camera_from_world pose, seen (N,2), gain."""
 
     points: Array
@@ -28,12 +28,12 @@ class Side:
     seen: Array
     gain: Array
 
-    def at(self, rows: NDArray) -> "Side":
+    def at(self, rows: NDArray) -> "Correspondences":
         return replace(self, points=self.points[rows], seen=self.seen[rows], gain=self.gain[rows])
 
 
 @dataclass(frozen=True)
-class Stack:
+class StackedCorrespondences:
     """Several sides one after another, to be asked at once: points (M,3), seen (M,2), gain (M,2,2), the side (M,) that
     each belongs to, and of each side the pose, rotation (S,3,3) and shift (S,3), and where it begins, starts (S,)."""
 
@@ -46,10 +46,10 @@ class Stack:
     starts: NDArray[np.int64]
 
     @staticmethod
-    def of(sides: list[Side]) -> "Stack":
+    def of(sides: list[Correspondences]) -> "StackedCorrespondences":
         counts = [len(side.points) for side in sides]
         poses = np.stack([side.pose for side in sides])
-        return Stack(
+        return StackedCorrespondences(
             np.concatenate([side.points for side in sides]),
             np.concatenate([side.seen for side in sides]),
             np.concatenate([side.gain for side in sides]),
@@ -74,7 +74,7 @@ class Stack:
         return np.where(residuals[:, 2] > MIN_DEPTH, off, np.inf)
 
 
-def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Array:
+def similarity_errors(second_from_first: Array, first: Correspondences, second: Correspondences) -> Array:
     """(N,) worse of the two reprojection errors, pixels: each map's points, moved, in the other's camera."""
     ahead = transform_points(second_from_first, first.points)
     back = transform_points(np.linalg.inv(second_from_first), second.points)
@@ -85,7 +85,11 @@ def similarity_errors(second_from_first: Array, first: Side, second: Side) -> Ar
 
 
 def robust_similarity(
-    first: Side, second: Side, rng: np.random.Generator, most_rounds: int = 300, max_error_px: float = MAX_ERROR_PX
+    first: Correspondences,
+    second: Correspondences,
+    rng: np.random.Generator,
+    most_rounds: int = 300,
+    max_error_px: float = MAX_ERROR_PX,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """The 4x4 `second_from_first` with scale, and which pairs of points (N,) agree; None if no sample gave any."""
     count = len(first.points)
@@ -107,7 +111,9 @@ def robust_similarity(
     return None if best is None else _refitted(best, first, second, max_error_px)
 
 
-def _refitted(best: Array, first: Side, second: Side, max_error_px: float) -> tuple[Array, NDArray[np.bool_]]:
+def _refitted(
+    best: Array, first: Correspondences, second: Correspondences, max_error_px: float
+) -> tuple[Array, NDArray[np.bool_]]:
     """Fitted to all that agree, three times or until fewer do; and which do in the end."""
     inlier = similarity_errors(best, first, second) < max_error_px
     for _ in range(3):
@@ -121,7 +127,7 @@ def _refitted(best: Array, first: Side, second: Side, max_error_px: float) -> tu
     return best, inlier
 
 
-def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Array:
+def refine_similarity(similarity: Array, sides: list[tuple[Correspondences, Correspondences]]) -> Array:
     """`second_from_first` fitted to the images of all pairs of sides, both ways, with Cauchy's loss.
 
     The closed form above takes one map's points to be exact, which lowers the scale; asking both maps' images alike
@@ -132,7 +138,7 @@ def refine_similarity(similarity: Array, sides: list[tuple[Side, Side]]) -> Arra
         [Rotation.from_matrix(similarity[:3, :3] / scale).as_rotvec(), similarity[:3, 3], [np.log(scale)]]
     )
 
-    one, other = (Stack.of([pair[k] for pair in sides]) for k in (0, 1))
+    one, other = (StackedCorrespondences.of([pair[k] for pair in sides]) for k in (0, 1))
 
     def residuals(x: Array) -> Array:
         moved = np.eye(4)
@@ -156,7 +162,7 @@ def _fits(source: Array, target: Array) -> Array:
     return found[np.isfinite(found).all(axis=(1, 2)) & (scale > 1 / MAX_SCALE) & (scale < MAX_SCALE)]
 
 
-def _errors_of_each(transforms: Array, first: Side, second: Side) -> Array:
+def _errors_of_each(transforms: Array, first: Correspondences, second: Correspondences) -> Array:
     """(K,N) `similarity_errors` of K transforms (K,4,4)."""
     ahead, back = second.pose @ transforms, first.pose @ np.linalg.inv(transforms)
     return np.maximum(
@@ -173,9 +179,9 @@ def _reprojected(camera_from_world: Array, points: Array, seen: Array, gain: Arr
     return np.where(front, np.linalg.norm(np.einsum("nij,knj->kni", gain, off), axis=2), np.inf)
 
 
-def sure_similarity(
-    first: Side,
-    second: Side,
+def verified_similarity(
+    first: Correspondences,
+    second: Correspondences,
     pixels: tuple[Array, Array],
     width: int,
     rng: np.random.Generator,
@@ -189,10 +195,10 @@ def sure_similarity(
     if len(first.points) < MIN_INLIERS:
         return None
     found = robust_similarity(first, second, rng, most_rounds)
-    return found if found is not None and is_sure(found[1], pixels, width, min_share) else None
+    return found if found is not None and is_well_conditioned(found[1], pixels, width, min_share) else None
 
 
-def is_sure(inlier: NDArray[np.bool_], pixels: tuple[Array, Array], width: int, min_share: float) -> bool:
+def is_well_conditioned(inlier: NDArray[np.bool_], pixels: tuple[Array, Array], width: int, min_share: float) -> bool:
     """Whether enough matches (N,) agree, spread over both images. pixels: (N,2) in either, `width` px wide."""
     if inlier.sum() < MIN_INLIERS or inlier.mean() < min_share:
         return False

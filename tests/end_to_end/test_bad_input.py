@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from pipeline.cli.main import main as cli
+from pipeline.cli import main as cli
 from tests.helpers.videos import textured_frames, write_video
 
 

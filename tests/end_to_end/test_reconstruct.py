@@ -16,7 +16,7 @@ import yaml
 from completion.inference.completer import DepthCompleter
 from haustra.core.errors import HaustraError, ReconstructionError
 from haustra.core.progress import SilentProgress
-from pipeline.cli.main import main as cli
+from pipeline.cli import main as cli
 from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO

@@ -8,8 +8,8 @@ from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames, write_image
-from pipeline.mapping.global_adjustment import polish
 from pipeline.mapping.local_map import LocalMap
+from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.run_folder.workspace import Workspace
 
 SIZE = 192
@@ -62,7 +62,7 @@ def run(images, seed=0, mask=MASK):
 
 def polished(maps: list[LocalMap]) -> list[LocalMap]:
     for local_map in maps:
-        polish(local_map)
+        adjust_all(local_map)
     return maps
 
 

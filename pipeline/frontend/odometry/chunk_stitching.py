@@ -4,7 +4,7 @@ No likeness is involved: a frame that both posed is the same picture. Each such 
 other, its scale by the depths of both maps along the same rays, so that a camera at rest does as well as a moving one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from haustra.core.se3 import Array, in_camera, inverse
 from haustra.core.sim3 import transform_camera, transform_points
 from pipeline.mapping.local_map import LocalMap
-from pipeline.matching.keyframe_features import MIN_POINTS, inverse_depth_at, triangulated
+from pipeline.matching.depth_interpolation import delaunay, interpolate_inverse_depth
+from pipeline.matching.keyframe_features import MIN_FEATURES
 
 MIN_SHARED = 10  # frames
 MIN_AGREEING = 0.8  # of them
@@ -39,11 +40,6 @@ def sightings(local_map: LocalMap) -> dict[int, Sighting]:
         for p in local_map.posed
     }
     return found | {k.frame: Sighting(k.pose, k.ids, k.pixels, True) for k in local_map.keyframes}
-
-
-def frames_of(local_map: LocalMap) -> set[int]:
-    """Numbers of all frames that the map poses."""
-    return {k.frame for k in local_map.keyframes} | {p.frame for p in local_map.posed}
 
 
 def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
@@ -77,15 +73,15 @@ def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -
     frame's median depth in the first."""
     seen = []
     for local_map, sighting in ((first, here), (second, there)):
-        known = local_map.known[sighting.ids]
-        depth = in_camera(sighting.pose, local_map.points[sighting.ids[known]])[:, 2]
+        known = local_map.tracks.known[sighting.ids]
+        depth = in_camera(sighting.pose, local_map.tracks.points[sighting.ids[known]])[:, 2]
         seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
-    if min(len(depth) for _, depth in seen) < MIN_POINTS:
+    if min(len(depth) for _, depth in seen) < MIN_FEATURES:
         return None
     (pixels, depth), (others, theirs) = seen
-    ratio = 1 / (inverse_depth_at(others, triangulated(pixels), depth) * theirs)
+    ratio = 1 / (interpolate_inverse_depth(others, delaunay(pixels), depth) * theirs)
     good = np.isfinite(ratio) & (ratio > 0)
-    return (float(np.median(ratio[good])), float(np.median(depth))) if good.sum() >= MIN_POINTS else None
+    return (float(np.median(ratio[good])), float(np.median(depth))) if good.sum() >= MIN_FEATURES else None
 
 
 def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
@@ -95,12 +91,9 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
     middle = np.median(sorted(here.keys() & there.keys()))
     offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
     result = LocalMap(first.rays)
-    result.reserve(offset + len(second.known))
-    for name in ("points", "known", "barred", "followed"):
-        getattr(result, name)[:offset] = getattr(first, name)[:offset]
-        getattr(result, name)[offset : offset + len(second.known)] = getattr(second, name)
-    after = slice(offset, offset + len(second.known))
-    result.points[after] = transform_points(first_from_second, second.points)
+    result.tracks.place(0, first.tracks)
+    moved = transform_points(first_from_second, second.tracks.points)
+    result.tracks.place(offset, replace(second.tracks, points=moved))
     for frame in sorted(here.keys() | there.keys()):
         mine, theirs = here.get(frame), there.get(frame)
         parts = [(s.ids + o, s.pixels) for s, o in ((mine, 0), (theirs, offset)) if s is not None]

@@ -23,7 +23,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import Config
-from pipeline.frontend.odometry.chunk_stitching import first_from_second, frames_of, sewn
+from pipeline.frontend.odometry.chunk_stitching import first_from_second, sewn
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_io import load_maps
 from pipeline.run_folder import ray_cluster
@@ -117,7 +117,7 @@ def sew(chunks: list[list[LocalMap]]) -> tuple[list[LocalMap], Seams]:
 
 def _sharing(first: list[LocalMap], second: list[LocalMap]) -> list[tuple[LocalMap, LocalMap]]:
     """Pairs of maps that posed the same frames, most of them first."""
-    posed = [[frames_of(local_map) for local_map in maps] for maps in (first, second)]
+    posed = [[local_map.frames for local_map in maps] for maps in (first, second)]
     common = [(-len(a & b), i, j) for i, a in enumerate(posed[0]) for j, b in enumerate(posed[1]) if a & b]
     return [(first[i], second[j]) for _, i, j in sorted(common)]
 
@@ -130,10 +130,10 @@ def _without_stubs(maps: list[LocalMap]) -> list[LocalMap]:
     """Those that pose a frame which no larger one does."""
     kept: list[LocalMap] = []
     claimed: set[int] = set()
-    for local_map in sorted(maps, key=lambda m: -len(frames_of(m))):
-        if not frames_of(local_map) <= claimed:
+    for local_map in sorted(maps, key=lambda m: -len(m.frames)):
+        if not local_map.frames <= claimed:
             kept.append(local_map)
-            claimed |= frames_of(local_map)
+            claimed |= local_map.frames
     return [local_map for local_map in maps if any(local_map is k for k in kept)]
 
 

@@ -18,13 +18,14 @@ from pipeline.frontend.odometry.prefetch import made_ahead
 from pipeline.frontend.odometry.self_calibration import FRAME_STEP, KEYFRAME_STEP, refine_lens
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames
-from pipeline.mapping.feature_adjustment import refit
-from pipeline.mapping.global_adjustment import polish, to_submap
-from pipeline.mapping.local_map import LocalMap
+from pipeline.mapping.feature_adjustment import adjust_to_features
+from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_merging import merge_maps
-from pipeline.matching.keyframe_features import FindFeatures
-from pipeline.matching.sift_cache import KeyframeFeatures
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.sift import FindFeatures
+from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
 
 MIN_FRAMES = 3  # of a submap
@@ -47,7 +48,7 @@ class Tracked:
 
 def track_frames(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
-    with single_threaded(), KeyframeFeatures(frame_reader(workspace)) as features:
+    with single_threaded(), SiftCache(frame_reader(workspace)) as features:
         started = time.perf_counter()
         maps, seams = _tracked(frames, config, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
@@ -61,7 +62,7 @@ def track_frames(frames: Frames, config: Config, workspace: Workspace, progress:
 
 
 def _tracked(
-    frames: Frames, config: Config, features: KeyframeFeatures, workspace: Workspace, progress: Progress
+    frames: Frames, config: Config, features: SiftCache, workspace: Workspace, progress: Progress
 ) -> tuple[list[LocalMap], Seams | None]:
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
     rays, settings = RayTable(frames.camera), config.odometry
@@ -112,7 +113,7 @@ def join_maps(
         before = [width for width in (held[number] for number in whole.members) if width is not None]
         if len(before) < len(whole.members):  # one of them never was
             if by is None:
-                polish(whole.map, changed=True)
+                adjust_all(whole.map, changed=True)
         elif by is None or by > max(before):
             progress.say(f"{len(before)} submaps look alike, but their features do not hold together; they stay apart")
             result += [apart[number] for number in whole.members]
@@ -124,11 +125,11 @@ def join_maps(
 def adjust_maps(
     maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
 ) -> list[float | None]:
-    """As `refit_maps`; and those that features do not hold to their corners, `changed` or not (see `polish`)."""
+    """As `refit_maps`; and those that features do not hold to their corners, `changed` or not (see `adjust_all`)."""
     held = refit_maps(maps, find, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         with progress.bar("adjusting to corners", None) as advance:
-            polish(local_map, changed, advance)
+            adjust_all(local_map, changed, advance)
     return held
 
 
@@ -140,7 +141,7 @@ def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> 
     held = []
     for local_map in maps:
         with progress.bar("adjusting to features", None) as advance:
-            held.append(refit(local_map, find, advance))
+            held.append(adjust_to_features(local_map, find, advance))
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.say(
@@ -149,9 +150,11 @@ def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> 
     return held
 
 
-def _submaps(maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = ()) -> list[Submap]:
-    """Of the maps that are long enough, most frames first."""
-    found = [to_submap(local_map, params, sigma) for local_map in maps]
+def _submaps(
+    maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = (), kind: TrackKind | None = None
+) -> list[Submap]:
+    """Of the maps that are long enough, most frames first; kind: see `to_submap`."""
+    found = [to_submap(local_map, params, sigma, kind) for local_map in maps]
     kept = [submap for submap in found if submap is not None and len(submap.frames) >= MIN_FRAMES]
     return sorted(kept, key=lambda submap: -len(submap.frames))
 
@@ -176,7 +179,7 @@ def _better_lens(
     camera = guess
     sigma: tuple[float, ...] = ()
     for _ in range(LENS_ROUNDS):
-        by_features = _submaps([largest.of_features()], camera.params)
+        by_features = _submaps([largest], camera.params, kind=TrackKind.FEATURE)
         asked = by_features or _submaps([largest], camera.params)
         if not asked:
             break
@@ -216,5 +219,5 @@ def _with_lens(
         if far:
             local_map.forget_features()
             with progress.bar("adjusting to corners", None) as advance:
-                polish(local_map, True, advance)
+                adjust_all(local_map, True, advance)
     return adjust_maps(maps, find, progress, changed=True)

@@ -11,7 +11,8 @@ from pipeline.frontend.odometry.corner_tracks import TrackSet
 from pipeline.frontend.odometry.klt import Pixels, View
 from pipeline.frontend.odometry.two_view import Hypothesis, Sight, parallax_px, start_pose
 from pipeline.mapping.lighting_check import brightness_of
-from pipeline.mapping.local_map import LOSS_PX, MAX_ERROR_PX, LocalMap, PosedFrame
+from pipeline.mapping.local_map import LocalMap, PosedFrame
+from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX, adjust_window
 from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
 
 MIN_COMMON = 60  # tracks between the two frames,
@@ -101,11 +102,11 @@ class Start:
     def _build(self, number: int, common: NDArray[np.int64], hypothesis: Hypothesis) -> LocalMap:
         """Keyframes at both ends and between, points, and poses for every waiting frame that sees enough of them."""
         made = LocalMap(self.rays)
-        made.reserve(self.tracks.count)
+        made.tracks.reserve(self.tracks.count)
         scale = 1 / float(np.median(hypothesis.points[hypothesis.inlier, 2]))
         tracks = common[hypothesis.inlier]
-        made.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
-        made.known[tracks] = True
+        made.tracks.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
+        made.tracks.known[tracks] = True
         last_pose = hypothesis.pose.copy()
         last_pose[:3, 3] *= scale
         end = len(self.waiting) - 1
@@ -121,7 +122,7 @@ class Start:
             made.add_keyframe(waiting.frame, poses[k], waiting.ids, waiting.pixels)
         for _ in range(2):
             made.triangulate_new()
-            made.adjust(iterations=15)
+            adjust_window(made, iterations=15)
         self._pose_rest(made, sorted(poses))
         return made
 
@@ -143,17 +144,17 @@ class Start:
                 continue
             guess = pose
             relative = pose @ inverse(made.keyframes[owner].pose)
-            mine = made.known[waiting.ids]
+            mine = made.tracks.known[waiting.ids]
             posed.append(
                 PosedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
             )
         made.posed = sorted(posed, key=lambda p: p.frame)
 
     def _pose(self, made: LocalMap, waiting: Waiting, guess: Array) -> Array | None:
-        mine = made.known[waiting.ids]
+        mine = made.tracks.known[waiting.ids]
         if mine.sum() < MIN_POSED:
             return None
-        points = made.points[waiting.ids[mine]]
+        points = made.tracks.points[waiting.ids[mine]]
         seen, gain = self.rays.look_up(waiting.pixels[mine])
         pose = refine_pose(guess, points, seen, gain, LOSS_PX, iterations=15)
         share = (reprojection_errors(pose, points, seen, gain) < MAX_ERROR_PX).mean()

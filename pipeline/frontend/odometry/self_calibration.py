@@ -16,7 +16,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.mapping.colmap_io import write_model
-from pipeline.mapping.local_map import LOSS_PX
+from pipeline.mapping.map_adjustment import LOSS_PX
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.subprocesses import run_isolated
 

@@ -12,7 +12,8 @@ from haustra.core.se3 import Array, angle_between, in_camera, inverse
 from pipeline.frontend.odometry.corner_tracks import TrackSet
 from pipeline.frontend.odometry.klt import Pixels, View
 from pipeline.mapping.lighting_check import brightness_of
-from pipeline.mapping.local_map import LOSS_PX, WINDOW, LocalMap
+from pipeline.mapping.local_map import WINDOW, LocalMap
+from pipeline.mapping.map_adjustment import LOSS_PX, adjust_window
 from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
 
 INLIER_PX = 2.0
@@ -92,12 +93,12 @@ class Tracker:
     def _resect(self, view: View, predicted: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]] | None:
         """Pose, rows of the found tracks that have points, and which of them agree."""
         tracks = self.tracks
-        known = self.map.known[tracks.ids]
+        known = self.map.tracks.known[tracks.ids]
         tracks.follow(view, self._guess(known, predicted))
         mapped = np.flatnonzero(tracks.found & known)
         if len(mapped) < max(MIN_INLIERS, MIN_FOUND_SHARE * known.sum()):
             return None
-        points = self.map.points[tracks.ids[mapped]]
+        points = self.map.tracks.points[tracks.ids[mapped]]
         seen, gain = self.map.rays.look_up(tracks.now[mapped])
         pose = refine_pose(predicted, points, seen, gain, 2 * LOSS_PX)
         errors = reprojection_errors(pose, points, seen, gain)
@@ -118,7 +119,7 @@ class Tracker:
         tracks, last = self.tracks, self.map.keyframes[-1]
         if not known.any():
             return np.full(tracks.now.shape, np.nan, dtype=np.float32)
-        points = self.map.points[tracks.ids]
+        points = self.map.tracks.points[tracks.ids]
         if not known.all():
             depth = in_camera(last.pose, points[known])[:, 2]
             _, nearest = cKDTree(tracks.places[known]).query(tracks.places[~known])
@@ -144,7 +145,7 @@ class Tracker:
         self.map.add_keyframe(frame, self.pose, tracks.ids[tracks.found], tracks.now[tracks.found])
         self.map.triangulate_new()
         if self.unadjusted >= self.adjust_after or len(self.map.keyframes) <= WINDOW:
-            self.map.adjust()
+            adjust_window(self.map)
             self.unadjusted = 0
         self.map.forget_unused()
         self.pose = self.map.keyframes[-1].pose
@@ -156,13 +157,13 @@ class Tracker:
         tracks.found &= ~self._barred()
         begun = tracks.count
         tracks.anchor_at(view)
-        self.map.reserve(tracks.count)
+        self.map.tracks.reserve(tracks.count)
         fresh = tracks.ids >= begun
         self.map.extend(-1, tracks.ids[fresh], tracks.now[fresh])
 
     def _barred(self) -> NDArray[np.bool_]:
-        self.map.reserve(self.tracks.count)
-        return self.map.barred[self.tracks.ids]
+        self.map.tracks.reserve(self.tracks.count)
+        return self.map.tracks.barred[self.tracks.ids]
 
     def _vote(self, rgb: NDArray[np.uint8], rows: NDArray[np.int64]) -> None:
         """Is nearer brighter here? A map that starts false contradicts its lamp."""
@@ -170,7 +171,7 @@ class Tracker:
             return
         pixels = self.tracks.now[rows]
         x, y = np.floor(pixels).astype(int).T
-        distance = np.linalg.norm(in_camera(self.pose, self.map.points[self.tracks.ids[rows]]), axis=1)
+        distance = np.linalg.norm(in_camera(self.pose, self.map.tracks.points[self.tracks.ids[rows]]), axis=1)
         self.light.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
 
     def _initial_velocity(self, stride: int) -> Array:

@@ -76,7 +76,7 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
     script = tmp_path / "two.py"
     given = {"shards": [str(shards)], "out": str(tmp_path / "two.safetensors"), **values}
     script.write_text(
-        "from completion.train import train\nfrom completion.train_config import make_config\n"
+        "from completion.training.train import train\nfrom completion.training.config import make_config\n"
         f"train(make_config(None, width=4, batch=2, threads=1, **{given!r}))\n"
     )
     subprocess.run([*torchrun, str(script)], check=True, capture_output=True, timeout=300)

@@ -11,10 +11,10 @@ import pytest
 
 from haustra.core.progress import SilentProgress, TerminalProgress
 from pipeline.cli import batch
+from pipeline.cli import main as cli
 from pipeline.cli import run_commands as cli_runs
 from pipeline.cli.batch import Children, Job, how_to_go_on, kept_outcome, plan_jobs, process_pool, run_batch
 from pipeline.cli.batch_table import Outcome, finished_outcome, print_table, write_table
-from pipeline.cli.main import main as cli
 from pipeline.config import load_config
 from pipeline.run_folder import inputs as run_inputs
 from pipeline.run_folder.workspace import create_workspace, write_json

@@ -7,7 +7,7 @@ import pytest
 from haustra.core.errors import CompletionError, HaustraError
 from pipeline import run
 from pipeline.cli import batch
-from pipeline.cli.main import main as cli
+from pipeline.cli import main as cli
 from pipeline.config import FAST_KEYFRAME_MOTION, OdometrySettings, load_config
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.report import rerun_export

@@ -6,24 +6,28 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import pipeline.loop_closing.close_loops
 from haustra.core.camera import Camera
 from haustra.core.errors import ReconstructionError
 from haustra.core.progress import SilentProgress
+from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config, PoseGraphSettings
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.depth_io import DEPTH_STEP, write_confidence, write_depth
 from pipeline.depth.rectification import make_rectifier
 from pipeline.input.frames import Frames
+from pipeline.loop_closing import close_loops as stage
 from pipeline.loop_closing.close_loops import model_sources, refine_poses, refined_keyframes
-from pipeline.loop_closing.detection import Link, Place
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, join, moved, point_ties, united
+from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge, moved, point_ties, united
 from pipeline.mapping.submap import Submap
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.sim3_match import Sim3Match
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.pose_circle import circle, exponential
 
 CAMERA = Camera("PINHOLE", 64, 64, (40.0, 40.0, 32.0, 32.0))
+RAYS = RayTable(CAMERA)
 GROWTH = 0.004  # of the scale, from keyframe to keyframe
 COUNT = 24
 CONFIG = Config(camera="given", pose_graph=PoseGraphSettings(enabled=True))
@@ -65,12 +69,19 @@ def dense(workspace: Workspace, submap: Submap | None = None) -> DenseSubmap:
     return DenseSubmap(submap, make_rectifier(CAMERA, 120), rows, workspace)
 
 
-def places(part: DenseSubmap) -> list[Place]:
-    empty = np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0)
-    return [Place(int(row), *empty) for row in part.rows]
+def seen(part: DenseSubmap) -> SubmapFeatures:
+    return SubmapFeatures(part, [KeyframeFeatures.none(int(row)) for row in part.rows], RAYS)
 
 
-def true_links(pairs: tuple[tuple[int, int], ...] = ((0, 23), (2, 21), (1, 22))) -> list[Link]:
+def closure(first: int, second: int, first_from_second: np.ndarray, sigma: np.ndarray) -> LoopClosure:
+    return LoopClosure(Sim3Match(first, second, first_from_second, np.zeros((50, 2), np.int64)), np.diag(sigma**-2.0))
+
+
+def with_relation(loop: LoopClosure, first_from_second: np.ndarray) -> LoopClosure:
+    return replace(loop, match=replace(loop.match, first_from_second=first_from_second))
+
+
+def true_links(pairs: tuple[tuple[int, int], ...] = ((0, 23), (2, 21), (1, 22))) -> list[LoopClosure]:
     """Between keyframes; what the true circle says, in the scale of either end's own axes."""
     true = circle(2 * COUNT)[::2]
     sigma = np.array([0.01] * 3 + [0.01] * 3 + [0.01])
@@ -79,7 +90,7 @@ def true_links(pairs: tuple[tuple[int, int], ...] = ((0, 23), (2, 21), (1, 22)))
         relation = np.linalg.inv(true[first]) @ true[second]
         relation[:3, :3] *= np.exp(-GROWTH * (second - first))  # the second's map is larger: brought to the first's
         relation[:3, 3] *= np.exp(GROWTH * first)
-        found.append(Link(first, second, relation, np.diag(sigma**-2), 50))
+        found.append(closure(first, second, relation, sigma))
     return found
 
 
@@ -100,10 +111,10 @@ def frames() -> Frames:
 @pytest.fixture
 def seen_twice(monkeypatch):
     """The stage with hand-made links in place of images."""
-    monkeypatch.setattr(pipeline.refinement, "find_places", lambda part, *_: places(part))
-    monkeypatch.setattr(pipeline.refinement, "loop_candidates", lambda *_: [])
-    monkeypatch.setattr(pipeline.refinement, "find_links", lambda *_: true_links())
-    monkeypatch.setattr(pipeline.refinement, "adjust_loops", lambda _, closed, *__: closed.part)
+    monkeypatch.setattr(stage, "find_features", lambda part, *_: seen(part))
+    monkeypatch.setattr(stage, "loop_candidates", lambda *_: [])
+    monkeypatch.setattr(stage, "verify_loops", lambda *_: true_links())
+    monkeypatch.setattr(stage, "adjust_loops", lambda _, closed, __: closed.part)
 
 
 def gap(submap: Submap) -> float:
@@ -114,7 +125,7 @@ def gap(submap: Submap) -> float:
 
 def test_scale_drift_is_closed_and_everything_follows(workspace):
     part = dense(workspace)
-    closed = close_loops(part, places(part), true_links())
+    closed = close_loops(seen(part), true_links())
     assert len(closed.kept) == 3
     assert gap(part.submap) > 0.2
     assert gap(closed.part.submap) < gap(part.submap) / 5
@@ -149,8 +160,8 @@ def test_ties_know_the_scale_better_between_near_keyframes(workspace):
 
 def test_a_map_that_fulfils_its_loops_is_left_alone(workspace):
     part = dense(workspace, drifting_submap(growth=0.0))
-    exact = [replace(k, first_from_second=rigid(part, k)) for k in true_links()]
-    closed = close_loops(part, places(part), exact)
+    exact = [with_relation(k, rigid(part, k)) for k in true_links()]
+    closed = close_loops(seen(part), exact)
     assert closed.part is part
     assert closed.supported == 3
     assert closed.kept == ()
@@ -160,26 +171,26 @@ def test_what_little_a_map_misses_its_loops_by_is_left_to_the_images(workspace):
     part = dense(workspace, drifting_submap(growth=0.0))
     off = np.eye(4)
     off[0, 3] = 0.015  # of sigma 0.01: a squared misfit of 2.25
-    links = [replace(k, first_from_second=off @ rigid(part, k)) for k in true_links()]
-    closed = close_loops(part, places(part), links)
+    links = [with_relation(k, off @ rigid(part, k)) for k in true_links()]
+    closed = close_loops(seen(part), links)
     assert closed.part is part
     assert closed.links == tuple(links)
     assert closed.kept == ((0, 46), (4, 42), (2, 44))
     wild = off.copy()
     wild[0, 3] = 0.3
-    false = [replace(k, first_from_second=wild @ k.first_from_second) for k in true_links(((5, 20), (6, 19)))]
-    assert close_loops(part, places(part), [*links, *false]).links == tuple(links)
+    false = [with_relation(k, wild @ k.match.first_from_second) for k in true_links(((5, 20), (6, 19)))]
+    assert close_loops(seen(part), [*links, *false]).links == tuple(links)
 
 
-def rigid(part: DenseSubmap, link: Link) -> np.ndarray:
-    first, second = (part.submap.world_from_camera[part.rows[k]] for k in (link.first, link.second))
+def rigid(part: DenseSubmap, link: LoopClosure) -> np.ndarray:
+    first, second = (part.submap.world_from_camera[part.rows[k]] for k in (link.match.first, link.match.second))
     return np.linalg.inv(first) @ second
 
 
 def test_a_single_false_link_changes_nothing(workspace):
     part = dense(workspace)
-    lie = Link(3, 15, np.eye(4), np.diag(np.full(7, 1e4)), 80)
-    assert close_loops(part, places(part), [lie]).part is part
+    lie = closure(3, 15, np.eye(4), np.full(7, 0.01))
+    assert close_loops(seen(part), [lie]).part is part
 
 
 def test_halves_of_different_scale_are_joined(workspace):
@@ -189,17 +200,17 @@ def test_halves_of_different_scale_are_joined(workspace):
     links = []
     for k, m in ((10, 0), (12, 2), (13, 3)):
         relation = np.diag([1 / 1.7] * 3 + [1.0])
-        links.append(Link(k, m, relation, np.diag(np.full(7, 1e4)), 60))
-    joined = join((first, second), (places(first), places(second)), links)
+        links.append(closure(k, m, relation, np.full(7, 0.01)))
+    joined = merge((seen(first), seen(second)), links)
     assert joined is not None
     assert len(joined.submap.frames) == len(first.submap.frames) + len(second.submap.frames)
     assert (np.diff(joined.submap.frames) >= 0).all()
     latest = np.flatnonzero(joined.submap.frames >= 28)
     np.testing.assert_allclose(joined.submap.centres[latest], whole.centres[28:], atol=0.01)
     np.testing.assert_allclose(joined.depth_scale[latest], 1 / 1.7, rtol=0.01)
-    assert join((first, second), (places(first), places(second)), links[:1]) is None
+    assert merge((seen(first), seen(second)), links[:1]) is None
     lens = replace(second, submap=replace(second.submap, camera_params=(41.0, *CAMERA.params[1:])))
-    assert join((first, lens), (places(first), places(lens)), links) is None
+    assert merge((seen(first), seen(lens)), links) is None
 
 
 def cut(submap: Submap, begin: int, end: int) -> Submap:
@@ -236,7 +247,7 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
     def fail(*_: object) -> None:
         raise ReconstructionError("the pose graph has no solution")
 
-    monkeypatch.setattr(pipeline.refinement, "close_loops", fail)
+    monkeypatch.setattr(stage, "close_loops", fail)
     part = dense(workspace)
     assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
     assert workspace.result("refinement")["warnings"] == [
@@ -246,12 +257,12 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
 
 
 def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice, monkeypatch):
-    monkeypatch.setattr(pipeline.refinement, "adjust_loops", lambda *_: None)
+    monkeypatch.setattr(stage, "adjust_loops", lambda *_: None)
     part = dense(workspace)
     assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == []
-    assert record["warnings"] == [f"the loops of submap 0 were not closed: {pipeline.refinement.UNHELD}"]
+    assert record["warnings"] == [f"the loops of submap 0 were not closed: {stage.UNHELD}"]
 
 
 def test_without_the_stage_nothing_changes(workspace, frames):
@@ -266,11 +277,11 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     parts = [dense(workspace, half) for half in (cut(whole, 0, 28), cut(whole, 20, 48).scaled(1.7))]
     workspace.finish("structure", mapper="odometry", units=[1.0, 1.0])
     relation = np.diag([1 / 1.7] * 3 + [1.0])
-    links = [Link(k, m, relation, np.diag(np.full(7, 1e4)), 60) for k, m in ((10, 0), (12, 2), (13, 3))]
-    monkeypatch.setattr(pipeline.refinement, "find_places", lambda part, *_: places(part))
-    for name in ("loop_candidates", "join_candidates"):
-        monkeypatch.setattr(pipeline.refinement, name, lambda *_: [])
-    monkeypatch.setattr(pipeline.refinement, "find_links", lambda pair, *_: links if pair[0] is not pair[1] else [])
+    links = [closure(k, m, relation, np.full(7, 0.01)) for k, m in ((10, 0), (12, 2), (13, 3))]
+    monkeypatch.setattr(stage, "find_features", lambda part, *_: seen(part))
+    for name in ("loop_candidates", "merge_candidates"):
+        monkeypatch.setattr(stage, name, lambda *_: [])
+    monkeypatch.setattr(stage, "verify_loops", lambda one, other, *_: links if one is not other else [])
     refined = refine_poses(frames, parts, CONFIG, workspace, SilentProgress())
     assert len(refined) == 1
     assert workspace.result("refinement")["submaps"][0]["members"] == [0, 1]

@@ -13,7 +13,8 @@ from pipeline.loop_closing.keyframe_pose_graph import MIN_TIE, REACH, _tied
 @pytest.mark.parametrize("count", [1, 59, 61, 480, 481, 2000])
 def test_places_lie_near_enough_to_support_each_other(monkeypatch, count):
     monkeypatch.setattr(loops, "SparseDepthMaker", lambda *_: None)
-    monkeypatch.setattr(loops, "_place", lambda part, maker, row, frames: row)
+    monkeypatch.setattr(loops, "RayTable", lambda *_: None)
+    monkeypatch.setattr(loops, "_lifted", lambda part, maker, rays, row, frames: row)
     workspace = SimpleNamespace(config=SimpleNamespace(sparse=None))
 
     class Part:
@@ -24,7 +25,7 @@ def test_places_lie_near_enough_to_support_each_other(monkeypatch, count):
             return count
 
     Part.workspace = workspace
-    found = loops.find_places(Part(), None, PoseGraphSettings())
+    found = loops.find_features(Part(), None, PoseGraphSettings()).features
     assert found[0] == 0
     assert np.diff(np.append(found, 3 * count)).max() / 3 < REACH
     assert len(found) <= 60 or count > 480
@@ -49,7 +50,7 @@ def test_points_that_two_places_share_are_counted_once():
     rng = np.random.default_rng(1)
     observations = rng.integers(0, [12, 50], (300, 2))
     submap = SimpleNamespace(points=np.zeros((50, 3)), frames=np.arange(12), observations=observations)
-    places = [SimpleNamespace(row=row) for row in (1, 4, 9)]
-    sets = [set(observations[observations[:, 0] == place.row, 1].tolist()) for place in places]
+    rows = [1, 4, 9]
+    sets = [set(observations[observations[:, 0] == row, 1].tolist()) for row in rows]
     expected = [[len(one & other) for other in sets] for one in sets]
-    np.testing.assert_array_equal(loops._shared(SimpleNamespace(submap=submap), places), expected)
+    np.testing.assert_array_equal(loops._shared(SimpleNamespace(submap=submap), rows), expected)

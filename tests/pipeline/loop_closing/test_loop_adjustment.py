@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from haustra.core.camera import Camera
+from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.rectification import make_rectifier
-from pipeline.loop_closing.detection import Link, Place
+from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
 from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
 from pipeline.loop_closing.loop_adjustment import (
     adjust_loops,
@@ -23,6 +24,8 @@ from pipeline.loop_closing.loop_adjustment import (
     well_seen,
 )
 from pipeline.mapping.submap import Submap
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.sim3_match import Sim3Match
 from pipeline.run_folder.workspace import Workspace
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.pose_circle import circle, exponential
@@ -42,7 +45,7 @@ def bent() -> np.ndarray:
 
 
 @cache
-def seen() -> tuple[DenseSubmap, list[Place], Link]:
+def seen() -> tuple[DenseSubmap, list[KeyframeFeatures], Sim3Match]:
     """The bent map's keyframes, each with the true pixels of what it sees; one link from the end to the start."""
     rng, true, nodes = np.random.default_rng(0), circle(COUNT), bent()
     cloud = rng.uniform([-6, -1.5, -6], [6, 1.5, 6], (1400, 3))
@@ -55,7 +58,8 @@ def seen() -> tuple[DenseSubmap, list[Place], Link]:
         inside = ((pixels > 0) & (pixels < 320)).all(axis=1)
         ids.append(near[inside])
         points = local[ids[-1]] * scale_of(nodes[row])
-        places.append(Place(row, pixels[inside], names[ids[-1]], points, np.full(len(points), 4.0)))
+        flags = np.zeros(len(points), bool)
+        places.append(KeyframeFeatures(row, pixels[inside], names[ids[-1]], points, flags + 4.0, flags))
     poses = nodes.copy()
     poses[:, :3, :3] /= scale_of(nodes)[:, None, None]
     nothing = np.zeros((0, 2))
@@ -64,7 +68,7 @@ def seen() -> tuple[DenseSubmap, list[Place], Link]:
     )
     part = DenseSubmap(submap, make_rectifier(CAMERA, 120), np.arange(COUNT), Workspace(Path("unused")))
     rows = np.intersect1d(ids[0], ids[-1], return_indices=True)[1:]
-    return part, places, Link(0, COUNT - 1, np.eye(4), np.eye(7), len(rows[0]), (rows[0], rows[1]))
+    return part, places, Sim3Match(0, COUNT - 1, np.eye(4), np.column_stack(rows))
 
 
 def ate(poses: np.ndarray, number: np.ndarray | None = None) -> float:
@@ -86,7 +90,7 @@ def few_features_suffice(monkeypatch):
 
 def test_a_bend_that_no_loop_shows_is_taken_back():
     part, places, link = seen()
-    assert len(link.rows[0]) > 10
+    assert link.inliers > 10
     before = ate(part.submap.world_from_camera)
     number, nodes = adjust_nodes(part, places, [link], part.submap.world_from_camera)
     assert number.tolist() == list(range(COUNT))
@@ -106,7 +110,7 @@ def test_false_matches_are_left_out():
     part, places, link = seen()
     rng = np.random.default_rng(1)
     rows = rng.integers(0, [[len(places[0].pixels)], [len(places[-1].pixels)]], (2, 8))
-    lies = replace(link, rows=(rows[0], rows[1]))
+    lies = replace(link, rows=rows.T)
     _, nodes = adjust_nodes(part, places, [link, lies], part.submap.world_from_camera)
     assert ate(rigid(nodes)) < ate(part.submap.world_from_camera) / 10
 
@@ -156,7 +160,7 @@ def test_few_may_follow_at_the_ends(monkeypatch):
 
 def test_two_features_of_one_picture_are_not_one_point():
     part, places, link = seen()
-    twice = replace(link, rows=(np.array([0, 1]), np.array([0, 0])))
+    twice = replace(link, rows=np.array([[0, 0], [1, 0]]))
     tracks = tie_tracks(places, same_features(part, places, [twice]), part.submap.world_from_camera)
     assert len(np.unique(np.column_stack([tracks.track, tracks.place]), axis=0)) == len(tracks.track)
     assert (np.bincount(tracks.track) >= 2).all()
@@ -165,13 +169,15 @@ def test_two_features_of_one_picture_are_not_one_point():
 def test_links_between_places_are_those_of_keyframes(monkeypatch):
     """The graph looks at some keyframes only; the bundle at all."""
     part, places, link = seen()
-    monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.every_place", lambda *_: places)
-    some = [places[0], places[20], places[-1]]
-    closed = Closed(part, 1, 1, (replace(link, second=2),), ((0, COUNT - 1),))
-    adjusted = adjust_loops(part, closed, some, None)
+    everything = SubmapFeatures(part, places, RayTable(CAMERA))
+    monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.features_of_all", lambda *_: everything)
+    some = SubmapFeatures(part, [places[0], places[20], places[-1]], RayTable(CAMERA))
+    loop = LoopClosure(replace(link, second=2), np.eye(7))
+    closed = Closed(part, 1, 1, (loop,), ((0, COUNT - 1),))
+    adjusted = adjust_loops(some, closed, None)
     expected = adjust_nodes(part, places, [link], nodes_of(part, part))[1]
     np.testing.assert_allclose(nodes_of(part, adjusted), expected, atol=1e-9)
 
 
-def empty(place: Place) -> Place:
-    return Place(place.row, np.zeros((0, 2)), np.zeros((0, 128), np.uint8), np.zeros((0, 3)), np.zeros(0))
+def empty(place: KeyframeFeatures) -> KeyframeFeatures:
+    return KeyframeFeatures.none(place.keyframe)

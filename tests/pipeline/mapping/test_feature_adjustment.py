@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-import pipeline.mapping.feature_adjustment as refitting
 from haustra.core.se3 import in_camera, inverse
 from haustra.core.sim3 import umeyama
-from pipeline.mapping.feature_adjustment import refit
-from pipeline.mapping.global_adjustment import to_submap
-from pipeline.mapping.local_map import LocalMap
-from pipeline.matching import sift_cache as keyframe_features
-from pipeline.matching.sift_cache import KeyframeFeatures
+from pipeline.mapping import feature_adjustment
+from pipeline.mapping.feature_adjustment import adjust_to_features
+from pipeline.mapping.local_map import TrackKind
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching import sift_cache
+from pipeline.matching.sift_cache import SiftCache
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.textured_tube import CAMERA, MASK, RADIUS, camera_at, polished, render, run
 
@@ -52,7 +52,7 @@ def bent(local_map, growth):
         outward = inverse(keyframe.pose)
         outward[:3, 3] = place(outward[None, :3, 3])[0]
         keyframe.pose = inverse(outward)
-    result.points = place(result.points)
+    result.tracks.points = place(result.tracks.points)
     return result
 
 
@@ -64,6 +64,12 @@ def poses_of(local_map):
     return np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
 
 
+def features_seen(local_map):
+    """Of each keyframe, how many features that the map was adjusted to."""
+    features = local_map.tracks.is_kind(TrackKind.FEATURE)
+    return [int(features[keyframe.ids].sum()) for keyframe in local_map.keyframes]
+
+
 def error(local_map):
     submap = to_submap(local_map, CAMERA.params)
     return trajectory_errors(submap.world_from_camera, TRUE[submap.frames]).ate_rmse
@@ -72,7 +78,7 @@ def error(local_map):
 def test_a_bent_scale_is_taken_back(finished):
     crooked = bent(finished, 0.25)
     before = error(crooked)
-    assert refit(crooked, KeyframeFeatures(read))
+    assert adjust_to_features(crooked, SiftCache(read))
     assert before > 0.4
     assert error(crooked) < 0.05 * before
 
@@ -80,9 +86,9 @@ def test_a_bent_scale_is_taken_back(finished):
 def test_features_and_followed_corners_are_told_apart(finished):
     assert to_submap(finished, CAMERA.params).is_followed.all()
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, KeyframeFeatures(read))
+    assert adjust_to_features(local_map, SiftCache(read))
     submap = to_submap(local_map, CAMERA.params)
-    assert not to_submap(local_map.of_features(), CAMERA.params).is_followed.any()
+    assert not to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE).is_followed.any()
     between = ~np.isin(submap.frames, [keyframe.frame for keyframe in local_map.keyframes])
     seen_between = np.unique(submap.observations[between[submap.observations[:, 0]], 1])
     assert submap.is_followed[seen_between].all(), "features are looked for in keyframes alone"
@@ -91,8 +97,8 @@ def test_features_and_followed_corners_are_told_apart(finished):
 
 def test_the_features_lie_on_the_wall(finished):
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, KeyframeFeatures(read))
-    submap = to_submap(local_map.of_features(), CAMERA.params)
+    assert adjust_to_features(local_map, SiftCache(read))
+    submap = to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE)
     aligned = umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
     points = submap.points @ aligned[:3, :3].T + aligned[:3, 3]
     off = np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)
@@ -106,12 +112,12 @@ def test_wall_beyond_the_followed_corners_gets_points_too(finished):
     half = min(MASK.shape) / 2
     for keyframe in local_map.keyframes:
         keyframe.keep(np.linalg.norm(keyframe.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) < 0.7 * half)
-    assert refit(local_map, KeyframeFeatures(read))
+    assert adjust_to_features(local_map, SiftCache(read))
     # Guesses are too deep out there; frames between keyframes must not grow by them: 0.02 off, by them 0.07.
     frames = np.array(frames_of(local_map) + [posed.frame for posed in local_map.posed])
     between = np.stack([inverse(local_map.pose_of(posed)) for posed in local_map.posed])
     assert trajectory_errors(np.concatenate([poses_of(local_map), between]), TRUE[frames]).ate_rmse < 0.035
-    submap = to_submap(local_map.of_features(), CAMERA.params)
+    submap = to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE)
     point = submap.observations[:, 1]
     out = np.linalg.norm(submap.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) > 0.85 * half
     assert out.sum() > 5 * len(local_map.keyframes)
@@ -130,17 +136,15 @@ def sliding(found, wider_than):
 def test_wide_features_follow_and_do_not_move_the_map(finished, monkeypatch):
     """Where every wide feature is off, the map is right if they follow, and wrong if they take part."""
     limit = 5.0
-    found = keyframe_features.sift
-    monkeypatch.setattr(keyframe_features, "sift", lambda *a: sliding(found(*a), limit))
-    monkeypatch.setattr(refitting, "WIDEST", limit)
+    found = sift_cache.detect_sift
+    monkeypatch.setattr(sift_cache, "detect_sift", lambda *a: sliding(found(*a), limit))
+    monkeypatch.setattr(feature_adjustment, "WIDEST", limit)
     following, moving = copy.deepcopy(finished), copy.deepcopy(finished)
-    given, add = [], LocalMap.add_features
-    monkeypatch.setattr(LocalMap, "add_features", lambda *a: given.append(add(*a)) or given[-1])
-    assert refit(following, KeyframeFeatures(read))
-    assert following.known[given[0]].sum() > 50, "wide features have points"
-    assert not np.isin(given[0], np.concatenate([k.ids for k in following.of_features().keyframes])).any()
-    monkeypatch.setattr(refitting, "WIDEST", np.inf)
-    assert refit(moving, KeyframeFeatures(read))
+    assert adjust_to_features(following, SiftCache(read))
+    wide = following.tracks.is_kind(TrackKind.WIDE_FEATURE)
+    assert following.tracks.known[wide].sum() > 50, "wide features have points"
+    monkeypatch.setattr(feature_adjustment, "WIDEST", np.inf)
+    assert adjust_to_features(moving, SiftCache(read))
     off = [trajectory_errors(poses_of(m), TRUE[frames_of(m)]).ate_rmse for m in (following, moving)]
     assert off[0] < 0.6 * off[1]
 
@@ -149,16 +153,18 @@ def test_where_narrow_features_are_too_few_the_wide_ones_help(finished):
     blurred = [cv2.GaussianBlur(image, (0, 0), 3.3) for image in IMAGES]
     local_map = bent(finished, 0.25)
     before = error(local_map)
-    assert refit(local_map, KeyframeFeatures(lambda frame: (blurred[frame], MASK)))
+    assert adjust_to_features(local_map, SiftCache(lambda frame: (blurred[frame], MASK)))
     assert error(local_map) < 0.3 * before
 
 
 def test_too_few_features_move_nothing(finished):
     local_map = copy.deepcopy(finished)
     poses = [keyframe.pose.copy() for keyframe in local_map.keyframes]
-    points = local_map.points.copy()
-    assert not refit(local_map, KeyframeFeatures(lambda frame: (cv2.GaussianBlur(IMAGES[frame], (0, 0), 6), MASK)))
-    np.testing.assert_array_equal(local_map.points, points)
+    points = local_map.tracks.points.copy()
+    assert not adjust_to_features(
+        local_map, SiftCache(lambda frame: (cv2.GaussianBlur(IMAGES[frame], (0, 0), 6), MASK))
+    )
+    np.testing.assert_array_equal(local_map.tracks.points, points)
     np.testing.assert_array_equal([keyframe.pose for keyframe in local_map.keyframes], poses)
 
 
@@ -169,7 +175,9 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
     for keyframe in local_map.keyframes[blind : blind + 1]:
         keyframe.keep(np.zeros(len(keyframe.ids), bool))
     hidden = np.zeros_like(MASK)
-    assert refit(local_map, KeyframeFeatures(lambda number: (IMAGES[number], hidden if number == frame else MASK)))
+    assert adjust_to_features(
+        local_map, SiftCache(lambda number: (IMAGES[number], hidden if number == frame else MASK))
+    )
     poses = np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
     true = TRUE[[keyframe.frame for keyframe in local_map.keyframes]]
     aligned = umeyama(poses[:, :3, 3], true[:, :3, 3], with_scale=True)
@@ -181,21 +189,19 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
 
 def test_a_second_time_the_features_of_the_first_are_forgotten(finished):
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, KeyframeFeatures(read))
-    once = local_map.of_features()
-    seen = [len(keyframe.ids) for keyframe in once.keyframes]
-    assert refit(local_map, KeyframeFeatures(read))
-    again = [len(keyframe.ids) for keyframe in local_map.of_features().keyframes]
-    assert np.median(again) == pytest.approx(np.median(seen), rel=0.1)
+    assert adjust_to_features(local_map, SiftCache(read))
+    seen = features_seen(local_map)
+    assert adjust_to_features(local_map, SiftCache(read))
+    assert np.median(features_seen(local_map)) == pytest.approx(np.median(seen), rel=0.1)
     local_map.forget_features()
-    assert not any(len(keyframe.ids) for keyframe in local_map.of_features().keyframes)
+    assert not any(features_seen(local_map))
 
 
 def test_two_runs_agree_to_the_bit(finished):
     first, second = copy.deepcopy(finished), copy.deepcopy(finished)
-    assert refit(first, KeyframeFeatures(read))
-    assert refit(second, KeyframeFeatures(read))
-    np.testing.assert_array_equal(first.points, second.points)
+    assert adjust_to_features(first, SiftCache(read))
+    assert adjust_to_features(second, SiftCache(read))
+    np.testing.assert_array_equal(first.tracks.points, second.tracks.points)
     for one, other in zip(first.keyframes, second.keyframes, strict=True):
         np.testing.assert_array_equal(one.pose, other.pose)
         np.testing.assert_array_equal(one.ids, other.ids)
@@ -203,11 +209,11 @@ def test_two_runs_agree_to_the_bit(finished):
 
 def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
     local_map = bent(finished, 0.25)
-    assert refit(local_map, KeyframeFeatures(read))
-    corners = local_map.first_feature
+    assert adjust_to_features(local_map, SiftCache(read))
+    corners = local_map.tracks.is_kind(TrackKind.KLT)
     for keyframe in local_map.keyframes:
-        mine = local_map.known[keyframe.ids] & (keyframe.ids < corners)
-        local = in_camera(keyframe.pose, local_map.points[keyframe.ids[mine]])
+        mine = local_map.tracks.known[keyframe.ids] & corners[keyframe.ids]
+        local = in_camera(keyframe.pose, local_map.tracks.points[keyframe.ids[mine]])
         off = np.linalg.norm(CAMERA.project(local) - keyframe.pixels[mine], axis=1)
         assert np.median(off) < 0.5
         assert off.max() < 2.01
@@ -219,5 +225,5 @@ def test_text_burned_into_the_picture_does_not_bend_the_map(finished):
     for row in range(4):
         cv2.putText(letters, "ABC 123", (8, 24 + 14 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
     local_map = copy.deepcopy(finished)
-    assert refit(local_map, KeyframeFeatures(lambda frame: (np.maximum(IMAGES[frame], letters), MASK)))
+    assert adjust_to_features(local_map, SiftCache(lambda frame: (np.maximum(IMAGES[frame], letters), MASK)))
     assert error(local_map) < error(finished)

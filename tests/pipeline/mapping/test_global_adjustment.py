@@ -7,9 +7,9 @@ import pytest
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import in_camera, inverse
-from pipeline.mapping import global_adjustment as outcome
-from pipeline.mapping.global_adjustment import polish
+from pipeline.mapping import map_adjustment
 from pipeline.mapping.local_map import LocalMap, PosedFrame
+from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.optimization.bundle_adjustment import reprojections
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.camera_geometry import PINHOLE, on_plane, pose
@@ -26,15 +26,15 @@ def film(rng, noise_px):
     angle, height = rng.uniform(0, 2 * np.pi, 25 * COUNT), rng.uniform(0, STEP * COUNT + 40, 25 * COUNT)
     wall = np.stack([20 * np.cos(angle), 20 * np.sin(angle), height], axis=1)
     made = LocalMap(RAYS)
-    made.reserve(len(wall))
-    made.points[: len(wall)] = wall
+    made.tracks.reserve(len(wall))
+    made.tracks.points[: len(wall)] = wall
     for number, camera_from_world in enumerate(poses):
         plane, depth = on_plane(camera_from_world, wall)
         pixels = 160 + 160 * plane
         ids = np.flatnonzero((depth > 10) & (depth < 45) & ((pixels > 1) & (pixels < 319)).all(axis=1))
         made.add_keyframe(number, camera_from_world, ids, pixels[ids] + rng.normal(0, noise_px, (len(ids), 2)))
-    seen = np.bincount(np.concatenate([k.ids for k in made.keyframes]), minlength=len(made.known))
-    made.known = seen >= 2
+    seen = np.bincount(np.concatenate([k.ids for k in made.keyframes]), minlength=len(made.tracks))
+    made.tracks.known = seen >= 2
     return made
 
 
@@ -49,9 +49,9 @@ def drifted(true, factor):
         keyframe = made.keyframes[number]
         moved = world[number].copy()
         moved[:3, 3] = centres[number]
-        local = unit[number] * in_camera(true.keyframes[number].pose, true.points[keyframe.ids])
+        local = unit[number] * in_camera(true.keyframes[number].pose, true.tracks.points[keyframe.ids])
         keyframe.pose = inverse(moved)
-        made.points[keyframe.ids] = in_camera(moved, local)
+        made.tracks.points[keyframe.ids] = in_camera(moved, local)
     return made
 
 
@@ -64,12 +64,12 @@ def error(local_map, true):
 def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
     true = film(np.random.default_rng(0), 0.3)
     for name, value in {"LONG": 60, "PIECE": 30, "HELD": 15}.items():
-        monkeypatch.setattr(outcome, name, value)
+        monkeypatch.setattr(map_adjustment, name, value)
     crooked = drifted(true, 30.0)
     assert error(crooked, true) > 0.1
-    polish(crooked, changed=True)
+    adjust_all(crooked, changed=True)
     assert error(crooked, true) < 0.002
-    assert crooked.known.sum() > 0.95 * true.known.sum(), "hardly a point is lost on the way"
+    assert crooked.tracks.known.sum() > 0.95 * true.tracks.known.sum(), "hardly a point is lost on the way"
 
 
 @pytest.mark.parametrize("seen", [0, 3])
@@ -77,12 +77,12 @@ def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen)
     """It says nothing of how the piece moved, or nonsense: the one before does."""
     true = film(np.random.default_rng(3), 0.3)
     for name, value in {"LONG": 60, "PIECE": 30, "HELD": 15}.items():
-        monkeypatch.setattr(outcome, name, value)
+        monkeypatch.setattr(map_adjustment, name, value)
     for number in (29, 44, 59):
         keyframe = true.keyframes[number]
         keyframe.keep(np.arange(len(keyframe.ids)) < seen)
     crooked = drifted(true, 3.0)
-    polish(crooked, changed=True)
+    adjust_all(crooked, changed=True)
     blind = np.isin(np.arange(COUNT), (29, 44, 59))
     found, right = (np.stack([inverse(k.pose) for k in m.keyframes])[~blind] for m in (crooked, true))
     assert trajectory_errors(found, right).ate_rmse < 0.002 * STEP * COUNT
@@ -90,7 +90,9 @@ def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen)
 
 def missed(local_map):
     """(M,2) pixels by which all points miss their observations."""
-    off = [reprojections(in_camera(k.pose, local_map.points[k.ids]), k.seen, k.gain) for k in local_map.keyframes]
+    off = [
+        reprojections(in_camera(k.pose, local_map.tracks.points[k.ids]), k.seen, k.gain) for k in local_map.keyframes
+    ]
     return np.concatenate(off)
 
 
@@ -106,7 +108,7 @@ def test_what_is_carried_along_sees_the_same(scale):
         local_map.carry(2, 1, old, scale)
     far = local_map.keyframes[110]
     np.testing.assert_allclose(far.pose[:3, :3] @ far.pose[:3, :3].T, np.eye(3), atol=1e-12)
-    before, after = (in_camera(m.keyframes[110].pose, m.points[far.ids]) for m in (true, local_map))
+    before, after = (in_camera(m.keyframes[110].pose, m.tracks.points[far.ids]) for m in (true, local_map))
     assert len(far.ids) > 100
     np.testing.assert_allclose(after, scale**TIMES * before, rtol=1e-7, atol=1e-7 * scale**TIMES)
 
@@ -124,8 +126,8 @@ def test_frames_between_keyframes_are_carried_too():
     local_map.carry(80, 79, old, 1.2)
     np.testing.assert_array_equal(local_map.pose_of(local_map.posed[0]), before[0])
     ids = np.setdiff1d(true.keyframes[110].ids, np.concatenate([k.ids for k in true.keyframes[:80]]))
-    seen = in_camera(local_map.pose_of(local_map.posed[1]), local_map.points[ids])
-    np.testing.assert_allclose(seen, 1.2 * in_camera(before[1], true.points[ids]), atol=1e-9)
+    seen = in_camera(local_map.pose_of(local_map.posed[1]), local_map.tracks.points[ids])
+    np.testing.assert_allclose(seen, 1.2 * in_camera(before[1], true.tracks.points[ids]), atol=1e-9)
 
 
 def test_carrying_moves_nothing_that_earlier_keyframes_see():
@@ -135,6 +137,6 @@ def test_carrying_moves_nothing_that_earlier_keyframes_see():
     local_map.keyframes[79].pose = pose([0, 0, 3], [1, 0, 0]) @ old
     local_map.carry(80, 79, old, 1.2)
     earlier = np.unique(np.concatenate([k.ids for k in true.keyframes[:80]]))
-    np.testing.assert_array_equal(local_map.points[earlier], true.points[earlier])
+    np.testing.assert_array_equal(local_map.tracks.points[earlier], true.tracks.points[earlier])
     np.testing.assert_array_equal([k.pose for k in local_map.keyframes[:79]], [k.pose for k in true.keyframes[:79]])
     assert np.abs(missed(local_map)).max() > 1, "what both see must be adjusted"

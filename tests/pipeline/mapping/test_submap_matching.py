@@ -7,19 +7,20 @@ import pytest
 
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
-from haustra.core.se3 import inverse
+from haustra.core.se3 import in_camera, inverse
 from pipeline.frontend.odometry.klt import normalise
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.frontend.odometry.tracking import Tracker
-from pipeline.mapping import submap_matching as linking
-from pipeline.mapping import submap_merging as merging
-from pipeline.mapping.lift_features import find_places
+from pipeline.mapping import submap_matching, submap_merging
+from pipeline.mapping.lift_features import features_of_map
 from pipeline.mapping.local_map import Keyframe, LocalMap
-from pipeline.mapping.submap_matching import Link, Shown, find_links, sure_links
+from pipeline.mapping.map_adjustment import adjust_window, sharing
+from pipeline.mapping.submap_matching import MapFeatures, consistent_matches, find_matches
 from pipeline.mapping.submap_merging import merge_maps
-from pipeline.matching.keyframe_features import Place
-from pipeline.matching.sift_cache import KeyframeFeatures
-from pipeline.matching.sim3_ransac import Side, similarity_errors
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.sift_cache import SiftCache
+from pipeline.matching.sim3_match import Sim3Match
+from pipeline.matching.sim3_ransac import similarity_errors
 from pipeline.optimization.resection import reprojection_errors, robust_pose
 from tests.helpers.camera_geometry import PINHOLE, gains, on_plane, pose, tube
 
@@ -60,7 +61,7 @@ def a_map(centres, ids=None, points=None, seed=0):
     """Keyframes at `centres`, each seeing the tracks `ids` of it (all of them where not given)."""
     made = LocalMap(RAYS)
     world = tube(60, np.random.default_rng(seed)) if points is None else points
-    made.points[: len(world)], made.known[: len(world)] = world, True
+    made.tracks.points[: len(world)], made.tracks.known[: len(world)] = world, True
     for number, centre in enumerate(centres):
         mine = np.arange(len(world)) if ids is None else np.asarray(ids[number])
         camera_from_world = pose([0, 0, 0], centre)
@@ -73,12 +74,12 @@ def test_a_window_is_held_by_those_that_share_its_points_wherever_they_are():
     half, other = np.arange(30), np.arange(30, 60)
     centres = [[0, 0, 0.1 * k] for k in range(6)]
     made = a_map(centres, [half, other, other, half, half, half])
-    held = made._sharing(made.keyframes[3:5], made.keyframes[:3] + made.keyframes[5:], 6)
+    held = sharing(made, made.keyframes[3:5], made.keyframes[:3] + made.keyframes[5:], 6)
     assert [keyframe.frame for keyframe in held] == [0, 5]
     before = [keyframe.pose.copy() for keyframe in made.keyframes]
     for number in (3, 4):
         made.keyframes[number].pose = pose([0.5, 0, 0], [0.1, 0, centres[number][2]])
-    made.adjust(2, 30, end=5)
+    adjust_window(made, 2, 30, end=5)
     for keyframe, right in zip(made.keyframes, before, strict=True):
         np.testing.assert_allclose(keyframe.pose, right, atol=1e-3)
 
@@ -93,10 +94,10 @@ def test_the_first_prediction_knows_the_stride(stride):
     np.testing.assert_allclose(inverse(tracker._initial_velocity(stride))[:3, 3], [0, 0, 1], atol=1e-9)
 
 
-def place_of(local_map, number, rows, codes):
+def features_of(local_map, number, rows, codes):
     keyframe: Keyframe = local_map.keyframes[number]
-    points = local_map.points[keyframe.ids[rows]]
-    return Place(
+    points = in_camera(keyframe.pose, local_map.tracks.points[keyframe.ids[rows]])
+    return KeyframeFeatures(
         number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0), np.zeros(len(points), bool)
     )
 
@@ -108,16 +109,14 @@ def linked(count=60, wrong=0, points=None, others=None):
     points = tube(count, np.random.default_rng(0)) if points is None else points
     first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points if others is None else others)
     mixed = np.concatenate([np.roll(codes[:wrong], 1, axis=0), codes[wrong:]])
-    place, other = place_of(first, 0, np.arange(count), codes), place_of(second, 0, np.arange(count), mixed)
-    return find_links(Shown(first, [place]), Shown(second, [other]), rng, 0)
+    place, other = features_of(first, 0, np.arange(count), codes), features_of(second, 0, np.arange(count), mixed)
+    return find_matches((MapFeatures(first, [place]), MapFeatures(second, [other])), rng, 0)
 
 
 def test_a_link_needs_matches_agreement_and_spread():
     assert len(linked(60)) == 1
-    assert len(linked(20)) == 1
-    assert linked(19) == []  # too few matches
-    assert len(linked(60, wrong=38)) == 1
-    assert linked(60, wrong=42) == []  # 18 agree
+    assert [match.inliers for match in linked(60, wrong=38)] == [20]  # two more right ones hardly move: static
+    assert linked(60, wrong=39) == []  # one fewer
     assert len(linked(120, wrong=90)) == 1  # a quarter agrees
     assert linked(120, wrong=98) == []  # 22 agree, but of 120
     ridge = tube(60, np.random.default_rng(0))
@@ -140,9 +139,10 @@ def test_what_stands_still_in_the_picture_links_nothing():
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
     for way, count in ((0.0, 0), (0.4, 0), (3.0, 1)):
         first, second = a_map([[0, 0, 0]]), a_map([[0, 0, 0]])
-        place = place_of(first, 0, np.arange(60), codes)
+        place = features_of(first, 0, np.arange(60), codes)
         other = replace(place, pixels=place.pixels + np.array([way, 0]))
-        assert len(find_links(Shown(first, [place]), Shown(second, [other]), np.random.default_rng(0), 0)) == count
+        maps = MapFeatures(first, [place]), MapFeatures(second, [other])
+        assert len(find_matches(maps, np.random.default_rng(0), 0)) == count
 
 
 @pytest.mark.parametrize(("apart", "joined"), [(0.0, False), (1.0, False), (10.0, True)])
@@ -150,59 +150,67 @@ def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     """Two keyframes of each map, so many mm apart along a lumen whose points lie some 50 mm ahead."""
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
     maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -4.0)]
-    shown = [Shown(m, [place_of(m, number, np.arange(60), codes) for number in (0, 1)]) for m in maps]
-    links = find_links(*shown, np.random.default_rng(0), 0)
+    shown = tuple(MapFeatures(m, [features_of(m, number, np.arange(60), codes) for number in (0, 1)]) for m in maps)
+    links = find_matches(shown, np.random.default_rng(0), 0)
     assert len(links) == 4
-    assert bool(sure_links(links, *shown)) == joined
-    assert sure_links(links[:1], *shown) == []
+    assert bool(consistent_matches(links, shown)) == joined
+    assert consistent_matches(links[:1], shown) == []
 
 
-def links_of_one_world(count, rng):
-    """Links whose similarities are the identity, off by a millimetre or two, each from other points and cameras."""
-    found = []
-    for _ in range(count):
-        points = tube(int(rng.integers(20, 60)), rng)
-        sides = []
-        for _ in range(2):
-            camera = pose(rng.uniform(-4, 4, 3), rng.normal(0, 2, 3))
-            sides.append(Side(points, camera, on_plane(camera, points)[0], gains(len(points))))
-        similarity = np.eye(4)
-        similarity[:3, 3] = rng.normal(0, 1.5, 3)
-        found.append(Link((None, None), similarity, *sides, (np.arange(len(points)),) * 2))
-    return found
+def matches_of_one_world(count, rng):
+    """Matches of as many keyframes of two maps of one world, each off by a millimetre or two."""
+    maps = LocalMap(RAYS), LocalMap(RAYS)
+    features, matches = ([], []), []
+    for number in range(count):
+        points = tube(int(rng.integers(30, 60)), rng)
+        poses = [pose(rng.uniform(-4, 4, 3), rng.normal(0, 2, 3)) for _ in maps]
+        for made, of, camera in zip(maps, features, poses, strict=True):
+            pixels = 160 + 160 * on_plane(camera, points)[0]
+            made.add_keyframe(number, camera, np.zeros(0, np.int64), np.zeros((0, 2)))
+            codes, flags = np.zeros((len(points), 128), np.uint8), np.zeros(len(points), bool)
+            of.append(KeyframeFeatures(number, pixels, codes, in_camera(camera, points), flags + 3.0, flags))
+        off = np.eye(4)
+        off[:3, 3] = rng.normal(0, 1.5, 3)
+        rows = np.repeat(np.arange(len(points))[:, None], 2, axis=1)
+        matches.append(Sim3Match(number, number, poses[0] @ off @ inverse(poses[1]), rows))
+    return tuple(MapFeatures(*pair) for pair in zip(maps, features, strict=True)), matches
 
 
-def test_links_that_agree_are_found_as_one_by_one():
-    links = links_of_one_world(20, np.random.default_rng(2))
-    links[4].second_from_first[:3, 3] += 40  # explains no other, and no other explains it: its points are moved too
-    links[4] = replace(links[4], second=replace(links[4].second, seen=links[4].second.seen + 3))
+def test_matches_that_agree_are_found_as_one_by_one():
+    maps, matches = matches_of_one_world(20, np.random.default_rng(2))
+    far = np.eye(4)
+    far[:3, 3] = 40  # explains no other, and no other explains it: its points are moved too
+    matches[4] = replace(matches[4], first_from_second=matches[4].first_from_second @ far)
+    moved = maps[1].features[4]
+    maps[1].features[4] = replace(moved, points=moved.points + 15, pixels=moved.pixels + 60)
 
     def explains(one, other):
-        errors = similarity_errors(one.second_from_first, other.first, other.second)
-        return (errors < linking.MAX_SAME_PX).mean() >= linking.SAME_SHARE
+        sides = maps[0].seen(other.first, other.rows[:, 0]), maps[1].seen(other.second, other.rows[:, 1])
+        errors = similarity_errors(submap_matching.second_from_first(one, maps), *sides)
+        return (errors < submap_matching.MAX_SAME_PX).mean() >= submap_matching.SAME_SHARE
 
-    one_by_one = np.array([[explains(one, other) for other in links] for one in links])
+    one_by_one = np.array([[explains(one, other) for other in matches] for one in matches])
     assert 0.3 < one_by_one.mean() < 0.97
     assert (one_by_one != one_by_one.T).any()
-    np.testing.assert_array_equal(linking._explained(links), one_by_one)
-    agreeing = linking._agreeing(links)
+    np.testing.assert_array_equal(submap_matching._explained(matches, maps), one_by_one)
+    agreeing = submap_matching._agreeing(matches, maps)
     assert len(agreeing) == one_by_one.sum(axis=1).max()
-    assert not any(link is links[4] for link in agreeing)
+    assert not any(match is matches[4] for match in agreeing)
 
 
 def test_a_pair_of_places_is_compared_once(monkeypatch):
     """Maps 0 and 2 are one place, map 1 is none: after the join only what map 0 gained is shown to map 1."""
     maps = [a_map([[0, 0, 0], [0, 0, 9]], seed=seed) for seed in (0, 5, 0)]
     codes = [np.random.default_rng(seed).integers(0, 255, (60, 128)).astype(np.uint8) for seed in (0, 5, 0)]
-    shown = {id(m): [place_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
-    seen, real = [], linking._fitted
+    shown = {id(m): [features_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
+    seen, real = [], submap_matching.verify_match
 
-    def fitted(first, place, second, other, rng):
-        seen.append((id(place), id(other)))
-        return real(first, place, second, other, rng)
+    def verify(numbers, first, second, *rest):
+        seen.append((id(first.descriptors), first.keyframe, id(second.descriptors), second.keyframe))
+        return real(numbers, first, second, *rest)
 
-    monkeypatch.setattr(merging, "find_places", lambda m, find: shown[id(m)])
-    monkeypatch.setattr(linking, "_fitted", fitted)
+    monkeypatch.setattr(submap_merging, "features_of_map", lambda m, find: shown[id(m)])
+    monkeypatch.setattr(submap_matching, "verify_match", verify)
     assert [whole.members for whole in merge_maps(maps, None, 0)] == [(0, 2), (1,)]
     assert len(set(seen)) == len(seen) == 12
 
@@ -210,6 +218,6 @@ def test_a_pair_of_places_is_compared_once(monkeypatch):
 def test_descriptors_are_kept_in_a_byte_each():
     rng = np.random.default_rng(0)
     image = np.repeat(rng.integers(60, 200, (80, 80, 1), dtype=np.uint8), 3, axis=2).repeat(4, 0).repeat(4, 1)
-    (place,) = find_places(a_map([[0, 0, 0]]), KeyframeFeatures(lambda _: (image, np.full((320, 320), 255, np.uint8))))
+    (place,) = features_of_map(a_map([[0, 0, 0]]), SiftCache(lambda _: (image, np.full((320, 320), 255, np.uint8))))
     assert place.descriptors.dtype == np.uint8
-    np.testing.assert_allclose(np.linalg.norm(place.rooted, axis=1), 1, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(place.rootsift, axis=1), 1, atol=1e-3)

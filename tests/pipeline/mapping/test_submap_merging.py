@@ -4,14 +4,15 @@ import copy
 
 import numpy as np
 import pytest
-import test_odometry
 
 from haustra.core.progress import SilentProgress
 from pipeline.frontend.odometry import front_end
-from pipeline.mapping.global_adjustment import to_submap
+from pipeline.mapping.local_map import TrackKind
 from pipeline.mapping.submap_merging import Merged, merge_maps
-from pipeline.matching.sift_cache import KeyframeFeatures
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.sift_cache import SiftCache
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
+from tests.helpers import textured_tube
 from tests.helpers.textured_tube import CAMERA, MASK, camera_at, polished, render, run, wall_texture
 
 
@@ -33,7 +34,7 @@ def there_and_back(clip):
     def read(number):
         return images[number], MASK
 
-    find = KeyframeFeatures(read)
+    find = SiftCache(read)
     return maps, front_end.refit_maps(polished(maps), find, SilentProgress()), find, order
 
 
@@ -43,7 +44,7 @@ def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
     (joined,), joins = front_end.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
     assert joins == 1
     numbers = [int(k.ids.max()) for k in joined.keyframes]
-    assert max(numbers) < len(joined.known)
+    assert max(numbers) < len(joined.tracks)
     submap = to_submap(joined, CAMERA.params)
     followed = submap.is_followed
     assert min(followed.sum(), (~followed).sum()) > 500, "features of the joined map and followed corners"
@@ -61,20 +62,21 @@ def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch)
     together = Merged(copy.deepcopy(maps[0]), (0, 1))
     monkeypatch.setattr(front_end, "merge_maps", lambda *_: [together])
     for outcome in (None, np.inf):
-        monkeypatch.setattr(front_end, "refit", lambda *_, outcome=outcome: outcome)
+        monkeypatch.setattr(front_end, "adjust_to_features", lambda *_, outcome=outcome: outcome)
         kept, joins = front_end.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
         assert joins == 0
         for local_map, before in zip(kept, poses, strict=True):
             np.testing.assert_array_equal([k.pose for k in local_map.keyframes], before)
-            assert any((k.ids >= local_map.first_of_last).any() for k in local_map.keyframes), "with their features"
-    monkeypatch.setattr(front_end, "refit", lambda *_: held[0])
+            features = local_map.tracks.is_kind(TrackKind.FEATURE)
+            assert any(features[k.ids].any() for k in local_map.keyframes), "with their features"
+    monkeypatch.setattr(front_end, "adjust_to_features", lambda *_: held[0])
     assert front_end.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress()) == ([together.map], 1)
 
 
 def test_other_places_are_not_joined(clip, monkeypatch):
     """The same tube with another wall: nothing in common but its shape."""
     maps, _ = run(clip[0][:20])
-    monkeypatch.setattr(test_odometry, "TEXTURE", wall_texture(seed=9))
+    monkeypatch.setattr(textured_tube, "TEXTURE", wall_texture(seed=9))
     others = [render(camera_at(k)) for k in range(20)]
     more, _ = run(others)
     images = {id(maps[0]): clip[0], id(more[0]): others}
@@ -85,4 +87,4 @@ def test_other_places_are_not_joined(clip, monkeypatch):
     def read(k):
         return (images[id(more[0])][k - 1000] if k >= 1000 else images[id(maps[0])][k]), MASK
 
-    assert [whole.members for whole in merge_maps(polished(maps + more), KeyframeFeatures(read), 0)] == [(0,), (1,)]
+    assert [whole.members for whole in merge_maps(polished(maps + more), SiftCache(read), 0)] == [(0,), (1,)]

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.matching.descriptor_matching import RATIO
 from pipeline.matching.guided_matching import likeness_elsewhere, match_near
-from pipeline.matching.keyframe_features import RATIO
 
 RADIUS = 6.0
 

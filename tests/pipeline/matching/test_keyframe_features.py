@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pipeline.mapping.feature_adjustment import Matched
-from pipeline.matching.keyframe_features import CONTRAST, Place, sift
+from pipeline.mapping.feature_matching import MatchedFeatures
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.sift import detect_sift
 
 SIDE = 320
 MASK = np.full((SIDE, SIDE), 255, np.uint8)
@@ -28,7 +29,7 @@ def lattice(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("sigma", [1.2, 1.8, 2.5, 4.0, 6.0])
 def test_a_blob_is_found_at_its_centre(sigma):
     centres = lattice(0)
-    pixels = sift(blobs(centres, sigma), MASK, CONTRAST).pixels
+    pixels = detect_sift(blobs(centres, sigma), MASK).pixels
     off = pixels[:, None] - centres
     nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
     off = off[np.arange(len(off)), nearest]
@@ -39,11 +40,11 @@ def test_a_blob_is_found_at_its_centre(sigma):
 
 @pytest.mark.parametrize("sigma", [1.2, 2.5, 6.0])
 def test_the_size_of_a_feature_is_that_of_its_blob(sigma):
-    assert np.median(sift(blobs(lattice(0), sigma), MASK, CONTRAST).sizes) == pytest.approx(2 * sigma, rel=0.2)
+    assert np.median(detect_sift(blobs(lattice(0), sigma), MASK).sizes) == pytest.approx(2 * sigma, rel=0.2)
 
 
-def place(seed: int, points: np.ndarray, sizes: np.ndarray) -> Place:
-    return Place(
+def place(seed: int, points: np.ndarray, sizes: np.ndarray) -> KeyframeFeatures:
+    return KeyframeFeatures(
         seed, points[:, :2], np.zeros((len(points), 128), np.uint8), points, sizes, np.zeros(len(points), bool)
     )
 
@@ -52,14 +53,15 @@ def test_only_matches_of_narrow_features_may_move_the_map():
     points = np.random.default_rng(0).normal(size=(6, 3))
     sizes = np.array([[2.0, 5.0, 5.1, 9.0, 3.0, 20.0], [2.0, 4.0, 5.0, 9.0, 6.0, 4.0]])
     rows = np.repeat(np.arange(6)[:, None], 2, axis=1)
-    matched = Matched([place(k, points, s) for k, s in enumerate(sizes)], [(0, 1)], [rows])
-    narrow, wide = (matched.tracks(wide, widest=5.0) for wide in (False, True))
+    features = [place(k, points, s) for k, s in enumerate(sizes)]
+    matched = MatchedFeatures(features, [(0, 1)], [rows])
+    narrow, wide = (matched.tracks([points, points], wide, widest=5.0) for wide in (False, True))
     assert sorted(narrow.feature[narrow.place == 0]) == [0, 1]  # both are at most five pixels across
     assert sorted(wide.feature[wide.place == 0]) == [2, 3, 4, 5]
 
 
 def test_a_black_picture_has_no_features():
-    nothing = sift(np.zeros((SIDE, SIDE, 3), np.uint8), MASK, CONTRAST)
+    nothing = detect_sift(np.zeros((SIDE, SIDE, 3), np.uint8), MASK)
     assert nothing.pixels.shape == (0, 2)
     assert nothing.descriptors.shape == (0, 128)
     assert nothing.sizes.shape == (0,)

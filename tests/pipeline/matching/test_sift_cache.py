@@ -9,9 +9,9 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.ray_table import RayTable
-from pipeline.mapping.lift_features import place_of
-from pipeline.matching.keyframe_features import CONTRAST, sift
-from pipeline.matching.sift_cache import KeyframeFeatures
+from pipeline.mapping.lift_features import features_of_keyframe
+from pipeline.matching.sift import detect_sift
+from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.textured_tube import CAMERA, MASK, camera_at, render, run
 
 IMAGE = render(camera_at(0))
@@ -24,12 +24,12 @@ def test_each_frame_is_read_once_and_gives_what_sift_gives():
         asked.append(frame)
         return np.roll(IMAGE, frame, axis=1), MASK
 
-    with KeyframeFeatures(read) as find:
+    with SiftCache(read) as find:
         find.begin(3)
         find.begin(3)
         found = [find(frame) for frame in (3, 5, 3)]
     assert sorted(asked) == [3, 5]
-    expected = sift(np.roll(IMAGE, 3, axis=1), MASK, CONTRAST)
+    expected = detect_sift(np.roll(IMAGE, 3, axis=1), MASK)
     assert found[0] is found[2]
     for name in ("pixels", "descriptors", "sizes"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(expected, name))
@@ -45,7 +45,7 @@ def test_what_has_not_begun_is_found_by_whoever_asks():
             go.wait(10)
         return IMAGE, MASK
 
-    with KeyframeFeatures(read) as find:
+    with SiftCache(read) as find:
         for frame in range(3):
             find.begin(frame)
         find(2)
@@ -63,7 +63,7 @@ def test_many_who_ask_at_once_read_each_frame_once():
         asked.append(frame)
         return IMAGE, MASK
 
-    with KeyframeFeatures(read) as find, ThreadPoolExecutor(6) as threads:
+    with SiftCache(read) as find, ThreadPoolExecutor(6) as threads:
         for frame in range(6):
             find.begin(frame)
         found = list(threads.map(find, [frame for frame in range(6) for _ in range(4)]))
@@ -75,7 +75,7 @@ def test_what_reading_raises_is_raised_by_the_call():
     def read(frame):
         raise HaustraError(f"{frame} is missing")
 
-    with KeyframeFeatures(read) as find:
+    with SiftCache(read) as find:
         find.begin(7)
         for frame in (7, 8, 8):  # begun before, and not
             with pytest.raises(HaustraError, match=f"{frame} is missing"):
@@ -91,7 +91,7 @@ def test_leaving_does_not_wait_for_what_nobody_asked_for():
         go.wait(10)
         return IMAGE, MASK
 
-    with KeyframeFeatures(read) as find:
+    with SiftCache(read) as find:
         for frame in range(50):
             find.begin(frame)
         threading.Timer(0.2, go.set).start()
@@ -101,12 +101,12 @@ def test_leaving_does_not_wait_for_what_nobody_asked_for():
 def test_features_lie_where_the_lens_has_rays():
     """What a lens cannot see along is no part of a place, though the picture shows something there."""
     (local_map,), _ = run([render(camera_at(k)) for k in range(12)])
-    with KeyframeFeatures(lambda _: (IMAGE, MASK)) as find:
-        whole = place_of(local_map, 0, find)
+    with SiftCache(lambda _: (IMAGE, MASK)) as find:
+        whole = features_of_keyframe(local_map, 0, find)
         narrow = RayTable(Camera("PINHOLE", CAMERA.width, CAMERA.height, CAMERA.params))
         narrow.usable[:, :90] = 0
         local_map.recalibrate(narrow)
-        cut = place_of(local_map, 0, find)
+        cut = features_of_keyframe(local_map, 0, find)
     right = whole.pixels[:, 0] >= 90
     assert 0 < right.sum() < len(right)
     np.testing.assert_array_equal(cut.pixels, whole.pixels[right])

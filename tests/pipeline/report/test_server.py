@@ -14,8 +14,9 @@ from unittest.mock import MagicMock
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.cli.main import main as cli
+from pipeline.cli import main as cli
 from pipeline.config import load_config
+from pipeline.finished_run import Run
 from pipeline.report import rerun_export
 from pipeline.report.server import ReportServer, view
 from pipeline.run_folder.workspace import create_workspace
@@ -98,7 +99,7 @@ def test_a_browser_that_leaves_in_the_middle_is_no_error(tmp_path, capsys):
 
 
 def test_ctrl_c_ends_it_cleanly(run):
-    code = "import sys, pipeline.cli; sys.argv = ['haustra', *sys.argv[1:]]; pipeline.cli.main()"
+    code = "import sys, pipeline.cli.main as cli; sys.argv = ['haustra', *sys.argv[1:]]; cli.main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "view", str(run), "--no-browser"],
         stdout=subprocess.PIPE,
@@ -122,11 +123,8 @@ def test_recordings_of_two_runs_stay_two(tmp_path, monkeypatch):
     ids = []
     fake = SimpleNamespace(RecordingStream=lambda name, recording_id: ids.append(recording_id) or MagicMock())
     monkeypatch.setattr(rerun_export, "import_rerun", lambda: fake)
-    for name in ("load_frames", "load_structure"):
-        monkeypatch.setattr(rerun_export, name, lambda _: None)
-    monkeypatch.setattr(rerun_export, "planned_keyframes", lambda *_: [])
-    monkeypatch.setattr(rerun_export, "refined_keyframes", lambda *_: [])
-    monkeypatch.setattr(rerun_export, "load_surfaces", lambda _: [])
+    for name, nothing in (("frames", None), ("completed_submaps", []), ("surfaces", [])):
+        monkeypatch.setattr(Run, name, nothing)
     for patient in ("one", "two"):
         with create_workspace(tmp_path / patient / "run", tmp_path / "a.mp4", load_config(None), False) as workspace:
             workspace.finish("surface")
@@ -153,10 +151,8 @@ def test_a_recording_holds_the_run(tmp_path, monkeypatch):
     pytest.importorskip("rerun", reason="Rerun's SDK is not installed: pip install 'haustra[rerun]'")
     made = make_tiny_run(tmp_path / "tiny", 20, 6)
     made.workspace.finish("surface")
-    monkeypatch.setattr(rerun_export, "load_frames", lambda _: made.frames)
-    monkeypatch.setattr(rerun_export, "load_structure", lambda _: None)
-    monkeypatch.setattr(rerun_export, "planned_keyframes", lambda *_: made.dense)
-    monkeypatch.setattr(rerun_export, "load_surfaces", lambda _: made.surfaces)
+    for name, value in (("frames", made.frames), ("completed_submaps", made.dense), ("surfaces", made.surfaces)):
+        monkeypatch.setattr(Run, name, value)
     target = rerun_export.export_rerun(made.workspace.root, tmp_path / "out.rrd")
 
     def rerun(*words):  # its own reader; at home in this folder, and told to tell nobody

@@ -11,7 +11,7 @@ from haustra.core.ray_table import RayTable
 from pipeline.cli.batch import run_batch
 from pipeline.config import Config, load_config
 from pipeline.frontend.odometry.chunks import jobs_of, local_run, ray_run, scratch, track_chunks
-from pipeline.mapping.global_adjustment import to_submap
+from pipeline.mapping.submap_of_map import to_submap
 from tests.helpers.textured_tube import CAMERA, camera_at, render, stored
 from tests.helpers.videos import textured_frames, write_video
 

@@ -280,7 +280,7 @@ def test_a_point_beyond_all_numbers_leaves_depth_finite():
 @needs_vnni
 def test_a_onednn_that_is_kept_from_the_instructions_is_not_trusted():
     """Sums of bytes are then cut off at 16 bits, and nobody says so."""
-    code = "from completion.eight_bit import can_use_eight_bits as can; print(can())"
+    code = "from completion.inference.cpu.int8_unet import can_use_eight_bits as can; print(can())"
     for instructions, expected in (("AVX2", "False"), ("ALL", "True")):
         environment = {**os.environ, "ONEDNN_MAX_CPU_ISA": instructions}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)

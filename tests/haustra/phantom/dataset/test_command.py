@@ -175,7 +175,7 @@ def test_training_frames_have_their_contract_and_are_not_replaced(tmp_path: Path
 def test_the_command_fails_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     line = [sys.executable, "-m", "pipeline", "phantom", str(tmp_path / "file"), "--frames", "3"]
-    code = "import sys; from pipeline.cli import main; sys.argv[0] = 'haustra'; main()"
+    code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'haustra'; main()"
     done = subprocess.run([line[0], "-c", code, *line[3:]], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 1
     assert done.stderr.strip() == f"error: {tmp_path / 'file'} is a file; give a folder"

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import test_odometry
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,14 +15,15 @@ from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import transform_points
 from pipeline.config import Config, OdometrySettings, load_config
 from pipeline.frontend.odometry import chunks, front_end
-from pipeline.frontend.odometry.chunk_stitching import first_from_second, frames_of
+from pipeline.frontend.odometry.chunk_stitching import first_from_second
 from pipeline.frontend.odometry.chunks import cut, jobs_of, local_run, scratch, sew, track_chunks
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.select import solve_structure
-from pipeline.mapping.global_adjustment import to_submap
 from pipeline.mapping.map_io import load_maps, save_maps
 from pipeline.mapping.submap_merging import Merged
+from pipeline.mapping.submap_of_map import to_submap
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
+from tests.helpers import textured_tube
 from tests.helpers.processes import alive
 from tests.helpers.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
 
@@ -45,7 +45,7 @@ def tracked(first, last, images=IMAGES):
 def elsewhere(local_map, scale):
     """The same map in another world: turned, shifted, in another unit."""
     world_from_old = np.eye(4)
-    world_from_old[:3, :3] = scale * test_odometry.camera_at(7)[:3, :3]
+    world_from_old[:3, :3] = scale * textured_tube.camera_at(7)[:3, :3]
     world_from_old[:3, 3] = [5, -3, 40]
     rotation = world_from_old[:3, :3] / scale
     for keyframe in local_map.keyframes:
@@ -53,7 +53,7 @@ def elsewhere(local_map, scale):
         pose[:3, :3] = pose[:3, :3] @ rotation.T
         pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ world_from_old[:3, 3]
         keyframe.pose = pose
-    local_map.points = transform_points(world_from_old, local_map.points)
+    local_map.tracks.points = transform_points(world_from_old, local_map.tracks.points)
     local_map.posed = [posed.scaled(scale) for posed in local_map.posed]
     return local_map
 
@@ -109,7 +109,7 @@ def test_stretches_that_share_too_little_stay_apart():
 def test_maps_that_do_not_agree_stay_apart(monkeypatch):
     """The same frame numbers, but another wall and another way through it; then a scale that changes on the way."""
     first = tracked(0, 28)
-    monkeypatch.setattr(test_odometry, "TEXTURE", wall_texture(seed=9))
+    monkeypatch.setattr(textured_tube, "TEXTURE", wall_texture(seed=9))
     others = [render(camera_at(1.7 * k + 30)) for k in range(COUNT)]
     assert first_from_second(first, tracked(14, COUNT, others)) is None
     monkeypatch.undo()
@@ -159,9 +159,9 @@ def test_a_stub_in_the_overlap_hides_no_seam(monkeypatch):
     for here in ([first, stub], [stub, first]):
         (whole,), seams = sew([here, [second]])
         assert seams.closed == 1
-        assert frames_of(whole) == set(range(COUNT))
+        assert whole.frames == set(range(COUNT))
     (whole,), _ = sew([[first], [stub, second]])
-    assert frames_of(whole) == set(range(COUNT))
+    assert whole.frames == set(range(COUNT))
 
 
 def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):

@@ -10,8 +10,8 @@ from pipeline.config import Config
 from pipeline.frontend.odometry.corner_tracks import TrackSet
 from pipeline.frontend.odometry.klt import detect, follow, make_view
 from pipeline.frontend.select import solve_structure
-from pipeline.mapping.global_adjustment import to_submap
-from pipeline.matching.keyframe_features import match
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.descriptor_matching import match_descriptors
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.textured_tube import CAMERA, MASK, RADIUS, SIZE, camera_at, polished, render, run, stored
 
@@ -160,11 +160,11 @@ def test_matches_are_mutual_and_clear():
     descriptors = unit(rng.normal(size=(40, 128)))
     shuffled = rng.permutation(40)
     noisy = unit(descriptors[shuffled] + 0.005 * rng.normal(size=(40, 128)))
-    pairs = match(descriptors, noisy)
+    pairs = match_descriptors(descriptors, noisy)
     assert len(pairs) == 40
     assert (shuffled[pairs[:, 1]] == pairs[:, 0]).all()
-    assert len(match(descriptors, np.concatenate([noisy, noisy]))) == 0
-    twins = match(np.concatenate([descriptors, descriptors]), noisy)
+    assert len(match_descriptors(descriptors, np.concatenate([noisy, noisy]))) == 0
+    twins = match_descriptors(np.concatenate([descriptors, descriptors]), noisy)
     one_each = {(int(i) % 40, int(j)) for i, j in twins}  # which of two twins is rounding's choice
     assert one_each == {tuple(pair) for pair in pairs.tolist()}
     assert len(twins) == 40
@@ -183,7 +183,7 @@ def test_matches_are_those_of_a_search_by_distance(seed):
         if distance[:, row.argmin()].argmin() == i and row.min() < 0.85 * np.partition(row, 1)[1]
     ]
     assert len(expected) > 10
-    np.testing.assert_array_equal(match(first, second), expected)
+    np.testing.assert_array_equal(match_descriptors(first, second), expected)
 
 
 def test_the_structure_stage_gives_the_same_kind_of_submap_as_colmap(clip, tmp_path):

@@ -158,7 +158,6 @@ def test_job_and_log_stay_in_the_run_folder(tmp_path):
 def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkeypatch, focals, asked, last):
     """Lenses come in this order; None is one that the motion does not determine."""
     whole, seen, maps = filmed(*wandering()), [], [SimpleNamespace(posed=[], keyframes=[])]
-    maps[0].of_features = lambda: maps[0]
     given = iter(focals)
 
     def refine(submap, camera, *rest):
@@ -170,7 +169,7 @@ def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkey
 
     monkeypatch.setattr(front_end, "refine_lens", refine)
     monkeypatch.setattr(front_end, "_with_lens", lambda maps, camera, *_: [camera.params[0]])
-    monkeypatch.setattr(front_end, "_submaps", lambda maps, params: [replace(whole, camera_params=params)])
+    monkeypatch.setattr(front_end, "_submaps", lambda maps, params, kind=None: [replace(whole, camera_params=params)])
     workspace = SimpleNamespace(log=None)
     camera, sigma, held = front_end._better_lens(maps, [GUESS.params[0]], GUESS, 0, None, workspace, SilentProgress())
     assert len(seen) == asked

@@ -11,13 +11,16 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
-from pipeline.frontend.odometry import front_end
+from pipeline.frontend.odometry import front_end, initialization, tracking
 from pipeline.frontend.odometry.chunk_worker import track
 from pipeline.frontend.odometry.chunks import jobs_of
+from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.frontend.select import solve_structure
-from pipeline.mapping.local_map import WINDOW, LocalMap
+from pipeline.mapping.local_map import WINDOW
+from pipeline.mapping.map_adjustment import adjust_window
 from pipeline.mapping.map_io import load_maps
+from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.textured_tube import CAMERA, MASK, camera_at, render, stored
 
 
@@ -34,8 +37,11 @@ def tracked(frames, step, camera=CAMERA, **settings):
 @pytest.fixture
 def adjusted(monkeypatch):
     """The keyframes at which a window was adjusted."""
-    seen, real = [], LocalMap.adjust
-    monkeypatch.setattr(LocalMap, "adjust", lambda m, *a, **k: (seen.append(m.keyframes[-1].frame), real(m, *a, **k)))
+    seen = []
+    for module in (initialization, tracking):
+        monkeypatch.setattr(
+            module, "adjust_window", lambda m, **k: (seen.append(m.keyframes[-1].frame), adjust_window(m, **k))
+        )
     return seen
 
 
@@ -90,7 +96,7 @@ def test_keyframe_motion_reaches_the_tracker_in_one_go_and_in_chunks(tmp_path):
     count = {}
     for motion in (OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION):
         config = Config(odometry=OdometrySettings(keyframe_motion=motion))
-        with front_end.KeyframeFeatures(front_end.frame_reader(workspace)) as features:
+        with SiftCache(frame_reader(workspace)) as features:
             (whole,), _ = front_end._tracked(frames, config, features, workspace, SilentProgress())
         (job,) = jobs_of(frames.index, CAMERA, [range(50)], config, workspace)
         job["output"] = str(tmp_path / "chunks" / "0.npz")

@@ -1,0 +1,134 @@
+"""Which SIFT features of a map's keyframes are the same, looked for where the map says that they should be."""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from haustra.core.progress import Advance
+from haustra.core.se3 import Array, in_camera
+from pipeline.mapping.lift_features import features_of_keyframe
+from pipeline.mapping.local_map import LocalMap
+from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
+from pipeline.matching.guided_matching import likeness_elsewhere, match_near
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.sift import FindFeatures
+from pipeline.matching.sim3_match import STATIC_PX
+
+AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
+MIN_SHARED = 10  # points that make another keyframe worth comparing
+MAX_OFF_SHARE = 0.019  # of the width: a feature from where the map has it, in another keyframe; 6 px of 320
+MOVING_PX = 1.5  # way of what the map expects to move
+CACHED = 64  # keyframes whose descriptors are kept as RootSIFT, half a megabyte each
+THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
+
+T = TypeVar("T")
+RootSift = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its features' descriptors, (N,128)
+
+
+@dataclass(frozen=True)
+class MatchedFeatures:
+    """Features of all keyframes; of pairs of keyframes, (K,2) rows of those that are the same."""
+
+    features: list[KeyframeFeatures]
+    pairs: list[tuple[int, int]]
+    same: list[NDArray[np.int64]]
+
+    def tracks(self, points: list[Array], wide: bool, widest: float) -> Tracks:
+        """Of matches between two features of at most `widest` pixels across, or (`wide`) of all other matches.
+
+        points: of each keyframe, its features' points (N,3) in the world.
+        """
+        narrow = both_narrow([features.sizes for features in self.features], self.pairs, self.same, widest)
+        chosen = [rows[good != wide] for rows, good in zip(self.same, narrow, strict=True)]
+        return join_features(points, self.pairs, chosen)
+
+    def extrapolated(self, tracks: Tracks) -> NDArray[np.int64]:
+        """Numbers of the tracks of which any feature's depth is a guess."""
+        starts = np.cumsum([0, *(len(features) for features in self.features)])
+        guessed = np.concatenate([np.zeros(0, bool), *(features.extrapolated for features in self.features)])
+        return np.unique(tracks.track[guessed[starts[tracks.place] + tracks.feature]])
+
+
+def match_features(local_map: LocalMap, find: FindFeatures, advance: Advance) -> MatchedFeatures:
+    """Find features in all keyframes and match them between keyframes that are near in time or share points."""
+    keyframes = range(len(local_map.keyframes))
+    with ThreadPoolExecutor(THREADS) as threads:
+        # At the picture's edge is the nearest wall, which the frame's depth needs most, and corners end before it.
+        lifted = threads.map(lambda number: features_of_keyframe(local_map, number, find, extrapolate=True), keyframes)
+        features = list(_counted(lifted, len(keyframes), "finding features", advance))
+        pairs = covisible_pairs(local_map)
+        # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
+        roots = lru_cache(CACHED)(lambda number: features[number].rootsift)
+        elsewhere = list(threads.map(partial(_elsewhere, _radius(local_map)), features))
+        found = threads.map(partial(_match_pair, local_map, features, elsewhere, roots), pairs)
+        same = list(_counted(found, len(pairs), "matching pairs of keyframes", advance))
+    # What tells features apart has done its part; it is nearly all of their memory.
+    bare = [replace(f, descriptors=np.zeros((0, 128), np.uint8)) for f in features]
+    return MatchedFeatures(bare, pairs, same)
+
+
+def covisible_pairs(local_map: LocalMap) -> list[tuple[int, int]]:
+    """Pairs of keyframes that follow each other or, after a merge, saw the same from elsewhere."""
+    seen = incidence(local_map)
+    shared = csr_array(seen @ seen.T)
+    pairs = set()
+    for one in range(len(local_map.keyframes)):
+        pairs |= {(one, other) for other in range(one + 1, min(one + AHEAD + 1, len(local_map.keyframes)))}
+        row = slice(shared.indptr[one], shared.indptr[one + 1])
+        others, count = shared.indices[row], shared.data[row]
+        far = (np.abs(others - one) > AHEAD) & (count >= MIN_SHARED)
+        best = others[far][np.lexsort((others[far], -count[far]))[:AHEAD]]
+        pairs |= {(min(one, int(k)), max(one, int(k))) for k in best}
+    return sorted(pairs)
+
+
+def incidence(local_map: LocalMap, among: NDArray[np.bool_] | None = None) -> csr_array:
+    """(keyframes, tracks) ones where a keyframe sees a known point, `among` (T,) these tracks."""
+    usable = local_map.tracks.known if among is None else local_map.tracks.known & among
+    ids = [np.unique(k.ids[usable[k.ids]]) for k in local_map.keyframes]
+    starts = np.concatenate([[0], np.cumsum([len(i) for i in ids])])
+    columns = np.concatenate([np.zeros(0, np.int64), *ids])
+    return csr_array((np.ones(len(columns)), columns, starts), shape=(len(ids), len(usable)))
+
+
+def _match_pair(
+    local_map: LocalMap,
+    features: list[KeyframeFeatures],
+    elsewhere: list[Array],
+    roots: RootSift,
+    pair: tuple[int, int],
+) -> NDArray[np.int64]:
+    """(K,2) features of a pair of keyframes that look alike and lie where the map says.
+
+    elsewhere: of each keyframe, how much its features' most alike elsewhere in it look like them. What stands still in
+    the picture where the wall should move is dirt, a reflection or text that was burned in.
+    """
+    here, there = (features[number] for number in pair)
+    first, second = (local_map.keyframes[number].pose for number in pair)
+    expected = local_map.rays.seen_at(in_camera(second, here.world_points(first)))
+    rows = match_near(expected, there.pixels, roots(pair[0]), roots(pair[1]), elsewhere[pair[0]], _radius(local_map))
+    before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]
+    way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)
+    return rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))]
+
+
+def _radius(local_map: LocalMap) -> float:
+    """Pixels within which a feature is looked for."""
+    return MAX_OFF_SHARE * local_map.rays.camera.width
+
+
+def _elsewhere(radius: float, features: KeyframeFeatures) -> Array:
+    return likeness_elsewhere(features.pixels, features.rootsift, radius)
+
+
+def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> Iterator[T]:
+    """The same; progress is reported as they come."""
+    for done, result in enumerate(results, start=1):
+        advance(done, total, note)
+        yield result

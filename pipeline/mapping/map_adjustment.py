@@ -1,0 +1,225 @@
+"""Bundle adjustment of a map: of its latest keyframes while it grows, of all of them when it is finished."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.progress import Advance, unheard
+from haustra.core.se3 import Array, compose, in_camera
+from pipeline.mapping.local_map import WINDOW, Keyframe, LocalMap
+from pipeline.optimization.bundle_adjustment import DAMPING, TOLERANCE, Bundle, adjust
+
+ANCHORS = 6  # other keyframes that saw the same points and stay
+MIN_SHARED = 10  # points that such a one must share; fewer do not hold a scene
+WINDOW_ITERATIONS = 2  # each keyframe is in several windows; six iterations gave no better a path in the end
+LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
+MAX_ERROR_PX = 2.0  # of an observation that is kept
+CHUNK = 50_000  # points fitted at once: a few hundred megabytes
+
+LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
+PIECE = 60  # keyframes that are adjusted at once while a long map is straightened
+HELD = 30  # older ones that hold them
+GUIDES = 5  # keyframes at a piece's end that say by how much it grew; the last one, how it moved
+MIN_HELD = 20  # points of such a keyframe
+MOST_GROWTH = 3.0  # of a piece; the tracker's unit has drifted by half over two hundred keyframes
+FINAL_ITERATIONS = 25
+# With the usual 1e-4 the first steps leave a bend where it is, gain nothing, and are taken for the last ones.
+FINAL_DAMPING = 1e-8
+FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
+SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
+
+Mask = NDArray[np.bool_]
+
+
+def adjust_window(
+    local_map: LocalMap,
+    window: int = WINDOW,
+    iterations: int = WINDOW_ITERATIONS,
+    end: int | None = None,
+    loss_px: float = LOSS_PX,
+    max_error_px: float = MAX_ERROR_PX,
+    anchors: int = ANCHORS,
+    tolerance: float = TOLERANCE,
+    damping: float = DAMPING,
+    among: Mask | None = None,
+) -> None:
+    """Adjust the `window` keyframes before number `end` (the latest ones) and their points; forget what does not fit.
+
+    The `anchors` older ones that share most points with them hold the scene; without any, the first of the window does.
+    among (T,): tracks that take part; None: all.
+    """
+    keyframes = local_map.keyframes
+    end = len(keyframes) if end is None else end
+    first = max(0, end - window)
+    free = keyframes[first:end]
+    held = sharing(local_map, free, keyframes[:first], anchors, among)
+    bundle, tracks = _bundle(local_map, held, free, among)
+    if len(tracks) == 0:
+        return
+    result = adjust(bundle, iterations, loss_px, tolerance, damping)
+    for number, keyframe in enumerate(free, start=len(held)):
+        keyframe.pose = compose(result.rotation[number], result.translation[number])
+    local_map.tracks.points[tracks] = result.points
+    _cull(local_map, result, tracks, held + free, max_error_px)
+
+
+def adjust_all(
+    local_map: LocalMap, changed: bool = False, advance: Advance = unheard, among: Mask | None = None
+) -> None:
+    """Adjust all keyframes and points together, cull, and adjust what is left.
+
+    A map that was just `changed`, merged from two or given another lens, is first let settle: it starts some pixels
+    off, and must not be culled for that. among (T,): tracks that take part; None: all.
+    """
+    count = len(local_map.keyframes)
+    if changed and count > LONG:
+        _straighten(local_map, advance, among)
+    passes = SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),)
+    for number, (loss_px, max_error_px) in enumerate(passes):
+        advance(number, len(passes), "adjusting all keyframes")
+        _final(local_map, count, count, loss_px, max_error_px, 0, among)
+    advance(len(passes), len(passes), "adjusted")
+
+
+def fit_points(local_map: LocalMap, iterations: int = 10) -> None:
+    """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""
+    for first in range(0, len(local_map.tracks), CHUNK):
+        chunk = np.zeros_like(local_map.tracks.known)
+        chunk[first : first + CHUNK] = True
+        bundle, tracks = _bundle(local_map, [], local_map.keyframes, chunk)
+        if len(tracks) == 0:
+            continue
+        fixed = np.ones(len(bundle.fixed), dtype=bool)
+        result = adjust(replace(bundle, fixed=fixed), iterations, LOSS_PX)
+        local_map.tracks.points[tracks] = result.points
+        _cull(local_map, result, tracks, local_map.keyframes, MAX_ERROR_PX)
+
+
+def growth(before: Array, after: Array) -> float:
+    """By how much points in a camera's axes (N,3) moved away from it, in the median; NaN if there are none."""
+    depths = [np.maximum(local[:, 2], 1e-9) for local in (before, after)]
+    return float(np.exp(np.median(np.log(depths[1] / depths[0])))) if len(before) else float("nan")
+
+
+def sharing(
+    local_map: LocalMap, free: list[Keyframe], others: list[Keyframe], most: int, among: Mask | None = None
+) -> list[Keyframe]:
+    """Those of `others` that see most points of `free`, at most so many, in their order."""
+    wanted = _wanted(local_map, free, among)
+    shared = np.array([int(wanted[k.ids].sum()) for k in others], dtype=np.int64)
+    best = np.argsort(-shared, kind="stable")[:most]
+    return [others[k] for k in np.sort(best[shared[best] >= MIN_SHARED])]
+
+
+def _final(
+    local_map: LocalMap,
+    window: int,
+    end: int,
+    loss_px: float,
+    max_error_px: float,
+    anchors: int,
+    among: Mask | None,
+) -> None:
+    adjust_window(
+        local_map,
+        window,
+        FINAL_ITERATIONS,
+        end,
+        loss_px,
+        max_error_px,
+        anchors,
+        FINAL_TOLERANCE,
+        FINAL_DAMPING,
+        among,
+    )
+
+
+def _straighten(local_map: LocalMap, advance: Advance, among: Mask | None) -> None:
+    """Adjust a long map from its beginning on, half a piece at a time; what lies ahead is carried along.
+
+    Where the scale drifts by half over a long film, the far end must come back by a factor and a turn. To an adjustment
+    of all at once, which goes in straight lines, that is too far: it ends in wrinkles, and culling then breaks the map.
+    Nothing is culled here: what does not fit a bent piece speaks against the bend.
+    """
+    for end in range(PIECE, len(local_map.keyframes), PIECE // 2):
+        piece = range(end - PIECE // 2, end)
+        advance(end, len(local_map.keyframes), "straightening")
+        poses = [local_map.keyframes[number].pose for number in piece]
+        before = local_map.tracks.points.copy()
+        for loss_px, _ in SETTLING:
+            _final(local_map, PIECE, end, loss_px, np.inf, HELD, among)
+        grown = [_growth_of(local_map, number, pose, before, among) for number, pose in zip(piece, poses, strict=True)]
+        held = np.flatnonzero(np.isfinite(grown))[-GUIDES:]
+        if len(held) == 0:  # nothing says how it moved: what lies ahead stays
+            continue
+        scale = float(np.median([grown[k] for k in held]))
+        local_map.carry(end, piece[held[-1]], poses[held[-1]], scale, among)
+
+
+def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array, among: Mask | None) -> float:
+    """Of a keyframe that was at pose `old` with the points at `before`; NaN where too few points hold it, or say what
+    no piece can have done."""
+    keyframe = local_map.keyframes[number]
+    mine = keyframe.ids[_usable(local_map, among)[keyframe.ids]]
+    if len(mine) < MIN_HELD:
+        return float("nan")
+    found = growth(in_camera(old, before[mine]), in_camera(keyframe.pose, local_map.tracks.points[mine]))
+    return found if 1 / MOST_GROWTH < found < MOST_GROWTH else float("nan")
+
+
+def _usable(local_map: LocalMap, among: Mask | None) -> Mask:
+    """(T,) tracks that have a point, `among` these."""
+    return local_map.tracks.known if among is None else local_map.tracks.known & among
+
+
+def _wanted(local_map: LocalMap, keyframes: list[Keyframe], among: Mask | None) -> Mask:
+    """(T,) usable tracks that any of the keyframes sees."""
+    wanted = np.zeros(len(local_map.tracks), dtype=bool)
+    for keyframe in keyframes:
+        wanted[keyframe.ids] = True
+    return wanted & _usable(local_map, among)
+
+
+def _bundle(
+    local_map: LocalMap, held: list[Keyframe], free: list[Keyframe], among: Mask | None = None
+) -> tuple[Bundle, NDArray[np.int64]]:
+    """The problem, and the track number of each of its points."""
+    wanted, cameras = _wanted(local_map, free, among), held + free
+    masks = [wanted[k.ids] for k in cameras]
+    ids = np.concatenate([k.ids[m] for k, m in zip(cameras, masks, strict=True)])
+    tracks, point = np.unique(ids, return_inverse=True)
+    fixed = np.zeros(len(cameras), dtype=bool)
+    fixed[: max(1, len(held))] = True
+    poses = np.stack([k.pose for k in cameras])
+    bundle = Bundle(
+        poses[:, :3, :3],
+        poses[:, :3, 3],
+        local_map.tracks.points[tracks],
+        np.repeat(np.arange(len(cameras)), [int(m.sum()) for m in masks]),
+        point,
+        np.concatenate([k.seen[m] for k, m in zip(cameras, masks, strict=True)]),
+        np.concatenate([k.gain[m] for k, m in zip(cameras, masks, strict=True)]),
+        fixed,
+    )
+    return bundle, tracks
+
+
+def _cull(
+    local_map: LocalMap, bundle: Bundle, tracks: NDArray[np.int64], cameras: list[Keyframe], max_error_px: float
+) -> None:
+    """Forget observations that do not fit, and points that too few observations hold."""
+    local = np.einsum("mij,mj->mi", bundle.rotation[bundle.camera], bundle.points[bundle.point])
+    depth = local[:, 2] + bundle.translation[bundle.camera, 2]
+    bad = (bundle.errors() > max_error_px) | (depth <= 0)
+    if not bad.any():
+        return
+    left = np.bincount(bundle.point[~bad], minlength=len(tracks))
+    lost = tracks[left < 2]
+    local_map.tracks.known[lost] = False
+    local_map.tracks.barred[lost] = True
+    starts = np.searchsorted(bundle.camera, np.arange(len(cameras) + 1))
+    for keyframe, (begin, end) in zip(cameras, pairwise(starts.tolist()), strict=True):
+        if bad[begin:end].any():
+            keyframe.keep(~np.isin(keyframe.ids, tracks[bundle.point[begin:end][bad[begin:end]]]))

@@ -1,0 +1,89 @@
+"""From a map of odometry to the `Submap` that any front end gives: poses of all frames, points, errors."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.se3 import Array, compose, inverse
+from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX
+from pipeline.mapping.submap import Submap
+from pipeline.optimization.bundle_adjustment import reprojections
+from pipeline.optimization.resection import refine_poses
+
+MIN_SEEN = 8  # points that a frame must see to be called posed
+CHUNK = 500  # frames refined at once
+
+
+def to_submap(
+    local_map: LocalMap,
+    camera_params: tuple[float, ...],
+    camera_sigma: tuple[float, ...] = (),
+    kind: TrackKind | None = None,
+) -> Submap | None:
+    """The submap; None if no frame sees enough. kind: of keyframes and tracks of this kind alone."""
+    frames, poses, counts, ids, pixels = _gather(local_map, kind)
+    row = np.repeat(np.arange(len(frames)), counts)
+    poses, error = _refine(local_map, poses, row, ids, pixels)
+    good = error < MAX_ERROR_PX
+    while True:  # frames with too few points, and points with too few frames, until neither is left
+        views = np.bincount(ids[good], minlength=len(local_map.tracks))
+        seen = np.bincount(row[good], minlength=len(frames))
+        kept = good & (views[ids] >= 2) & (seen[row] >= MIN_SEEN)
+        if (kept == good).all():
+            break
+        good = kept
+    if not good.any():
+        return None
+    tracks, point = np.unique(ids[good], return_inverse=True)
+    used, frame = np.unique(row[good], return_inverse=True)
+    summed = np.bincount(point, error[good], minlength=len(tracks))
+    return Submap(
+        frames[used],
+        np.stack([inverse(poses[k]) for k in used]),
+        np.asarray(local_map.tracks.points[tracks], np.float64),
+        summed / np.bincount(point, minlength=len(tracks)),
+        np.stack([frame, point], axis=1),
+        pixels[good].astype(np.float64),
+        camera_params,
+        camera_sigma,
+        local_map.tracks.kind[tracks] == TrackKind.KLT,
+    )
+
+
+def _gather(
+    local_map: LocalMap, kind: TrackKind | None
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64], NDArray]:
+    """Frames ascending, their poses (N,4,4), numbers of observations, then all observations: track, pixels."""
+    found: dict[int, tuple[Array, NDArray, NDArray]] = {}
+    usable = local_map.tracks.known if kind is None else local_map.tracks.known & local_map.tracks.is_kind(kind)
+    for posed in local_map.posed if kind is None else ():
+        found[posed.frame] = (local_map.pose_of(posed), posed.ids, posed.pixels)
+    for keyframe in local_map.keyframes:
+        found[keyframe.frame] = (keyframe.pose, keyframe.ids, keyframe.pixels)
+    frames = np.array(sorted(found), dtype=np.int64)
+    masks = [usable[found[f][1]] for f in frames]
+    return (
+        frames,
+        np.stack([found[f][0] for f in frames]),
+        np.array([int(m.sum()) for m in masks]),
+        np.concatenate([found[f][1][m] for f, m in zip(frames, masks, strict=True)]).astype(np.int64),
+        np.concatenate([found[f][2][m] for f, m in zip(frames, masks, strict=True)]),
+    )
+
+
+def _refine(
+    local_map: LocalMap, poses: Array, row: NDArray[np.int64], ids: NDArray[np.int64], pixels: NDArray
+) -> tuple[Array, Array]:
+    """All poses fitted once more to the final points, and the error of each observation in pixels."""
+    poses, errors = poses.copy(), np.zeros(len(ids))
+    for first in range(0, len(poses), CHUNK):
+        part = slice(*np.searchsorted(row, [first, first + CHUNK]))
+        block = poses[first : first + CHUNK]
+        seen, gain = local_map.rays.look_up(pixels[part])
+        points, mine = local_map.tracks.points[ids[part]], row[part] - first
+        rotation, shift = refine_poses(block[:, :3, :3], block[:, :3, 3], mine, points, seen, gain, LOSS_PX)
+        poses[first : first + CHUNK] = [compose(r, t) for r, t in zip(rotation, shift, strict=True)]
+        local = np.einsum("mij,mj->mi", rotation[mine], points) + shift[mine]
+        off = np.linalg.norm(reprojections(local, seen, gain), axis=1)
+        errors[part] = np.where(local[:, 2] > 1e-9, off, np.inf)
+    return poses, errors
