@@ -1,7 +1,6 @@
 """The benchmark of depths and fusion parts, on a straight tube whose depth is known in closed form."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks import fusion_depths, fusion_input
-from benchmarks.fusion_depths import KeyframeView, completed, depth_sources, model_depth
-from benchmarks.fusion_parts import UNMOVED, MeasuredRun
+from benchmarks.common.runner import run as run_benchmark
+from benchmarks.fusion import comparison, depths
+from benchmarks.fusion.depths import KeyframeView, completed, depth_sources, model_depth
+from benchmarks.fusion.measured_run import UNMOVED, MeasuredRun
 from completion.evaluation.predictors import Predictor
 from haustra.core.camera import Camera
 from pipeline.config import Config
@@ -73,7 +73,7 @@ def write_truth(folder: Path, camera: Camera) -> None:
 
 
 def write_run(root: Path, camera: Camera, submap: Submap | None = None) -> Workspace:
-    """Finished as far as depth, which is the true one, with a confidence of 1."""
+    """Finished, but with no surface that anyone reads: depth is the true one, with a confidence of 1."""
     workspace, submap = Workspace(root), submap or tube_submap(camera)
     for folder in (workspace.images, workspace.masks, workspace.depth, workspace.confidence):
         folder.mkdir(parents=True)
@@ -89,6 +89,7 @@ def write_run(root: Path, camera: Camera, submap: Submap | None = None) -> Works
     write_model(submap, camera, workspace.models / "0")
     workspace.finish("structure", mapper="odometry", units=[1.0], warnings=[])
     workspace.finish("depth", keyframe_rows=[list(range(COUNT))], kept_share=[1.0])
+    workspace.finish("surface")
     return workspace
 
 
@@ -144,7 +145,7 @@ def test_linear_interpolation_is_exact_at_the_points_and_empty_outside_them(tmp_
     write_run(tmp_path / "run", PINHOLE)
     view = view_of(MeasuredRun(tmp_path / "run", tmp_path / "film"))
     corner = SparseDepth(np.array([[2.5, 2.5], [2.5, 42.5], [42.5, 2.5]]), np.array([1.0, 2.0, 3.0]), np.ones(3))
-    depth = fusion_depths.linear_depth(replace(view, sparse=corner))[0]
+    depth = depths.linear_depth(replace(view, sparse=corner))[0]
     assert depth[[2, 22, 2], [2, 2, 22]] == pytest.approx([1.0, 1.5, 2.0])
     assert not depth[40:, 40:].any()
 
@@ -199,7 +200,7 @@ def test_a_moved_map_is_also_fused_as_it_was_before(tmp_path):
     assert run.about["refinement"] == "moved"
     assert columns["both"]["f_score"] > 0.9
     assert columns[UNMOVED]["f_score"] < 0.85
-    change = fusion_input.changes({"own": columns})["pose graph, on top of all"]["own"]
+    change = comparison.changes({"own": columns})["pose graph, on top of all"]["own"]
     assert change == pytest.approx(100 * (columns["both"]["f_score"] - columns[UNMOVED]["f_score"]))
 
 
@@ -210,7 +211,7 @@ def test_a_metric_network_is_given_millimetres_and_its_answer_is_divided_again(m
         seen.update(rgb=rgb, sparse=sparse, lens=lens)
         return np.full(sparse.shape, 30.0, np.float32), None
 
-    monkeypatch.setattr(fusion_depths, "load_predictor", lambda model: Predictor(predict))
+    monkeypatch.setattr(depths, "load_predictor", lambda model: Predictor(predict))
     ones = np.ones((SIDE, SIDE), np.float32)
     keyframe = Keyframe(0, np.zeros((SIDE, SIDE, 3), np.uint8), ones, ones, np.eye(4))
     sparse = SparseDepth(np.array([[10.5, 21.0], [63.9, 63.9]]), np.array([2.0, 1.5]), np.full(2, 0.01))
@@ -236,7 +237,7 @@ def test_summary_is_what_a_hand_computes():
         for k, f in enumerate(own)
     }
     runs["2"]["own"][UNMOVED] = figures(0.65)
-    summary = fusion_input.summarised(runs)
+    summary = comparison.summarised(runs)
     alone = summary["consistency, alone"]
     assert list(alone) == ["own"]  # linear has no second column
     assert alone["own"]["median"] == pytest.approx(1.0)
@@ -250,13 +251,12 @@ def test_summary_is_what_a_hand_computes():
     assert (graph["median"], graph["runs"]) == (pytest.approx(10.0), 1)
 
 
-def test_the_command_prints_both_tables_and_writes_json(tmp_path, capsys, monkeypatch):
+def test_the_command_prints_both_tables_and_writes_json(tmp_path, capsys):
     write_truth(tmp_path / "film", PINHOLE)
     for name in ("first", "second"):
         write_run(tmp_path / name, PINHOLE)
     pairs = [f"{tmp_path / name}={tmp_path / 'film'}" for name in ("first", "second")]
-    monkeypatch.setattr(sys, "argv", ["fusion_input.py", *pairs, "--json", str(tmp_path / "out.json")])
-    fusion_input.main()
+    run_benchmark(comparison, "benchmarks.fusion", [*pairs, "--json", str(tmp_path / "out.json")])
     printed = capsys.readouterr().out
     record = json.loads((tmp_path / "out.json").read_text())
     assert list(record["runs"]) == ["first", "second"]

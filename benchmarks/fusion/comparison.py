@@ -1,6 +1,6 @@
 """What depth, and each part of the fusion, is worth to the mesh: finished runs fused anew and measured against truth.
 
-    python -m benchmarks.fusion_input RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
+    python -m benchmarks.fusion RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
 
 RUN must be a finished run of the RGB-D folder's frames. Its keyframes, poses and voxels are fused with linear
 interpolation of its sparse points, what each `--model` makes of them, the depth that the run wrote, and true depth;
@@ -8,7 +8,7 @@ each without and with consistency between keyframes and confidence as weights, a
 without that. Surfaces are compared as `haustra compare` does. docs/fusion.md explains the columns.
 
 A `--model` of the paper's kind is given the sparse points in true millimetres, which no run knows, on a picture of
-`--side` px, which must be what it was trained at (`paper_tables.py`: 160). It has no confidence, and neither have
+`--side` px, which must be what it was trained at (`paper_tables`: 160). It has no confidence, and neither have
 interpolated and true depth.
 """
 
@@ -17,12 +17,13 @@ import statistics
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 
-from benchmarks.fusion_depths import depth_sources
-from benchmarks.fusion_parts import UNMOVED, VARIANTS, Figures, MeasuredRun
-from benchmarks.record import write
+from benchmarks.common.record import write
+from benchmarks.fusion.depths import depth_sources
+from benchmarks.fusion.measured_run import UNMOVED, VARIANTS, Figures, MeasuredRun
 
 COLUMNS = [*VARIANTS, UNMOVED]
 NOISE = 0.1  # points of F; the mesh sampled by five other seeds gave a standard deviation of 0.04
@@ -129,8 +130,7 @@ def measured(run: MeasuredRun, models: dict[str, str], side: int) -> Depths:
     return depths
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("pairs", metavar="RUN=FOLDER", type=pair, nargs="+", help="finished run and its RGB-D folder")
     parser.add_argument(
         "--model", type=labelled, action="append", default=[], help="[LABEL=]shipped name or weight file; repeatable"
@@ -138,22 +138,20 @@ def main() -> None:
     parser.add_argument(
         "--side", type=int, default=160, help="px, longer side of what a network of the paper's kind works on"
     )
-    parser.add_argument("--json", type=Path, help="written anew after each run")
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Run after run; the record is also written after each of them."""
     names = [run.name for run, _ in arguments.pairs]
     if len(set(names)) < len(names):
-        parser.error("two run folders have the same name")
+        raise SystemExit("error: two run folders have the same name")
     cv2.setNumThreads(1)
-    models, runs, about = dict(arguments.model), {}, {}
+    models, runs, about, record = dict(arguments.model), {}, {}, {}
     for run, folder in arguments.pairs:
         opened = MeasuredRun(run, folder)
         about[opened.name] = opened.about
         runs[opened.name] = measured(opened, models, arguments.side)
-        summary = summarised(runs)
-        result = {"models": models, "side": arguments.side, "runs": runs, "about": about, "summary": summary}
-        write(arguments.json, result)
-    print(table(runs, about), summary_table(summary), sep="\n\n")
-
-
-if __name__ == "__main__":
-    main()
+        record = {"models": models, "side": arguments.side, "runs": runs, "about": about, "summary": summarised(runs)}
+        write(arguments.json, record)
+    print(table(runs, about), summary_table(record["summary"]), sep="\n\n")
+    return record

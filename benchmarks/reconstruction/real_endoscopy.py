@@ -1,7 +1,7 @@
 """35 in-vivo sinus frames against the poses that their authors published.
 
-    python -m benchmarks.real_endoscopy ../shared/data/sinus --json sinus.json
-    python -m benchmarks.real_endoscopy ../shared/data/sinus --front-end odometry
+    python -m benchmarks.reconstruction real-endoscopy ../shared/data/sinus --json sinus.json
+    python -m benchmarks.reconstruction real-endoscopy ../shared/data/sinus --front-end odometry
 
 The authors' poses are themselves SfM (`motion.yaml`, no unit), so the figure is an agreement, not an error: distances
 of camera centres after Sim(3), as a share of the authors' path length and of its extent; angles of orientations after
@@ -12,16 +12,17 @@ import argparse
 import json
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from benchmarks.inputs import encode_video
-from benchmarks.record import write
+from benchmarks.common.encode_video import encode_video
+from benchmarks.common.record import print_figures
+from benchmarks.common.runner import add_folder
 from pipeline.config import Config
 from pipeline.run import reconstruct
-from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import simcol3d_errors, trajectory_errors
 
 FPS = 30
@@ -51,39 +52,38 @@ def write_camera(folder: Path, target: Path) -> Path:
     return target
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--front-end", choices=["sfm", "odometry"], default="sfm")
-    parser.add_argument("--output", type=Path, help="keep the run folder here")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        output = arguments.output or Path(scratch) / "run"
-        video = encode_video(sorted(arguments.folder.glob("*.jpg")), Path(scratch) / "sinus.mp4", FPS)
-        camera = write_camera(arguments.folder, Path(scratch) / "camera.json")
-        result = reconstruct(video, output, Config(camera=str(camera), front_end=arguments.front_end), overwrite=True)
-        seconds, poses = read_tum(output / "trajectory.tum")
-    truth = read_motion(arguments.folder / "motion.yaml")
-    theirs = truth[np.round(seconds * FPS).astype(int)]
-    errors = trajectory_errors(poses, theirs, "sim3", "unit of the authors")
+def path_figures(estimated: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
+    """Agreement of poses (N,4,4) with the authors' of the same frames."""
+    errors = trajectory_errors(estimated, theirs, "sim3", "unit of the authors")
     path = float(np.linalg.norm(np.diff(theirs[:, :3, 3], axis=0), axis=1).sum())
     extent = float(np.linalg.norm(np.ptp(theirs[:, :3, 3], axis=0)))
-    figures = {
-        "posed": len(poses),
-        "total": len(truth),
+    return {
         "ate_rmse_share_of_path": errors.ate_rmse / path,
         "ate_rmse_share_of_extent": errors.ate_rmse / extent,
         "rotation_median_deg": errors.rotation_median_deg,
         "rotation_max_deg": errors.rotation_max_deg,
-        "one_frame_rotation_median_deg": simcol3d_errors(poses, theirs).rot_median_deg,
-        "triangles": result.metrics["submaps"][0]["faces"],
+        "one_frame_rotation_median_deg": simcol3d_errors(estimated, theirs).rot_median_deg,
     }
-    for name, value in figures.items():
-        print(f"{name:26} {value:.4g}")
-    protocol = f"{arguments.front_end}; Sim(3) on camera centres against motion.yaml"
-    write(arguments.json, {"protocol": protocol, "figures": figures})
 
 
-if __name__ == "__main__":
-    main()
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folder(parser, "the sinus frames with `motion.yaml` and `camera_intrinsics_per_view`")
+    parser.add_argument("--front-end", choices=["sfm", "odometry"], default="sfm")
+    parser.add_argument("--output", type=Path, help="keep the run folder here")
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """One run beside the authors' poses."""
+    folder, front_end = arguments.folder, arguments.front_end
+    with tempfile.TemporaryDirectory() as scratch:
+        output = arguments.output or Path(scratch) / "run"
+        video = encode_video(sorted(folder.glob("*.jpg")), Path(scratch) / "sinus.mp4", FPS)
+        camera = write_camera(folder, Path(scratch) / "camera.json")
+        result = reconstruct(video, output, Config(camera=str(camera), front_end=front_end), overwrite=True)
+        seconds, poses = result.trajectory()
+        triangles = result.metrics["submaps"][0]["faces"]
+    truth = read_motion(folder / "motion.yaml")
+    figures: dict[str, float] = {"posed": len(poses), "total": len(truth)}
+    figures |= path_figures(poses, truth[np.round(seconds * FPS).astype(int)]) | {"triangles": triangles}
+    print_figures(figures)
+    return {"protocol": f"{front_end}; Sim(3) on camera centres against motion.yaml", "figures": figures}

@@ -1,6 +1,6 @@
 """Milliseconds per frame of depth completion: the default model beside the rivals and interpolation, in turn.
 
-    python -m benchmarks.completion_speed --runs 20 --json completion_speed.json
+    python -m benchmarks.speed completion --runs 20 --json completion_speed.json
 
 One 320x320 frame, 100 points, every core; then the default model over image sizes, points, looks and working sizes.
 Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole of
@@ -14,11 +14,12 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.record import spread, write
+from benchmarks.common.record import shown, spread
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_scale_free
@@ -32,6 +33,8 @@ from pipeline.run_folder.malloc import keep_freed_memory
 
 RIVALS = ("std18", "std50", "nlspn", "gaenet")
 SIZES, POINTS = (160, 240, 320, 480), (10, 100, 1000)
+Calls = dict[str, Callable[[], object]]
+Graph = dict[str, np.ndarray]  # inputs of an exported network
 
 
 def scene(size: int, points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -60,9 +63,6 @@ def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> C
     return call
 
 
-Graph = dict[str, np.ndarray]
-
-
 def exported(network: ScaleFreeMSCSANet, rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
     """A network's graph for a picture of this size, and what goes in."""
     path = export_onnx(network, folder / "m.onnx", rgb.shape[0])
@@ -83,7 +83,7 @@ def by_onnxruntime(path: Path, inputs: Graph) -> Callable[[], object]:
     return lambda: session.run(None, inputs)
 
 
-def by_openvino(path: Path, inputs: Graph) -> dict[str, Callable[[], object]]:
+def by_openvino(path: Path, inputs: Graph) -> Calls:
     """Per precision; empty where OpenVINO is not installed."""
     try:
         import openvino
@@ -100,10 +100,10 @@ def by_openvino(path: Path, inputs: Graph) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def contenders() -> dict[str, Callable[[], object]]:
+def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
+    """The default as it is, then over image sizes, points, looks, working sizes and precisions."""
     completer = DepthCompleter.load("mscsa")
-    rgb, sparse = scene(320, 100)
-    calls: dict[str, Callable[[], object]] = {"mscsa (default), 320 px, 100 points": lambda: completer(rgb, sparse)}
+    calls: Calls = {"mscsa (default), 320 px, 100 points": partial(completer, rgb, sparse)}
     for size in SIZES:
         calls[f"mscsa, {size} px"] = partial(completer, *scene(size, 100))
     for points in POINTS:
@@ -115,11 +115,22 @@ def contenders() -> dict[str, Callable[[], object]]:
     for precision in ("int8", "bf16", "fp32"):
         if precision != "int8" or can_use_eight_bits():
             calls[f"mscsa, {precision}"] = partial(DepthCompleter(network, precision=precision), rgb, sparse)
+    return calls
+
+
+def of_network_alone(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
+    """The default's network in other programs."""
+    calls: Calls = {}
     with tempfile.TemporaryDirectory() as folder:
-        path, inputs = exported(network, rgb, sparse, Path(folder))
+        path, inputs = exported(load_scale_free("mscsa"), rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
         calls |= by_openvino(path, inputs)
-    calls["linear"] = lambda: CLASSICAL["linear"](sparse)
+    return calls
+
+
+def of_others(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
+    """Interpolation and the rivals' networks."""
+    calls: Calls = {"linear": lambda: CLASSICAL["linear"](sparse)}
     for name in RIVALS:
         for size in ("small", "paper"):
             if (name, size) != ("nlspn", "paper"):  # seconds a frame
@@ -127,31 +138,33 @@ def contenders() -> dict[str, Callable[[], object]]:
     return calls
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    keep_freed_memory()  # as every command does
-    calls = contenders()
+def milliseconds(calls: Calls, runs: int) -> dict[str, list[float]]:
+    """Of each call in each run; each run in a new order."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()  # once for caches and lazy set-up
     order = np.random.default_rng(0)
-    for _ in range(arguments.runs):
+    for _ in range(runs):
         for name in order.permutation(list(calls)):
             start = time.perf_counter()
             calls[name]()
             times[name].append(1000 * (time.perf_counter() - start))
-    for name, values in times.items():
-        shown = spread(values)
-        print(f"{name:44} {shown['median']:7.1f} ms [{shown['min']:.1f}, {shown['max']:.1f}] ({arguments.runs} runs)")
+    return times
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--runs", type=int, default=20)
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """All of them once in each run."""
+    keep_freed_memory()  # as every command does
+    inputs = scene(320, 100)
+    times = milliseconds(of_default(*inputs) | of_network_alone(*inputs) | of_others(*inputs), arguments.runs)
     figures = {name: spread(values) for name, values in times.items()}
+    for name, values in figures.items():
+        print(f"{name:44} {shown(values, '.1f')} ms ({arguments.runs} runs)")
     first = next(iter(times))
     ratio = float(np.median(np.array(times["linear"]) / np.array(times[first])))
     print(f"linear takes {ratio:.2f} of the default's time")
-    write(arguments.json, {"figures": figures, "linear_over_default": ratio, "threads": torch.get_num_threads()})
-
-
-if __name__ == "__main__":
-    main()
+    return {"figures": figures, "linear_over_default": ratio, "threads": torch.get_num_threads()}

@@ -1,6 +1,6 @@
 """Submaps of one film with frames missing in the middle: are they joined, and rightly? And are other films' never?
 
-    python -m benchmarks.joins SUITE/* ../shared/data/ctcolon --gaps 10 20 40 --json joins.json
+    python -m benchmarks.loops joins SUITE/* ../shared/data/ctcolon --gaps 10 20 40 --json joins.json
 
 Of each RGB-D folder the middle frames are left out, as a red-out would; either part is tracked for itself and adjusted
 to its features, as `odometry` does, and the maps are joined where the evidence allows. Way: the length that the camera
@@ -20,8 +20,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.front_ends import store, tracked_maps
-from benchmarks.record import write
+from benchmarks.common.front_end import store, tracked_maps
+from benchmarks.common.runner import add_folders
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config
@@ -115,7 +115,7 @@ def joined(film: Film, held: list[Held]) -> dict[str, Any]:
     return about | {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
 
 
-def print_row(row: dict[str, Any]) -> None:
+def print_cut(row: dict[str, Any]) -> None:
     text = f"{row['film']:16} gap {row['gap']:3} frames, {row['way_mm']:.1f} mm"
     if "left" not in row:
         print(text + ": no map on one side", flush=True)
@@ -126,31 +126,41 @@ def print_row(row: dict[str, Any]) -> None:
     print(text + f"; largest: ATE {row['ate_mm']:.3f} mm of {row['posed']} frames", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
+Halves = dict[str, tuple[LocalMap, LocalMap]]  # by film: the largest map before the gap, and after it
+
+
+def cut_films(films: list[Film], gaps: list[int]) -> tuple[list[dict[str, Any]], Halves]:
+    """A row for each film and gap; the maps beside the smallest gap."""
+    rows, halves = [], {}
+    for film in films:
+        for gap in gaps:
+            row, pair = cut(film, gap)
+            if gap == min(gaps) and pair is not None:
+                halves[film.name] = pair
+            rows.append(row)
+            print_cut(row)
+    return rows, halves
+
+
+def joined_strangers(films: list[Film], halves: Halves) -> tuple[list[tuple[str, str]], int]:
+    """Of the pairs of one film's first part and another's second, those that would be joined; how many pairs."""
+    finders = {film.name: film.features for film in films}
+    pairs = [(a, b) for a in halves for b in halves if a != b]
+    false = [(a, b) for a, b in pairs if offered(halves[a][0], halves[b][1], (finders[a], finders[b])) is not None]
+    print(f"parts of different films: {len(false)} joined of {len(pairs)} pairs {false or ''}")
+    return false, len(pairs)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser)
     parser.add_argument("--gaps", type=int, nargs="+", default=[10, 20, 40], help="frames left out")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Each film cut at each gap, then the parts of different films."""
     cv2.setNumThreads(1)
-    rows: list[dict[str, Any]] = []
-    false: list[tuple[str, str]] = []
     with tempfile.TemporaryDirectory() as scratch:
         films = [film_of(folder, Path(scratch)) for folder in arguments.folders]
-        halves: dict[str, tuple[LocalMap, LocalMap]] = {}
-        for film in films:
-            for gap in arguments.gaps:
-                row, pair = cut(film, gap)
-                if gap == min(arguments.gaps) and pair is not None:
-                    halves[film.name] = pair
-                rows.append(row)
-                print_row(row)
-        finders = {film.name: film.features for film in films}
-        pairs = [(a, b) for a in halves for b in halves if a != b]
-        false = [(a, b) for a, b in pairs if offered(halves[a][0], halves[b][1], (finders[a], finders[b])) is not None]
-    print(f"parts of different films: {len(false)} joined of {len(pairs)} pairs {false or ''}")
-    write(arguments.json, {"gaps": arguments.gaps, "rows": rows, "strangers": len(pairs), "false": false})
-
-
-if __name__ == "__main__":
-    main()
+        rows, halves = cut_films(films, arguments.gaps)
+        false, pairs = joined_strangers(films, halves)
+    return {"gaps": arguments.gaps, "rows": rows, "strangers": pairs, "false": false}

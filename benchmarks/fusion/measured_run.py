@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.fusion_depths import Completed, DepthSource, KeyframeView, completed
+from benchmarks.fusion.depths import Completed, DepthSource, KeyframeView, completed
 from haustra.core.camera import Camera
 from pipeline.config import Config
 from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
 from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.finished_run import open_run
 from pipeline.frontend.select import load_structure
-from pipeline.input.frames import Frames, load_frames
-from pipeline.loop_closing.close_loops import refined_keyframes
-from pipeline.run_folder.workspace import open_workspace
+from pipeline.input.frames import Frames
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import fusion_settings
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
@@ -69,12 +68,12 @@ class TrueFilm:
 class MeasuredRun:
     """A finished run beside the truth of its film."""
 
-    def __init__(self, run: Path, folder: Path) -> None:
-        workspace = open_workspace(run)
-        self.name, self.folder, self.config = run.name, folder, workspace.config
-        self.frames, self.film = load_frames(workspace), read_film(folder)
-        self.planned = planned_keyframes(self.frames, load_structure(workspace), workspace)
-        refined = refined_keyframes(self.planned, workspace)[0]
+    def __init__(self, folder: Path, film: Path) -> None:
+        run = open_run(folder)
+        workspace, refined = run.workspace, run.completed_submaps[0]
+        self.name, self.folder, self.config = folder.name, film, workspace.config
+        self.frames, self.film = run.frames, read_film(film)
+        self.planned = planned_keyframes(run.frames, load_structure(workspace), workspace)  # before loop closing
         self.refinement_ran, self.moved = workspace.is_done("refinement"), refined.depth_scale is not None
         self.before = self._posed(self.planned[0])
         self.after = self._posed(refined) if self.moved else self.before

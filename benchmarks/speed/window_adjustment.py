@@ -1,6 +1,6 @@
 """Bundle adjustment of odometry's windows: ours beside Ceres (by pycolmap) and GTSAM, on the same windows.
 
-    python -m benchmarks.window_adjustment SUITE/loop SUITE/low_texture --json windows.json
+    python -m benchmarks.speed window-adjustment SUITE/loop SUITE/low_texture --json windows.json
 
 The windows are those that tracking a film meets, every `--every`-th of those that two cameras or more hold, as they are
 before they are adjusted. Films must have a pinhole's lens, since residuals are then the same pixels for all three; that
@@ -30,8 +30,9 @@ import pycolmap
 from gtsam.symbol_shorthand import L, X
 from threadpoolctl import threadpool_limits
 
-from benchmarks.front_ends import store, tracked_maps
-from benchmarks.record import spread, write
+from benchmarks.common.front_end import store, tracked_maps
+from benchmarks.common.record import spread
+from benchmarks.common.runner import add_folders
 from haustra.core.camera import Camera
 from pipeline.config import Config
 from pipeline.frontend.odometry.frame_io import frame_reader
@@ -100,7 +101,22 @@ def ours(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
 
 def by_ceres(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
     begun = time.perf_counter()
-    model, config, options = pycolmap.Reconstruction(), pycolmap.BundleAdjustmentConfig(), _ceres_options(stop)
+    model, config, names = _ceres_problem(window, camera)
+    options = _ceres_options(stop)
+    made = time.perf_counter()
+    summary = pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    solved = time.perf_counter()
+    poses = np.stack([model.images[k + 1].cam_from_world().matrix() for k in range(len(window.rotation))])
+    points = np.stack([model.points3D[name].xyz for name in names])
+    result = replace(window, rotation=poses[:, :, :3], translation=poses[:, :, 3], points=points)
+    return Adjusted(result, made - begun, solved - made, 2 * summary.ceres_summary.initial_cost)
+
+
+def _ceres_problem(
+    window: Bundle, camera: Camera
+) -> tuple[pycolmap.Reconstruction, pycolmap.BundleAdjustmentConfig, list[int]]:
+    """The window as a COLMAP model, what is held in it, and its points' names there."""
+    model, config = pycolmap.Reconstruction(), pycolmap.BundleAdjustmentConfig()
     lens = pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=camera.params)
     lens.camera_id = 1
     model.add_camera_with_trivial_rig(lens)
@@ -118,13 +134,7 @@ def by_ceres(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
     for number, row, point in zip(window.camera.tolist(), row_in_image.tolist(), window.point.tolist(), strict=True):
         tracks[point].append(pycolmap.TrackElement(number + 1, row))
     names = [model.add_point3D(x, pycolmap.Track(t)) for x, t in zip(window.points, tracks, strict=True)]
-    made = time.perf_counter()
-    summary = pycolmap.create_default_bundle_adjuster(options, config, model).solve()
-    solved = time.perf_counter()
-    poses = np.stack([model.images[k + 1].cam_from_world().matrix() for k in range(len(window.rotation))])
-    points = np.stack([model.points3D[name].xyz for name in names])
-    result = replace(window, rotation=poses[:, :, :3], translation=poses[:, :, 3], points=points)
-    return Adjusted(result, made - begun, solved - made, 2 * summary.ceres_summary.initial_cost)
+    return model, config, names
 
 
 def _ceres_options(stop: Stop) -> pycolmap.BundleAdjustmentOptions:
@@ -141,21 +151,7 @@ def _ceres_options(stop: Stop) -> pycolmap.BundleAdjustmentOptions:
 
 def by_gtsam(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
     begun = time.perf_counter()
-    lens = gtsam.Cal3_S2(*camera.focal, 0.0, *camera.centre)
-    noise = gtsam.noiseModel.Robust.Create(
-        gtsam.noiseModel.mEstimator.Cauchy.Create(LOSS_PX), gtsam.noiseModel.Unit.Create(2)
-    )
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    pixels = window.seen * camera.focal + camera.centre
-    for pixel, number, point in zip(pixels, window.camera.tolist(), window.point.tolist(), strict=True):
-        graph.add(gtsam.GenericProjectionFactorCal3_S2(pixel, noise, X(number), L(point), lens))
-    for number, (rotation, translation) in enumerate(zip(window.rotation, window.translation, strict=True)):
-        pose = gtsam.Pose3(gtsam.Rot3(rotation.T), -rotation.T @ translation)
-        values.insert(X(number), pose)
-        if window.fixed[number]:
-            graph.add(gtsam.PriorFactorPose3(X(number), pose, gtsam.noiseModel.Isotropic.Sigma(6, HELD_SIGMA)))
-    for number, point in enumerate(window.points):
-        values.insert(L(number), point)
+    graph, values = _gtsam_problem(window, camera)
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(stop.iterations)
     params.setRelativeErrorTol(stop.tolerance)
@@ -171,6 +167,26 @@ def by_gtsam(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
         points=np.stack([solved_values.atPoint3(L(number)) for number in range(len(window.points))]),
     )
     return Adjusted(result, made - begun, solved - made, 2 * graph.error(values))
+
+
+def _gtsam_problem(window: Bundle, camera: Camera) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The window as a factor graph and where it begins."""
+    lens = gtsam.Cal3_S2(*camera.focal, 0.0, *camera.centre)
+    noise = gtsam.noiseModel.Robust.Create(
+        gtsam.noiseModel.mEstimator.Cauchy.Create(LOSS_PX), gtsam.noiseModel.Unit.Create(2)
+    )
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    pixels = window.seen * camera.focal + camera.centre
+    for pixel, number, point in zip(pixels, window.camera.tolist(), window.point.tolist(), strict=True):
+        graph.add(gtsam.GenericProjectionFactorCal3_S2(pixel, noise, X(number), L(point), lens))
+    for number, (rotation, translation) in enumerate(zip(window.rotation, window.translation, strict=True)):
+        pose = gtsam.Pose3(gtsam.Rot3(rotation.T), -rotation.T @ translation)
+        values.insert(X(number), pose)
+        if window.fixed[number]:
+            graph.add(gtsam.PriorFactorPose3(X(number), pose, gtsam.noiseModel.Isotropic.Sigma(6, HELD_SIGMA)))
+    for number, point in enumerate(window.points):
+        values.insert(L(number), point)
+    return graph, values
 
 
 MOVED = ("rotation", "translation", "points")
@@ -199,7 +215,7 @@ def measured(camera: Camera, windows: list[Bundle]) -> list[dict[str, Any]]:
     return rows
 
 
-def table(film: str, rows: list[dict[str, Any]]) -> None:
+def print_table(film: str, rows: list[dict[str, Any]]) -> None:
     typical = {k: int(np.median([r[k] for r in rows])) for k in ("observations", "points", "cameras")}
     count = len({r["window"] for r in rows})
     print(f"{film}: {count} windows, in the median {typical}; median (least to most)")
@@ -211,12 +227,13 @@ def table(film: str, rows: list[dict[str, Any]]) -> None:
             print(f"  {stop.name:10} {name:6} solving {texts[0]} ms, making {texts[1]} ms, cost left {texts[2]}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders whose lens is a pinhole")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser, "RGB-D folders whose lens is a pinhole")
     parser.add_argument("--every", type=int, default=5, help="use every n-th window")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The windows of every film by every method."""
     cv2.setNumThreads(1)
     results = {}
     with threadpool_limits(1):
@@ -226,9 +243,5 @@ def main() -> None:
             ahead = [window for window in windows if is_ahead(window)]
             print(f"{folder.name}: {len(windows) - len(ahead)} of {len(windows)} windows have a point behind a camera")
             results[folder.name] = measured(camera, ahead)
-            table(folder.name, results[folder.name])
-    write(arguments.json, {"windows": results})
-
-
-if __name__ == "__main__":
-    main()
+            print_table(folder.name, results[folder.name])
+    return {"windows": results}

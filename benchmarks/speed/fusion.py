@@ -1,6 +1,6 @@
 """How long a frame takes to fuse: ours beside Open3D's two, same frames, same voxels, same truncation, one run.
 
-    python -m benchmarks.fusion_speed ../shared/data/ctcolon --voxel-mm 0.5 --json fusion_speed.json
+    python -m benchmarks.speed fusion ../shared/data/ctcolon --voxel-mm 0.5 --json fusion_speed.json
 
 RGB-D folder with true depth and poses. Peers: Open3D's tensor `VoxelBlockGrid.integrate` (with the search for the
 blocks that a frame touches, without which it cannot be called) and the legacy `ScalableTSDFVolume.integrate`. Neither
@@ -12,13 +12,15 @@ the end, and what that makes for a metre of a lumen 46 mm wide by the area of th
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from benchmarks.record import spread, write
+from benchmarks.common.record import spread
+from benchmarks.common.runner import add_folder
 from haustra.core.camera import read_camera
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
@@ -26,6 +28,8 @@ from reconstruction.mesh.open3d_import import import_open3d
 
 LUMEN_MM = 46.0
 BLOCK_BYTES = 14 * 1024  # reconstruction/fusion/voxel_grid.py
+DEPTH_UNIT_MM = np.float32(0.01)  # of a count of the depth PNGs
+GRID, VOLUME = "Open3D VoxelBlockGrid", "Open3D ScalableTSDFVolume"
 Integrate = Callable[[np.ndarray, np.ndarray, np.ndarray], object]  # rgb, depth mm, world_from_camera
 
 
@@ -86,51 +90,61 @@ def legacy_peer(
     return lambda: len(volume.extract_triangle_mesh().triangles), integrate
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--voxel-mm", type=float, default=0.5)
-    parser.add_argument("--truncation", type=float, default=8.0, help="voxels")
-    parser.add_argument("--max-depth-mm", type=float, default=100.0)
-    parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    camera = read_camera(arguments.folder / "camera.json")
-    _, poses = read_tum(arguments.folder / "trajectory.txt")
-    settings = FusionSettings(arguments.voxel_mm, arguments.truncation, arguments.max_depth_mm)
-    fusion, mine = ours(settings, camera.matrix)
-    grid_faces, grid = tensor_peer(settings, camera.matrix)
-    volume_faces, volume = legacy_peer(settings, camera.matrix, camera.width, camera.height)
-    tracked = {"ours": mine, "Open3D VoxelBlockGrid": grid, "Open3D ScalableTSDFVolume": volume}
-    times: dict[str, list[float]] = {name: [] for name in tracked}
-    for index in np.linspace(0, len(poses) - 1, min(arguments.frames, len(poses))).astype(int):
-        rgb = cv2.cvtColor(cv2.imread(str(arguments.folder / "rgb" / f"{index:05d}.png")), cv2.COLOR_BGR2RGB)
-        raw = cv2.imread(str(arguments.folder / "depth" / f"{index:05d}.png"), cv2.IMREAD_UNCHANGED)
-        depth = raw.astype(np.float32) * np.float32(0.01)
-        for name, integrate in tracked.items():
+Frame = tuple[np.ndarray, np.ndarray, np.ndarray]  # rgb (H,W,3), depth (H,W) mm, world_from_camera (4,4)
+
+
+def frames_of(folder: Path, count: int) -> Iterator[Frame]:
+    """So many frames, spread over the film."""
+    _, poses = read_tum(folder / "trajectory.txt")
+    for index in np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int):
+        rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{index:05d}.png")), cv2.COLOR_BGR2RGB)
+        raw = cv2.imread(str(folder / "depth" / f"{index:05d}.png"), cv2.IMREAD_UNCHANGED)
+        yield rgb, raw.astype(np.float32) * DEPTH_UNIT_MM, poses[index]
+
+
+def milliseconds(frames: Iterator[Frame], methods: dict[str, Integrate]) -> dict[str, Any]:
+    """Of each method a frame, without the first frame."""
+    times: dict[str, list[float]] = {name: [] for name in methods}
+    for frame in frames:
+        for name, integrate in methods.items():
             start = time.perf_counter()
-            integrate(rgb, depth, poses[index])
+            integrate(*frame)
             times[name].append(1e3 * (time.perf_counter() - start))
-    figures = {name: spread(values[1:]) for name, values in times.items()}
-    surface = fusion.extract()
-    faces = {"ours": len(surface.faces), "Open3D VoxelBlockGrid": grid_faces()}
-    faces["Open3D ScalableTSDFVolume"] = volume_faces()
-    reference = figures["Open3D VoxelBlockGrid"]["median"]
+    return {name: spread(values[1:]) for name, values in times.items()}
+
+
+def print_methods(figures: dict[str, Any], faces: dict[str, int], size: str) -> None:
     for name, of in figures.items():
         idle = "" if 2 * faces[name] > faces["ours"] else "; NOT COMPARABLE: it left nearly everything out"
         print(
             f"{name}: {of['median']:.1f} ms a frame ({of['min']:.1f}-{of['max']:.1f}, {len(of['values'])} frames of "
-            f"{camera.width}x{camera.height}), {of['median'] / reference:.2f} of Open3D's tensor grid; "
-            f"{faces[name]} triangles{idle}"
+            f"{size}), {of['median'] / figures[GRID]['median']:.2f} of Open3D's tensor grid; {faces[name]} "
+            f"triangles{idle}"
         )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folder(parser)
+    parser.add_argument("--voxel-mm", type=float, default=0.5)
+    parser.add_argument("--truncation", type=float, default=8.0, help="voxels")
+    parser.add_argument("--max-depth-mm", type=float, default=100.0)
+    parser.add_argument("--frames", type=int, default=40)
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """All three on each frame in turn."""
+    camera = read_camera(arguments.folder / "camera.json")
+    settings = FusionSettings(arguments.voxel_mm, arguments.truncation, arguments.max_depth_mm)
+    fusion, mine = ours(settings, camera.matrix)
+    grid_faces, grid = tensor_peer(settings, camera.matrix)
+    volume_faces, volume = legacy_peer(settings, camera.matrix, camera.width, camera.height)
+    methods = {"ours": mine, GRID: grid, VOLUME: volume}
+    figures = milliseconds(frames_of(arguments.folder, arguments.frames), methods)
+    surface = fusion.extract()
+    faces = {"ours": len(surface.faces), GRID: grid_faces(), VOLUME: volume_faces()}
+    print_methods(figures, faces, f"{camera.width}x{camera.height}")
     area, held = float(surface.face_areas.sum()), fusion.blocks * BLOCK_BYTES / 2**20
     metre = held / area * np.pi * LUMEN_MM * 1000
     print(f"memory: {held:.0f} MiB for {area / 100:.0f} cm^2 of surface; {metre:.0f} MiB for a metre of lumen")
-    write(
-        arguments.json,
-        {"voxel_mm": arguments.voxel_mm, "milliseconds": figures, "triangles": faces, "mebibytes_per_metre": metre},
-    )
-
-
-if __name__ == "__main__":
-    main()
+    about = {"voxel_mm": arguments.voxel_mm, "milliseconds": figures}
+    return about | {"triangles": faces, "mebibytes_per_metre": metre}

@@ -1,6 +1,6 @@
 """How fast the phantom films, with everything on, beside the bare ray casting that it cannot do without.
 
-    python -m benchmarks.phantom_speed --runs 3 --json phantom_speed.json
+    python -m benchmarks.speed phantom --runs 3 --json phantom_speed.json
 
 Whole frames as `haustra phantom` writes them: geometry, two lights with shadows, light between walls, texture, stool,
 fluid, defocus, motion blur, sharpening, noise, text, mask, 4:2:0, JPEG, PNG of picture and depth, H.264; then the same
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.record import spread, write
+from benchmarks.common.record import shown, spread
 from haustra.phantom.config import PhantomConfig
 from haustra.phantom.dataset.generate import film_into
 from haustra.phantom.dataset.scenes import film_of
@@ -58,7 +58,7 @@ def cast_only(caster: RayCaster, phantom: Phantom, poses: np.ndarray) -> float:
     return len(poses) / (time.monotonic() - start)
 
 
-def measure(label: str, settings: dict[str, Any], runs: int, frames: int) -> dict[str, Any]:
+def measure_film(label: str, settings: dict[str, Any], runs: int, frames: int) -> dict[str, Any]:
     """Rates of one kind of film, beside bare ray casting in turn."""
     config: PhantomConfig = film_of(config_from(settings), frames)
     start = time.monotonic()
@@ -73,27 +73,20 @@ def measure(label: str, settings: dict[str, Any], runs: int, frames: int) -> dic
     ratios = [ours / theirs for ours, theirs in zip(*rates.values(), strict=True)]
     size = f"{config.camera.width}x{config.camera.height}, {len(phantom.colon.triangles)} triangles"
     for name, values in rates.items():
-        shown = spread(values)
-        count = f"{runs} runs of {frames} frames, {size}"
-        print(f"{name:24} {shown['median']:.1f} frames/s [{shown['min']:.1f}, {shown['max']:.1f}] ({count})")
+        print(f"{name:24} {shown(spread(values), '.1f')} frames/s ({runs} runs of {frames} frames, {size})")
     print(f"ratio {np.median(ratios):.2f}; building the colon took {build:.1f} s", flush=True)
     figures: dict[str, Any] = {name: spread(values) for name, values in rates.items()}
     return figures | {"ratio": spread(ratios), "build_s": build, "frames": frames, "size": size}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--frames", type=int, default=240)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Without events, and with all of them."""
     appearance = {name: part for name, part in EVERYTHING.items() if name != "events"}
-    results = {
-        label: measure(label, settings, arguments.runs, arguments.frames)
-        for label, settings in (("full appearance", appearance), ("and all five events", EVERYTHING))
-    }
-    write(arguments.json, {"figures": results})
-
-
-if __name__ == "__main__":
-    main()
+    kinds = {"full appearance": appearance, "and all five events": EVERYTHING}
+    runs, frames = arguments.runs, arguments.frames
+    return {"figures": {label: measure_film(label, settings, runs, frames) for label, settings in kinds.items()}}

@@ -1,6 +1,6 @@
 """abs.REL of the shipped model beside linear interpolation on folders with true depth.
 
-    python -m benchmarks.depth_completion ../shared/data/ctcolon ../shared/data/simcol3d --json completion.json
+    python -m benchmarks.completion accuracy ../shared/data/ctcolon ../shared/data/simcol3d --json completion.json
 
 Samplers: `uniform` takes pixels at random with true depth. `sfm` takes SIFT keypoints (OpenCV, contrast threshold
 0.005) at random, multiplies depth by 1 + 0.03 N(0,1), 3 % of the points by U(0.5, 2), and all points of a frame by
@@ -11,10 +11,12 @@ interpolation fills outside the hull with the nearest point.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.record import say, write
+from benchmarks.common.record import print_row
+from benchmarks.common.runner import add_folders
 from completion import DepthCompleter
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.readers import read_evaluation_frames
@@ -49,35 +51,36 @@ def errors_of(
     return by_linear, by_model
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", nargs="+", type=Path)
+def row_of(
+    completer: DepthCompleter, model: str, frames: list[EvaluationFrame], sampler: str, points: int, draws: int
+) -> dict[str, Any]:
+    """Mean abs.REL of both over the draws, and the least and most of a draw."""
+    errors = [errors_of(completer, frames, sampler, points, seed) for seed in range(draws)]
+    row: dict[str, Any] = {"sampler": sampler, "points": points, "frames": len(frames)}
+    for place, name in enumerate(("linear", model)):
+        of_draws = [error[place] for error in errors]
+        row[f"{name}_abs_rel_percent"] = float(np.mean(of_draws))
+        row |= {f"{name}_least": min(of_draws), f"{name}_most": max(of_draws)}
+    return row
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser, "with true depth")
     parser.add_argument("--model", default="mscsa")
-    parser.add_argument(
-        "--looks", type=int, help="how often each frame is completed; the model's own number if not given"
-    )
+    parser.add_argument("--looks", type=int, help="how often a frame is completed; the model's own number if not given")
     parser.add_argument("--stride", type=int, default=1, help="every n-th frame of a sequence of more than 20")
     parser.add_argument("--draws", type=int, default=4, help="of points, by seeds from 0 on")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Every folder with every setting of the points."""
     completer = DepthCompleter(load_scale_free(arguments.model), looks=arguments.looks)
     rows = []
     for folder in arguments.folders:
         frames = judged_frames(folder, arguments.stride)
         for sampler, points in SETTINGS:
-            errors = [errors_of(completer, frames, sampler, points, seed) for seed in range(arguments.draws)]
-            row = {"folder": folder.name, "sampler": sampler, "points": points, "frames": len(frames)}
-            for place, name in enumerate(("linear", arguments.model)):
-                of_draws = [error[place] for error in errors]
-                row[f"{name}_abs_rel_percent"] = float(np.mean(of_draws))
-                row |= {f"{name}_least": min(of_draws), f"{name}_most": max(of_draws)}
-            rows.append(row)
-            say(row)
-    write(
-        arguments.json,
-        {"looks": completer.looks, "precision": completer.precision, "draws": arguments.draws, "rows": rows},
-    )
-
-
-if __name__ == "__main__":
-    main()
+            row = row_of(completer, arguments.model, frames, sampler, points, arguments.draws)
+            rows.append({"folder": folder.name} | row)
+            print_row(rows[-1])
+    about = {"looks": completer.looks, "precision": completer.precision, "draws": arguments.draws}
+    return about | {"rows": rows}

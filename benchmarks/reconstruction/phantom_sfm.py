@@ -1,7 +1,7 @@
 """How plain COLMAP fares on the phantom's evaluation sequences, beside a sequence that the phantom did not make.
 
     haustra phantom SUITE --suite
-    python -m benchmarks.phantom_sfm SUITE/* ../shared/data/ctcolon --json phantom_sfm.json
+    python -m benchmarks.reconstruction phantom-sfm SUITE/* ../shared/data/ctcolon --json phantom_sfm.json
 
 A phantom that is much easier or much harder than real video would make every later benchmark on it worthless. Both of
 COLMAP's mappers get the same SIFT features (peak threshold 0.002, at most 2048) and the same verified matches of each
@@ -20,8 +20,8 @@ import cv2  # before pycolmap: see pipeline/frontend/colmap/worker.py
 import numpy as np
 import pycolmap
 
-from benchmarks.colmap_features import extract_and_match
-from benchmarks.record import write
+from benchmarks.common.colmap_features import extract_and_match
+from benchmarks.common.runner import add_folders
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
@@ -92,12 +92,13 @@ def judge(models: dict[int, pycolmap.Reconstruction], folder: Path) -> dict[str,
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Both mappers once on each folder."""
     figures: dict[str, Any] = {}
     pycolmap.logging.minloglevel = 2  # errors only
     for folder in arguments.folders:
@@ -107,11 +108,11 @@ def main() -> None:
             mask = border_mask(sorted((folder / "rgb").glob("*.png")), out / "mask.png")
             matched = match(folder, out / "database.db", mask)
             figures[folder.name] = matched | map_both(folder, out / "database.db", out)
-        print_row(folder.name, figures[folder.name])
-    write(arguments.json, {"seed": arguments.seed, "figures": figures})
+        print_sequence(folder.name, figures[folder.name])
+    return {"seed": arguments.seed, "figures": figures}
 
 
-def print_row(name: str, figures: dict[str, Any]) -> None:
+def print_sequence(name: str, figures: dict[str, Any]) -> None:
     print(f"{name:18} {figures['keypoints_per_frame']:5.0f} keypoints/frame", end="")
     print(f", {figures['inliers_per_pair']:4.0f} inliers with the next (least {figures['weakest_pair']:.0f})", end="")
     print(f", moving {figures['pixels_per_frame']:.1f} px", end="")
@@ -121,7 +122,3 @@ def print_row(name: str, figures: dict[str, Any]) -> None:
         count = f"{found.get('registered', 0)}/{found.get('frames', 0)} in {found['models']}"
         print(f" | {mapper} {count}, {errors}", end="")
     print(flush=True)
-
-
-if __name__ == "__main__":
-    main()

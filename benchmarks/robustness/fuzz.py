@@ -1,7 +1,7 @@
 """Corrupted and adversarial inputs: each must end in a result or in one clear sentence, never in a crash.
 
-    python -m benchmarks.fuzz --inputs 200 --json fuzz.json
-    python -m benchmarks.fuzz --only 17 --inputs 200      # one of them again, with its traceback
+    python -m benchmarks.robustness --inputs 200 --json fuzz.json
+    python -m benchmarks.robustness --only 17 --inputs 200      # one of them again, with its traceback
 
 Each input is a stretch of the demo clip, damaged in one or two of the ways of `corruptions.py`: its frames, its file or
 its camera file. The whole of `reconstruct` runs on it at 160 px. Counted: reconstructed, refused with a sentence, fault
@@ -25,20 +25,20 @@ from typing import Any
 import av
 import numpy as np
 
-from benchmarks.corruptions import OF_FRAMES, Frames, damage_file, left_alone, wrong_camera
-from benchmarks.record import write
+from benchmarks.common.record import write
+from benchmarks.robustness.corruptions import OF_FRAMES, Frames, damage_file, left_alone, wrong_camera
 from haustra.core.errors import HaustraError
 from pipeline.config import Config, FrameSettings
+from pipeline.demo import CAMERA, VIDEO
 from pipeline.run import reconstruct
 
-DEMO = Path(__file__).parents[1] / "pipeline" / "demo"
 STRETCH = 40  # frames of an input
 PER_PROCESS = 20  # inputs before a fresh process, which bounds what one can do to the next
 
 
 @lru_cache(1)
 def demo_frames() -> Frames:
-    with av.open(str(DEMO / "video.mp4")) as container:
+    with av.open(str(VIDEO)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
 
@@ -52,7 +52,7 @@ def make_input(number: int, folder: Path) -> tuple[Path, Path, list[str]]:
         frames = OF_FRAMES.get(done[-1], left_alone)(frames, rng)
     video, camera = folder / "video.mp4", folder / "camera.json"
     encode(frames, video)
-    truth = json.loads((DEMO / "camera.json").read_text())
+    truth = json.loads(CAMERA.read_text())
     camera.write_text(json.dumps(truth))
     if not done or rng.random() < 0.2:
         which = int(rng.integers(0, 2))
@@ -112,27 +112,25 @@ def attempts(numbers: list[int], front_end: str, limit: float) -> list[dict[str,
     return outcomes
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--inputs", type=int, default=200)
     parser.add_argument("--only", type=int, help="this input alone")
     parser.add_argument("--front-end", choices=["auto", "sfm", "odometry"], default="odometry")
     parser.add_argument("--limit", type=float, default=180.0, help="seconds for one input")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """All inputs; ends with exit code 1 if there was a fault."""
     numbers = list(range(arguments.inputs)) if arguments.only is None else [arguments.only]
     outcomes = attempts(numbers, arguments.front_end, arguments.limit)
     counts = Counter(outcome["end"] for outcome in outcomes)
-    results = [outcome for outcome in outcomes if outcome["end"] == "reconstructed"]
-    dark = [outcome for outcome in results if outcome["dark"]]
     print(f"{len(outcomes)} inputs: " + ", ".join(f"{count} {end}" for end, count in sorted(counts.items())))
-    print(f"results with a submap that contradicts its lamp: {len(dark)}")
-    for outcome in outcomes:
-        if outcome["end"] == "fault":
-            print(f"\ninput {outcome['number']} {outcome.get('done')}\n{outcome['text']}")
-    write(arguments.json, {"front_end": arguments.front_end, "counts": dict(counts), "outcomes": outcomes})
-    raise SystemExit(1 if counts["fault"] else 0)
-
-
-if __name__ == "__main__":
-    main()
+    print(f"results with a submap that contradicts its lamp: {sum(bool(o.get('dark')) for o in outcomes)}")
+    record = {"front_end": arguments.front_end, "counts": dict(counts), "outcomes": outcomes}
+    faults = [outcome for outcome in outcomes if outcome["end"] == "fault"]
+    for outcome in faults:
+        print(f"\ninput {outcome['number']} {outcome.get('done')}\n{outcome['text']}")
+    if faults:
+        write(arguments.json, record)
+        raise SystemExit(1)
+    return record

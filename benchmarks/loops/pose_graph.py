@@ -1,8 +1,8 @@
 """What closing loops is worth: drift, path and surface before and after, and whether any loop is false.
 
     haustra phantom LOOPS --suite --config benchmarks/loops.yaml
-    python -m benchmarks.pose_graph LOOPS/* SUITE/* ../shared/data/ctcolon --surface --json pose_graph.json
-    python -m benchmarks.pose_graph LOOPS/long_c SUITE/easy_withdrawal --kidnapped --json kidnapped.json
+    python -m benchmarks.loops pose-graph LOOPS/* SUITE/* ../shared/data/ctcolon --surface --json pose_graph.json
+    python -m benchmarks.loops pose-graph LOOPS/long_c SUITE/easy_withdrawal --kidnapped --json kidnapped.json
 
 Each folder's frames go through `odometry` and completion with the folder's own camera; then the largest submap's loops
 are closed: `graph` is what the pose graph alone makes of it, `after` is adjusted to the images. End to start: each of
@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.record import write
+from benchmarks.common.runner import add_folders
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
@@ -49,7 +49,8 @@ from reconstruction.mesh.surface_mesh import drop_small_components
 ENDS = 0.15  # of the frames
 RETURNS_MM = 15.0  # between first and last camera of a film that comes back
 FALSE_DEG, FALSE_SHIFT = 5.0, 0.1
-OVERLAP = 0.1
+OVERLAP = 0.1  # of the film, that both halves have
+HALF_UNIT = 0.5
 
 
 def dense_submaps(folder: Path, config: Config, root: Path) -> tuple[Frames, list[DenseSubmap]]:
@@ -80,16 +81,21 @@ def path_figures(part: DenseSubmap, truth: np.ndarray) -> dict[str, float]:
     poses, true = part.submap.world_from_camera, truth[part.submap.frames]
     errors = trajectory_errors(poses, true)
     figures = {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
-    count = int(ENDS * len(poses))
     if np.linalg.norm(true[0, :3, 3] - true[-1, :3, 3]) > RETURNS_MM:
         return figures
+    return figures | end_to_start(poses, true, errors.scale)
+
+
+def end_to_start(poses: np.ndarray, true: np.ndarray, mm_per_unit: float) -> dict[str, float]:
+    """Errors of the last poses (N,4,4) relative to the first ones that are truly nearest to them, medians."""
+    count = int(ENDS * len(poses))
     shift, turn = [], []
     for last in range(len(poses) - count, len(poses)):
         first = int(np.linalg.norm(true[:count, :3, 3] - true[last, :3, 3], axis=1).argmin())
         found, wanted = (np.linalg.inv(p[first]) @ p[last] for p in (poses, true))
-        shift.append(float(np.linalg.norm(errors.scale * found[:3, 3] - wanted[:3, 3])))
+        shift.append(float(np.linalg.norm(mm_per_unit * found[:3, 3] - wanted[:3, 3])))
         turn.append(float(np.degrees(Rotation.from_matrix(found[:3, :3].T @ wanted[:3, :3]).magnitude())))
-    return figures | {"end_to_start_mm": float(np.median(shift)), "end_to_start_deg": float(np.median(turn))}
+    return {"end_to_start_mm": float(np.median(shift)), "end_to_start_deg": float(np.median(turn))}
 
 
 def is_false(link: Link, rows: tuple[int, int], part: DenseSubmap, truth: np.ndarray, unit_mm: float) -> bool:
@@ -124,10 +130,6 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     at = {k: (places[0][link.first].row, places[1][link.second].row) for k, link in enumerate(links)}
     false = {k: is_false(link, at[k], part, truth, unit_mm) for k, link in enumerate(links)}
     kept = {k for k in at if tuple(int(part.submap.frames[row]) for row in at[k]) in closed.kept}
-    adjusted = adjust_loops(part, closed, places[0], frames) if closed.kept else None
-    states = (
-        {"before": part} | ({"graph": closed.part} if closed.kept else {}) | ({"after": adjusted} if adjusted else {})
-    )
     figures: dict[str, Any] = {
         "frames": len(part.submap.frames),
         "submaps": len(dense),
@@ -138,6 +140,10 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
         "kept": len(kept),
         "false_kept": sum(false[k] for k in kept),
     }
+    states = {"before": part}
+    if closed.kept:
+        adjusted = adjust_loops(part, closed, places[0], frames)
+        states |= {"graph": closed.part} | ({"after": adjusted} if adjusted else {})
     wall = observed_truth(folder) if with_surface and closed.kept else None
     for name, state in states.items():
         figures[name] = path_figures(state, truth)
@@ -147,46 +153,44 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
 
 
 def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
+    """Two halves of a film, the second in another unit, joined."""
     seconds, truth = read_tum(folder / "trajectory.txt")
-    length = float(seconds[-1])
-    spans = ((0.0, (0.5 + OVERLAP / 2) * length), ((0.5 - OVERLAP / 2) * length, None))
-    halves = []
-    for number, (start, end) in enumerate(spans):
-        own = config.model_copy(update={"frames": FrameSettings(start_s=start, end_s=end)})
-        frames, dense = dense_submaps(folder, own, scratch / str(number))
-        halves.append(dense[0])
-    second = halves[1]
-    factor = 0.5
-    scaled = replace(
-        second,
-        submap=second.submap.scaled(factor),
-        depth_scale=np.full(len(second.submap.frames), factor),
-    )
-    parts = (halves[0], scaled)
+    frames, first, second = halves_of(folder, float(seconds[-1]), config, scratch)
+    submap, scales = second.submap.scaled(HALF_UNIT), np.full(len(second.submap.frames), HALF_UNIT)
+    parts = (first, replace(second, submap=submap, depth_scale=scales))
     places, links, tried = links_of(frames, parts, config)
     joined = join(parts, places, links)
     figures: dict[str, Any] = {"tried": tried, "links": len(links), "joined": joined is not None}
     if joined is None:
         return figures
-    middle = int(0.5 * len(truth))
-    index = joined.submap.frames
-    scales = [
-        float(scale_of(align_poses(joined.submap.world_from_camera[mine], truth[index[mine]])))
-        for mine in (index < middle, index >= middle)
-    ]
-    errors = trajectory_errors(joined.submap.world_from_camera, truth[index])
-    return figures | {"scale_error": scales[1] / scales[0] - 1, "ate_mm": errors.ate_rmse}
+    middle, index, poses = int(0.5 * len(truth)), joined.submap.frames, joined.submap.world_from_camera
+    before, after = (
+        float(scale_of(align_poses(poses[mine], truth[index[mine]]))) for mine in (index < middle, index >= middle)
+    )
+    errors = trajectory_errors(poses, truth[index])
+    return figures | {"scale_error": after / before - 1, "ate_mm": errors.ate_rmse}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+", help="RGB-D folders")
-    parser.add_argument("--kidnapped", action="store_true")
+def halves_of(folder: Path, length_s: float, config: Config, scratch: Path) -> tuple[Frames, DenseSubmap, DenseSubmap]:
+    """The largest submap of either half of the film, each reconstructed alone; and the second half's frames."""
+    halves = []
+    for start, end in ((0.0, (0.5 + OVERLAP / 2) * length_s), ((0.5 - OVERLAP / 2) * length_s, None)):
+        own = config.model_copy(update={"frames": FrameSettings(start_s=start, end_s=end)})
+        frames, dense = dense_submaps(folder, own, scratch / str(len(halves)))
+        halves.append(dense[0])
+    return frames, halves[0], halves[1]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser)
+    parser.add_argument("--kidnapped", action="store_true", help="two halves of each film, joined")
     parser.add_argument("--surface", action="store_true", help="fuse before and after, where loops were closed")
     parser.add_argument("--front-end", default="odometry", choices=["sfm", "odometry"])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Every folder once; a run that fails is entered with its sentence."""
     cv2.setNumThreads(1)
     config = Config(front_end=arguments.front_end, seed=arguments.seed)
     figures: dict[str, Any] = {}
@@ -201,8 +205,4 @@ def main() -> None:
                 found = {"failure": str(error)}
         figures[folder.name] = found
         print(folder.name, found, flush=True)
-    write(arguments.json, {"front_end": arguments.front_end, "seed": arguments.seed, "figures": figures})
-
-
-if __name__ == "__main__":
-    main()
+    return {"front_end": arguments.front_end, "seed": arguments.seed, "figures": figures}
