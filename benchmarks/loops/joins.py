@@ -82,8 +82,8 @@ def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
 
 def offered(first: LocalMap, second: LocalMap, finders: tuple[FindFeatures, FindFeatures]) -> np.ndarray | None:
     """`second_from_first` if the evidence is enough for a join."""
-    shown = [Shown(m, find_places(m, find)) for m, find in zip((first, second), finders, strict=True)]
-    links = sure_links(find_links(*shown, np.random.default_rng(0), 0), *shown)
+    a, b = (Shown(m, find_places(m, find)) for m, find in zip((first, second), finders, strict=True))
+    links = sure_links(find_links(a, b, np.random.default_rng(0), 0), a, b)
     return joint_similarity(links) if links else None
 
 

@@ -173,7 +173,7 @@ def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
 
 def halves_of(folder: Path, length_s: float, config: Config, scratch: Path) -> tuple[Frames, DenseSubmap, DenseSubmap]:
     """The largest submap of either half of the film, each reconstructed alone; and the second half's frames."""
-    halves = []
+    halves: list[DenseSubmap] = []
     for start, end in ((0.0, (0.5 + OVERLAP / 2) * length_s), ((0.5 - OVERLAP / 2) * length_s, None)):
         own = config.model_copy(update={"frames": FrameSettings(start_s=start, end_s=end)})
         frames, dense = dense_submaps(folder, own, scratch / str(len(halves)))

@@ -42,8 +42,10 @@ from reconstruction.evaluation.trajectory_io import read_tum
 
 FRONT_ENDS = ("sfm", "odometry")
 # Of these the median and spread over the seeds.
-FIGURES = ("posed_share", "submaps", "ate_mm", "rotation_deg", "frames_per_s", "processor_ms_per_frame")
-FIGURES += ("tracked_per_s", "focal_px", "focal_sigma_px", "focal_error_percent")
+FIGURES = (
+    *("posed_share", "submaps", "ate_mm", "rotation_deg", "frames_per_s", "processor_ms_per_frame"),
+    *("tracked_per_s", "focal_px", "focal_sigma_px", "focal_error_percent"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

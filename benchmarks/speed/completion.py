@@ -89,7 +89,8 @@ def by_openvino(path: Path, inputs: Graph) -> Calls:
         import openvino
     except ImportError:
         return {}
-    core, calls = openvino.Core(), {}
+    core = openvino.Core()
+    calls: Calls = {}
     model = core.read_model(path)
     model.reshape({name: list(array.shape) for name, array in inputs.items()})
     for precision in ("f32", "bf16"):
