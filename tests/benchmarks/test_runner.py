@@ -1,5 +1,6 @@
 """What all benchmarks share: every entry has its help, records name commit and machine, a stopped table goes on."""
 
+import ast
 import json
 import runpy
 import sys
@@ -13,6 +14,25 @@ from benchmarks.common.runner import run
 
 ROOT = Path(__file__).parents[2] / "benchmarks"
 PACKAGES = [folder.name for folder in sorted(ROOT.iterdir()) if (folder / "__main__.py").exists()]
+
+
+def measurements() -> list[Path]:
+    """Files of what `choose` offers in any package, and of the entries that are one file."""
+    files = [path for path in ROOT.glob("*.py") if path.name != "__init__.py"]
+    for package in PACKAGES:
+        for node in ast.walk(ast.parse((ROOT / package / "__main__.py").read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "choose":
+                files += [ROOT / package / f"{name}.py" for name in ast.literal_eval(node.args[2])]
+    return [*files, ROOT / "fusion" / "comparison.py", ROOT / "robustness" / "fuzz.py"]
+
+
+@pytest.mark.parametrize("file", measurements(), ids=lambda file: f"{file.parent.name}-{file.stem}")
+def test_every_measurement_can_be_run_and_says_how(file):
+    """Read, not imported: some need libraries that do not like each other in one process."""
+    tree = ast.parse(file.read_text())
+    defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert {"add_arguments", "measure"} <= defined
+    assert "python -m benchmarks." in str(ast.get_docstring(tree))
 
 
 @pytest.mark.parametrize("package", PACKAGES)
