@@ -71,7 +71,8 @@ def parts_without(film: Film, gap: int) -> tuple[np.ndarray, np.ndarray]:
 
 def scale_error_percent(second_from_first: np.ndarray, truth_from: list[np.ndarray]) -> float:
     """Of a similarity between two maps, by where the truth has either."""
-    return 100 * (scale_of(second_from_first) / (scale_of(truth_from[0]) / scale_of(truth_from[1])) - 1)
+    true_scale = scale_of(truth_from[0]) / scale_of(truth_from[1])
+    return float(100 * (scale_of(second_from_first) / true_scale - 1))
 
 
 def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
