@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from benchmarks.common.record import write
+from haustra.core.errors import HaustraError
 
 
 class _Help(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpFormatter):
@@ -31,7 +32,10 @@ def run(module: ModuleType, entry: str, argv: Sequence[str] | None = None) -> No
     module.add_arguments(parser)
     parser.add_argument("--json", type=Path, help="file for every run's figures, with commit and machine")
     arguments = parser.parse_args(argv)
-    result = module.measure(arguments)
+    try:
+        result = module.measure(arguments)
+    except HaustraError as error:  # a known failure is one sentence, here too
+        raise SystemExit(f"error: {error}") from error
     if result is not None:
         write(arguments.json, result)
 

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.common.record import RunTable, shown, spread
 from benchmarks.common.runner import run
+from haustra.core.errors import HaustraError
 
 ROOT = Path(__file__).parents[2] / "benchmarks"
 PACKAGES = [folder.name for folder in sorted(ROOT.iterdir()) if (folder / "__main__.py").exists()]
@@ -61,6 +62,17 @@ def test_a_record_names_commit_and_machine(tmp_path):
     record = json.loads((tmp_path / "record.json").read_text())
     assert record["runs"] == [1.5, 1.5, 1.5]
     assert set(record["environment"]) == {"commit", "processor", "cores", "python"}
+
+
+def test_a_known_failure_is_one_sentence():
+    module = ModuleType("measurement", "What it measures.")
+
+    def fail(_):
+        raise HaustraError("there is no film here")
+
+    module.add_arguments, module.measure = lambda parser: None, fail
+    with pytest.raises(SystemExit, match=r"^error: there is no film here$"):
+        run(module, "benchmarks.measurement", [])
 
 
 def test_a_stopped_table_goes_on_where_it_was(tmp_path):
