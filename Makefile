@@ -35,8 +35,9 @@ $(STAMP): pyproject.toml constraints.txt scripts/system_libraries.sh
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	touch $(STAMP)
 
+# Speed and memory of `reconstruct` beside COLMAP + interpolation + TSDF, once on the embedded clip.
 bench: $(STAMP)
-	$(BIN)/python benchmarks/throughput.py
+	$(BIN)/python -m benchmarks.speed throughput --runs 1
 
 clean:
 	rm -rf $(VENV) demo_run build *.egg-info

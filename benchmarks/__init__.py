@@ -1,1 +1,1 @@
-"""Measurements, one script a question: `python -m benchmarks.NAME --help`. Not installed with the packages."""
+"""Measurements, one entry point a question: `python -m benchmarks.NAME --help`. Not installed with the packages."""

@@ -10,6 +10,7 @@ view out. Definitions of found and false are in `reconstruction/evaluation/cover
 """
 
 import argparse
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.record import write
+from benchmarks.common.runner import add_folders, run
 from haustra.core.camera import read_camera
 from haustra.core.ray_table import RayTable
 from pipeline.compare import compare_run
@@ -71,37 +72,42 @@ def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageError
     return {fringe: errors(fringe, picture) for fringe in FRINGES}, errors(USED_FRINGE, None)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folders", type=Path, nargs="+")
+def end_to_end(folder: Path, run_folder: Path) -> dict[str, Any]:
+    """Errors of a finished run's coverage."""
+    errors = compare_run(run_folder, folder).coverage
+    print(f"{folder.name:16} {errors}")
+    figures = asdict(errors) if isinstance(errors, CoverageErrors) else errors
+    return {"film": folder.name, "run": run_folder.name, "end_to_end": figures}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser)
     parser.add_argument("--run", type=Path, help="a finished run of the one folder given")
     parser.add_argument("--every", type=int, default=1, help="use every n-th frame's depth")
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """One run end to end, or every folder's true depth."""
     if arguments.run:
-        errors = compare_run(arguments.run, arguments.folders[0]).coverage
-        print(f"{arguments.folders[0].name:16} {errors}")
-        figures = asdict(errors) if isinstance(errors, CoverageErrors) else errors
-        write(arguments.json, {"film": arguments.folders[0].name, "run": arguments.run.name, "end_to_end": figures})
-        return
+        return end_to_end(arguments.folders[0], arguments.run)
     results, totals = {}, np.zeros(4, int)
     for folder in arguments.folders:
         by_fringe, frontier = errors_of_truth(folder, arguments.every)
         used = by_fringe[USED_FRINGE]
         totals += (used.true_regions, used.found, used.estimated_regions, used.false)
+        points = {fringe: errors.error_points for fringe, errors in by_fringe.items()}
         results[folder.name] = {
             "errors": asdict(used),
             "frontier_alone": asdict(frontier),
-            "error_points_by_fringe": {str(fringe): e.error_points for fringe, e in by_fringe.items()},
+            "error_points_by_fringe": {str(fringe): error for fringe, error in points.items()},
         }
-        spread = ", ".join(f"{e.error_points:+.1f} at {fringe:g}" for fringe, e in by_fringe.items())
-        print(f"{folder.name:16} {used}; by fringe: {spread}; frontier alone: {frontier}", flush=True)
+        listed = ", ".join(f"{error:+.1f} at {fringe:g}" for fringe, error in points.items())
+        print(f"{folder.name:16} {used}; by fringe: {listed}; frontier alone: {frontier}", flush=True)
     true, found, reported, false = totals.tolist()
-    print(
-        f"regions over 5 mm: {found} of {true} found ({100 * found / max(true, 1):.0f} %), {false} of {reported} false"
-    )
-    write(arguments.json, {"voxel_mm": VOXEL_MM, "every": arguments.every, "sequences": results})
+    share = 100 * found / max(true, 1)
+    print(f"regions over 5 mm: {found} of {true} found ({share:.0f} %), {false} of {reported} false")
+    return {"voxel_mm": VOXEL_MM, "every": arguments.every, "sequences": results}
 
 
 if __name__ == "__main__":
-    main()
+    run(sys.modules[__name__], "benchmarks.coverage")

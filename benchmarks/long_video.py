@@ -23,8 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.front_ends import errors_of, store
-from benchmarks.record import write
+from benchmarks.common.front_end import path_errors, store
+from benchmarks.common.runner import add_folder, run
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, FrameSettings
 from pipeline.frontend.select import solve_structure
@@ -53,7 +53,7 @@ def drifts(submaps: list[Submap], truth: np.ndarray, stretch_mm: float) -> list[
     return found
 
 
-def run(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
+def track(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
     _, truth = read_tum(folder / "trajectory.txt")
     fps = json.loads((folder / "camera.json").read_text())["fps"]
     config = Config(front_end="odometry", frames=FrameSettings(end_s=(frames - 0.5) / fps))
@@ -76,41 +76,44 @@ def run(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
         "stretches": len(drift),
         "drift_median": float(np.median(drift)) if drift else None,
         "drift_90": float(np.percentile(drift, 90)) if drift else None,
-        **errors_of(submaps, truth),
+        **path_errors(submaps, truth),
     }
 
 
 def in_a_process(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
-    command = [sys.executable, __file__, str(folder), "--frames", str(frames), "--stretch", str(stretch_mm), "--here"]
+    command = [sys.executable, "-m", "benchmarks.long_video", str(folder)]
+    command += ["--frames", str(frames), "--stretch", str(stretch_mm), "--here"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--frames", type=int, nargs="+", default=[1000, 10000])
+def print_run(of: dict[str, Any], stretch_mm: float) -> None:
+    text = f"{of['frames']} frames, {of['path_mm']:.0f} mm: peak {of['peak_mebibytes']:.0f} MiB "
+    text += f"({of['peak_before_structure_mebibytes']:.0f} before structure), {of['posed']} of {of['worth_tracking']} "
+    text += f"posed in {of['submaps']} submaps, {of['frames_per_s']:.1f} frames/s"
+    if of["drift_median"] is not None:
+        text += f"; drift {100 * of['drift_median']:.1f} % of the path in the median, {100 * of['drift_90']:.1f} % at "
+        text += f"the 90th percentile ({of['stretches']} stretches of {stretch_mm:.0f} mm)"
+    print(text, flush=True)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folder(parser)
+    parser.add_argument("--frames", type=int, nargs="+", default=[1000, 10000], help="each in a process of its own")
     parser.add_argument("--stretch", type=float, default=100.0, help="mm")
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)  # in this process, as JSON
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any] | None:
+    """A run for each number of frames."""
     cv2.setNumThreads(1)
     if arguments.here:
-        print(json.dumps(run(arguments.folder, arguments.frames[0], arguments.stretch)))
-        return
+        print(json.dumps(track(arguments.folder, arguments.frames[0], arguments.stretch)))
+        return None
     runs = [in_a_process(arguments.folder, frames, arguments.stretch) for frames in arguments.frames]
-    for of in runs:
-        drift = "" if of["drift_median"] is None else (
-            f"; drift {100 * of['drift_median']:.1f} % of the path in the median, {100 * of['drift_90']:.1f} % at the "
-            f"90th percentile ({of['stretches']} stretches of {arguments.stretch:.0f} mm)"
-        )  # fmt: skip
-        print(
-            f"{of['frames']} frames, {of['path_mm']:.0f} mm: peak {of['peak_mebibytes']:.0f} MiB "
-            f"({of['peak_before_structure_mebibytes']:.0f} before structure), {of['posed']} of {of['worth_tracking']} "
-            f"posed in {of['submaps']} submaps, {of['frames_per_s']:.1f} frames/s{drift}",
-            flush=True,
-        )
-    write(arguments.json, {"stretch_mm": arguments.stretch, "runs": runs})
+    for figures in runs:
+        print_run(figures, arguments.stretch)
+    return {"stretch_mm": arguments.stretch, "runs": runs}
 
 
 if __name__ == "__main__":
-    main()
+    run(sys.modules[__name__], "benchmarks.long_video")

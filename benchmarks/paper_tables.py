@@ -16,6 +16,7 @@ paper (completion/networks/mscsa.py). A stopped run goes on where it was, unless
 import argparse
 import hashlib
 import json
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -24,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.record import environment
+from benchmarks.common.record import write
+from benchmarks.common.runner import add_seeds, run
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.shards import Shard
 from completion.evaluation.accumulator import Tally
@@ -150,47 +152,55 @@ def chosen_rows(number: int, labels: list[str] | None) -> dict[str, str]:
     return {label: model for label, model in rows.items() if label in (labels or rows.keys() - ONLY_NAMED)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__.split("\n")[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+def floor(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Linear interpolation on each scene."""
+    predictor = load_predictor("linear")
+    shared = {"model": "linear", "seed": None, "minutes": 0.0}
+    config = make_config("paper", shards=tuple(arguments.folders), out=arguments.out, points=arguments.points)
+    return [{**judged(folder, predictor, config), **shared} for folder in arguments.folders]
+
+
+def budget_of(arguments: argparse.Namespace) -> str:
+    """What every network of a table was given alike."""
+    scenes = "all scenes together" if arguments.joint else "each scene alone"
+    trainings = f"{arguments.steps} steps of 10 frames, {arguments.seeds} seeds, size {arguments.size}"
+    return f"{trainings}, {arguments.points} points, {scenes}, {arguments.threads} threads"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", type=int, choices=ROWS, help="1: all networks; 2: MSCSA-Net's ablation")
     parser.add_argument("folders", type=Path, nargs="+", help="training frames of one scene each")
     parser.add_argument("--out", type=Path, required=True, help="folder of weights, checkpoints and tables")
     parser.add_argument("--joint", action="store_true", help="one network for all scenes instead of one for each")
     parser.add_argument("--steps", type=int, default=3000, help="of each training, 10 frames each")
-    parser.add_argument("--seeds", type=int, default=2, help="as many trainings of each network: 0, 1, ...")
+    add_seeds(parser, 2)
     parser.add_argument(
         "--points", type=int, default=100, help="per frame, in training and judging; the paper's are 100"
     )
     parser.add_argument("--row", action="append", help="only this row of the table, by its label; again for more")
     parser.add_argument("--size", choices=["paper", "small"], default="small", help="of the networks")
     parser.add_argument("--threads", type=int, default=2, help="of the CPU")
-    arguments = parser.parse_args()
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Train and judge every row with every seed; text and record also go into `--out`."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows = chosen_rows(arguments.table, arguments.row)
     refuse_shared_meshes(arguments.folders)
     groups = [arguments.folders] if arguments.joint else [[folder] for folder in arguments.folders]
-    figures: list[dict[str, Any]] = []
-    for folders in groups:
-        floor = load_predictor("linear")
-        config = make_config("paper", shards=tuple(folders), out=arguments.out, points=arguments.points)
-        figures += [{**judged(f, floor, config), "model": "linear", "seed": None, "minutes": 0.0} for f in folders]
+    figures = floor(arguments)
     for seed, folders, model in product(range(arguments.seeds), groups, rows.values()):
         figures += trained(folders, model, seed, arguments)
-    shown = {**rows, "(linear)": "linear"}
-    minutes = sum(figure["minutes"] for figure in figures)
-    budget = f"{arguments.steps} steps of 10 frames, {arguments.seeds} seeds, size {arguments.size}, "
-    budget += f"{arguments.points} points, "
-    budget += f"{'all scenes together' if arguments.joint else 'each scene alone'}, {arguments.threads} threads"
-    tables = [table(folder.name, shown, figures) for folder in arguments.folders]
+    budget, minutes = budget_of(arguments), sum(figure["minutes"] for figure in figures)
+    tables = [table(folder.name, {**rows, "(linear)": "linear"}, figures) for folder in arguments.folders]
     text = f"Table {arguments.table}: {budget}, {minutes:.0f} minutes in all\n\n" + "\n\n".join(tables) + "\n"
     print(text)
     part = "_".join(["", *rows.values()]).replace("+", "_") if arguments.row else ""
     (arguments.out / f"table{arguments.table}{part}.md").write_text(text)
-    record = {"environment": environment(), "budget": budget, "minutes": minutes, "figures": figures}
-    (arguments.out / f"table{arguments.table}{part}.json").write_text(json.dumps(record, indent=1) + "\n")
+    record = {"budget": budget, "minutes": minutes, "figures": figures}
+    write(arguments.out / f"table{arguments.table}{part}.json", record)
+    return record
 
 
 if __name__ == "__main__":
-    main()
+    run(sys.modules[__name__], "benchmarks.paper_tables")

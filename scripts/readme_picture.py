@@ -5,6 +5,7 @@ python scripts/readme_picture.py sinus_run docs/sinus.png --shape   # for films 
 """
 
 import argparse
+from itertools import islice
 from pathlib import Path
 
 import matplotlib
@@ -15,14 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from pipeline.depth.completion_stage import planned_keyframes
-from pipeline.depth.sparse_depth import SparseDepthMaker
-from pipeline.frontend.select import load_structure
-from pipeline.input.frames import load_frames
-from pipeline.loop_closing.close_loops import refined_keyframes
-from pipeline.run_folder.workspace import Workspace, open_workspace
-from pipeline.surface.fusion_stage import load_surfaces
-from reconstruction.evaluation.trajectory_io import read_tum
+from haustra import Run, open_run
 from reconstruction.mesh.rendering import render_mesh
 
 CLAY = (214, 178, 160)
@@ -30,14 +24,11 @@ BACK = 0.85  # of the median distance to the surface: how far behind the first c
 ORBIT_DEG = 50.0  # around the surface, upwards, to the second
 
 
-def stages(workspace: Workspace) -> Figure:
+def stages(run: Run) -> Figure:
     """From a frame to the surface."""
-    planned = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)
-    part = refined_keyframes(planned, workspace)[0]
-    surface = load_surfaces(workspace)[0]
-    row = int(part.rows[len(part.rows) // 2])
-    keyframe = part.keyframe(row)
-    sparse = SparseDepthMaker(part.submap, part.camera, workspace.config.sparse).sparse_depth(row)
+    middle = len(run.completed_submaps[0]) // 2
+    keyframe = next(islice(run.keyframes(), middle, None))
+    sparse = keyframe.sparse
     low, high = np.percentile(keyframe.depth[keyframe.depth > 0], [1, 97])
     figure = plt.figure(figsize=(13, 3.3), constrained_layout=True)
     panels = figure.subplots(1, 4, width_ratios=[1, 1, 1, 1.6])
@@ -45,7 +36,7 @@ def stages(workspace: Workspace) -> Figure:
     panels[1].imshow(keyframe.rgb // 3)
     panels[1].scatter(*(sparse.pixels - 0.5).T, c=sparse.depth, s=5, cmap="turbo", vmin=low, vmax=high)
     panels[2].imshow(np.where(keyframe.depth > 0, keyframe.depth, np.nan), cmap="turbo", vmin=low, vmax=high)
-    panels[3].imshow(render_mesh(surface.mesh, None, 1000, 620, cut_away=True))
+    panels[3].imshow(render_mesh(run.surfaces[0].mesh, None, 1000, 620, cut_away=True))
     titles = ("video frame", f"{len(sparse.depth)} sparse points", "completed depth", "surface, cut open")
     for panel, title in zip(panels, titles, strict=True):
         panel.set_title(title, fontsize=11)
@@ -56,10 +47,10 @@ def stages(workspace: Workspace) -> Figure:
     return figure
 
 
-def shape(workspace: Workspace) -> Figure:
+def shape(run: Run) -> Figure:
     """The surface without its colours, from two sides."""
-    mesh = load_surfaces(workspace)[0].mesh
-    _, poses = read_tum(workspace.trajectory)
+    mesh = run.surfaces[0].mesh
+    _, poses = run.trajectory()
     clay = np.tile(np.array(CLAY, np.uint8), (len(mesh.vertices), 1))
     inner = poses[0].copy()
     inner[:3, 3] -= BACK * np.median(np.linalg.norm(mesh.vertices - inner[:3, 3], axis=1)) * inner[:3, 2]
@@ -85,8 +76,8 @@ def main() -> None:
     parser.add_argument("target", type=Path)
     parser.add_argument("--shape", action="store_true", help="no picture of the film, and no colour of it")
     arguments = parser.parse_args()
-    workspace = open_workspace(arguments.run)
-    figure = shape(workspace) if arguments.shape else stages(workspace)
+    run = open_run(arguments.run)
+    figure = shape(run) if arguments.shape else stages(run)
     figure.savefig(arguments.target, dpi=110)
 
 

@@ -1,0 +1,1 @@
+"""What the benchmarks share: their command line and record, their inputs, and the peers that they are run beside."""

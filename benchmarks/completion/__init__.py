@@ -1,0 +1,1 @@
+"""Depth completion: measurements of its errors."""

@@ -1,0 +1,6 @@
+"""What the shipped model makes of an image and sparse depth, beside linear interpolation."""
+
+from benchmarks.common.runner import choose
+
+if __name__ == "__main__":
+    choose("benchmarks.completion", __doc__, ["accuracy", "point_errors", "working_sizes"])

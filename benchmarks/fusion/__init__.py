@@ -1,0 +1,1 @@
+"""What depth, and each part of the fusion, is worth to the mesh."""

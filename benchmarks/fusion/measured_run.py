@@ -1,0 +1,224 @@
+"""One run fused with a depth, each part of the fusion on or off, and measured against truth.
+
+`MeasuredRun` holds the main submap as the depth stage left it, and as the refinement stage moved it.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.fusion.depths import Completed, DepthSource, KeyframeView, completed
+from haustra.core.camera import Camera
+from pipeline.config import Config
+from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
+from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.finished_run import open_run
+from pipeline.frontend.select import load_structure
+from pipeline.input.frames import Frames
+from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.fusion_stage import fusion_settings
+from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.surface_metrics import surface_errors
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses, associate
+from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
+
+TAU = 1.0  # mm
+
+# What each column of the table fuses with: confidence as weights, consistency between keyframes.
+VARIANTS = {
+    "plain": (False, False),
+    "consistency": (False, True),
+    "confidence": (True, False),
+    "both": (True, True),
+}
+UNMOVED = "without pose graph"  # the last of the columns that a depth has, on the map before refinement
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class PosedMap:
+    """The main submap before or after refinement; `truth_from_map` (4,4) is the Sim(3) of its posed frames to mm."""
+
+    part: DenseSubmap
+    truth_from_map: NDArray[np.float64]
+
+    @property
+    def mm_per_unit(self) -> float:
+        return float(np.cbrt(np.linalg.det(self.truth_from_map[:3, :3])))
+
+
+@dataclass(frozen=True)
+class TrueFilm:
+    """Poses of an RGB-D folder: seconds (N,), world_from_camera (N,4,4) mm, the frames' depth PNGs, mm per count."""
+
+    seconds: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    depths: list[Path]
+    unit: float
+
+
+class MeasuredRun:
+    """A finished run beside the truth of its film."""
+
+    def __init__(self, folder: Path, film: Path) -> None:
+        run = open_run(folder)
+        workspace, refined = run.workspace, run.completed_submaps[0]
+        self.name, self.folder, self.config = folder.name, film, workspace.config
+        self.frames, self.film = run.frames, read_film(film)
+        self.planned = planned_keyframes(run.frames, load_structure(workspace), workspace)  # before loop closing
+        self.refinement_ran, self.moved = workspace.is_done("refinement"), refined.depth_scale is not None
+        self.before = self._posed(self.planned[0])
+        self.after = self._posed(refined) if self.moved else self.before
+
+    @cached_property
+    def truth(self) -> ObservedTruth:
+        return observed_truth(self.folder)
+
+    @cached_property
+    def views(self) -> dict[int, KeyframeView]:
+        """By frame number, every keyframe that either map fuses."""
+        wanted = {int(p.submap.frames[row]) for p in (self.before.part, self.after.part) for row in p.rows}
+        return {view.keyframe.index: view for part in self.planned for view in self._views_of(part, wanted)}
+
+    def _views_of(self, part: DenseSubmap, wanted: set[int]) -> Iterator[KeyframeView]:
+        rows = [int(row) for row in part.rows if int(part.submap.frames[row]) in wanted]
+        if not rows:
+            return
+        true_rows, mm_per_unit = associated(part, self.frames, self.film), self._posed(part).mm_per_unit
+        maker = SparseDepthMaker(part.submap, part.camera, self.config.sparse)
+        for row in rows:
+            path = self.film.depths[true_rows[row]] if row in true_rows else None
+            sparse = maker.sparse_depth(row)
+            yield KeyframeView(part.keyframe(row), sparse, part.rectifier, mm_per_unit, path, self.film.unit)
+
+    def _posed(self, part: DenseSubmap) -> PosedMap:
+        """With the Sim(3) that `haustra compare` fits: poses alone, all posed frames, never the surface."""
+        rows = associated(part, self.frames, self.film)
+        poses = part.submap.world_from_camera[list(rows)]
+        return PosedMap(part, align_poses(poses, self.film.poses[list(rows.values())]))
+
+    @property
+    def about(self) -> Figures:
+        """What limits every row of this run alike."""
+        part, scale = self.after.part, self.after.mm_per_unit
+        settings = ranges(part, self.config)
+        return {
+            "posed": len(part.submap.frames),
+            "film": len(self.film.poses),
+            "keyframes": len(part),
+            "submaps": len(self.planned),
+            "refinement": "moved" if self.moved else "nothing moved" if self.refinement_ran else "not run",
+            "mm_per_unit": scale,
+            "voxel_mm": settings.voxel_size * scale,
+            "max_depth_mm": settings.max_depth * scale,
+        }
+
+    def measure(self, source: DepthSource) -> dict[str, Figures]:
+        """Figures of each column that this depth has."""
+        made = {index: completed(source, view) for index, view in self.views.items()}
+        has_confidence = all(confidence is not None for _, confidence in made.values())
+        columns = [name for name, (weighted, _) in VARIANTS.items() if has_confidence or not weighted]
+        after = self._fused(self.after, made, source.is_true)
+        figures = {name: after.figures(*VARIANTS[name], self.config, self.truth) for name in columns}
+        if self.moved:
+            before = self._fused(self.before, made, source.is_true)
+            figures[UNMOVED] = before.figures(*VARIANTS[columns[-1]], self.config, self.truth)
+        return figures
+
+    def _fused(self, posed: PosedMap, made: dict[int, Completed], is_true: bool) -> "FusedMap":
+        index = [int(posed.part.submap.frames[row]) for row in posed.part.rows]
+        return FusedMap(posed, [self.views[i] for i in index], [made[i] for i in index], is_true)
+
+
+@dataclass(frozen=True)
+class WeightedFrames:
+    """What a consistency check asks a submap for: depths (H,W) and weights (H,W) of keyframes in order, their poses."""
+
+    camera: Camera
+    depths: list[NDArray[np.float32]]
+    weights: list[NDArray[np.float32]]
+    poses: NDArray[np.float64]
+
+    @property
+    def rows(self) -> NDArray[np.int64]:
+        return np.arange(len(self.depths))
+
+    def __len__(self) -> int:
+        return len(self.depths)
+
+    def depth(self, row: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+        return self.depths[row], self.weights[row], self.poses[row]
+
+
+class FusedMap:
+    """A map whose keyframes have been given some depth, in the map's units."""
+
+    def __init__(self, posed: PosedMap, views: list[KeyframeView], made: list[Completed], is_true: bool) -> None:
+        part = posed.part
+        scales = np.ones(len(part.submap.frames)) if part.depth_scale is None else part.depth_scale
+        factors = np.full(len(part), 1 / posed.mm_per_unit) if is_true else scales[part.rows]
+        self.posed, self.images = posed, [view.keyframe.rgb for view in views]
+        self.depths = [depth * np.float32(factor) for (depth, _), factor in zip(made, factors, strict=True)]
+        self.confidences = [confidence for _, confidence in made]
+
+    def figures(self, weighted: bool, consistent: bool, config: Config, truth: ObservedTruth) -> Figures:
+        """Errors of the fused surface in mm, and how many keyframes were left out as contradicted."""
+        part, floor, left_out = self.posed.part, config.fusion.min_confidence, 0
+        weights = self._weights(weighted, floor)
+        frames = WeightedFrames(part.camera, self.depths, weights, part.submap.world_from_camera[part.rows])
+        check = ConsistencyCheck(frames, config.consistency, floor)  # type: ignore[arg-type]
+        fusion = SurfaceFusion(ranges(part, config))
+        for place, weight in enumerate(weights):
+            kept = check.confidence(place, weight) if consistent else weight
+            if kept is None:
+                left_out += 1
+            else:
+                fusion.integrate(self.images[place], self.depths[place], kept, part.camera.matrix, frames.poses[place])
+        mesh = drop_small_components(fusion.extract(), config.fusion.min_component)[0]
+        return errors_of(mesh.transformed(self.posed.truth_from_map), truth) | {"left_out": left_out}
+
+    def _weights(self, weighted: bool, floor: float) -> list[NDArray[np.float32]]:
+        """1 where there is depth; weighted: its confidence, 0 below the least that the run fuses."""
+        weights = [(depth > 0).astype(np.float32) for depth in self.depths]
+        if weighted:
+            for weight, confidence in zip(weights, self.confidences, strict=True):
+                assert confidence is not None, "no column of weights for a depth without confidence"
+                weight *= np.where(confidence < floor, np.float32(0), confidence)
+        return weights
+
+
+def ranges(part: DenseSubmap, config: Config) -> FusionSettings:
+    """Voxel size and greatest depth by the run's own depth, so that they are alike for every source."""
+    settings = fusion_settings(part, config)
+    assert settings is not None, "a finished run has depth"
+    return settings
+
+
+def errors_of(mesh: SurfaceMesh, truth: ObservedTruth) -> Figures:
+    """As `haustra compare`; an empty mesh has an F of 0 and no distances."""
+    if not len(mesh.faces):
+        return {"f_score": 0.0, "precision": 0.0, "recall": 0.0, "accuracy_mean": None, "completeness_mean": None}
+    return asdict(surface_errors(mesh, truth, TAU, np.random.default_rng(0)))
+
+
+def read_film(folder: Path) -> TrueFilm:
+    seconds, poses = read_tum(folder / "trajectory.txt")
+    depths = sorted((folder / "depth").glob("*.png"))
+    if len(depths) != len(poses):
+        raise SystemExit(f"error: {folder} has {len(depths)} depth images for {len(poses)} poses")
+    return TrueFilm(seconds, poses, depths, float(json.loads((folder / "camera.json").read_text())["depth_unit_mm"]))
+
+
+def associated(part: DenseSubmap, frames: Frames, film: TrueFilm) -> dict[int, int]:
+    """Row of the truth for each row of the submap, by time, half a frame apart at most."""
+    mine = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])
+    rows, true_rows = associate(mine, film.seconds, 0.5 * float(np.median(np.diff(film.seconds))))
+    return dict(zip(rows.tolist(), true_rows.tolist(), strict=True))

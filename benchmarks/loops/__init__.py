@@ -1,0 +1,1 @@
+"""Loop closure and the joining of submaps."""

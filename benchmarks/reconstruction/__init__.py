@@ -1,0 +1,1 @@
+"""Poses and surface: measurements of the whole pipeline and of its front ends."""

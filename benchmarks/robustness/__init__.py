@@ -1,0 +1,1 @@
+"""Bad input: damaged and adversarial videos and camera files."""

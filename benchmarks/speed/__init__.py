@@ -1,0 +1,1 @@
+"""Milliseconds, frames per second and memory."""
