@@ -27,7 +27,7 @@ from pipeline.matching.guided_matching import likeness_elsewhere, match_near
 from pipeline.matching.keyframe_features import STILL_PX, FindFeatures, Place
 
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
-# more on compressed ones, where fine texture moves with its blocks (docs/front_end.md).
+# more on compressed ones, where fine texture moves with its blocks (docs/lab/front_end.md).
 WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing

@@ -31,11 +31,11 @@ SAME_SHARE = 0.7  # of one pair's inliers that another pair's similarity must ex
 MAX_SAME_PX = 8.0
 AROUND = 4  # places on each side of a linked one that are asked for support
 # Of the matches. Places that are not the same agree in 12 of them at most, a fifth: the number of inliers, 20, is the
-# stricter limit there, the share where there are hundreds of matches (docs/front_end.md).
+# stricter limit there, the share where there are hundreds of matches (docs/lab/front_end.md).
 MIN_INLIER_SHARE = 0.2
 ROUNDS = 1000  # so few that agree are met in 99.9 of 100 tries
 # Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true links 0.67 and more
-# are, of tubes laid into each other at random under 0.4 in the median (docs/front_end.md).
+# are, of tubes laid into each other at random under 0.4 in the median (docs/lab/front_end.md).
 SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
 ASKED = 5  # links, the strongest, around which they are asked
 
