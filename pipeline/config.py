@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError,
 
 from haustra.core.errors import HaustraError
 
-FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/front_end.md
+FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
 
 class Settings(BaseModel):

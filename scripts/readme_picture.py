@@ -1,7 +1,7 @@
 """The README's pictures of a finished run: frame, sparse points, completed depth, surface; or its shape alone.
 
-python scripts/readme_picture.py demo_run docs/demo.png
-python scripts/readme_picture.py sinus_run docs/sinus.png --shape   # for films whose pictures may not be passed on
+python scripts/readme_picture.py demo_run docs/pictures/demo.png
+python scripts/readme_picture.py sinus_run docs/pictures/sinus.png --shape  # films whose pictures may not be passed on
 """
 
 import argparse

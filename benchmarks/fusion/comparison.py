@@ -5,7 +5,7 @@
 RUN must be a finished run of the RGB-D folder's frames. Its keyframes, poses and voxels are fused with linear
 interpolation of its sparse points, what each `--model` makes of them, the depth that the run wrote, and true depth;
 each without and with consistency between keyframes and confidence as weights, and, where closing loops moved the map,
-without that. Surfaces are compared as `haustra compare` does. docs/fusion.md explains the columns.
+without that. Surfaces are compared as `haustra compare` does. docs/lab/fusion.md explains the columns.
 
 A `--model` of the paper's kind is given the sparse points in true millimetres, which no run knows, on a picture of
 `--side` px, which must be what it was trained at (`paper_tables`: 160). It has no confidence, and neither have

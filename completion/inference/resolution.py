@@ -2,7 +2,7 @@
 
 The network smooths over as many pixels as it was trained to. Where points are dense it need not, and on a larger
 picture it smooths over less of the wall.
-Chosen on rendered frames and on runs of films kept for choosing (docs/completion.md).
+Chosen on rendered frames and on runs of films kept for choosing (docs/lab/completion.md).
 """
 
 import cv2

@@ -93,7 +93,7 @@ class MSCSANet(nn.Module):
     U-Net input: MSC's depth and confidence, RGB and the raw sparse depth (six channels, Fig. 2); without MSC the
     four of RGB-SD. As the paper is written the U-Net's output is the depth, and it must first learn to pass through the
     depth that it is given. With `residual` its output is added to MSC's depth, which it learns far sooner (figures in
-    docs/completion.md).
+    docs/lab/completion.md).
     """
 
     def __init__(self, config: MSCSAConfig | None = None) -> None:

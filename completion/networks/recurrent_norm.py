@@ -1,7 +1,7 @@
 """Batch normalisation for a network that looks again: what it finds then has other means and variances.
 
 With one set of running statistics for both, the first look expects more error than it makes and later ones less: 77 and
-45 % of the errors are below the predicted one, where 63 would be right (docs/completion.md).
+45 % of the errors are below the predicted one, where 63 would be right (docs/lab/completion.md).
 """
 
 from __future__ import annotations

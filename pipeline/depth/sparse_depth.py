@@ -19,7 +19,7 @@ from pipeline.mapping.submap import Submap
 
 NEIGHBOURS = 8  # points whose median log depth a point is compared with
 OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
-SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/front_end.md
+SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/lab/front_end.md
 REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # better points so near (share of the width) replace a followed one
 ASKED = 12  # nearest points among which those are looked for
 SAME_WALL = 0.25  # log depth within which points are taken to lie on one wall

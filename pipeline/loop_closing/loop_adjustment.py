@@ -105,8 +105,8 @@ def adjust_nodes(
 def _held_tracks(
     part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[Tracks, NDArray[np.int64]] | None:
-    """Tracks of narrow features, since wide ones slide and bend the scale (docs/front_end.md); of all where those are
-    too few; None if these are, too. And numbers of the places that they fix."""
+    """Tracks of narrow features, since wide ones slide and bend the scale (docs/lab/front_end.md); of all where those
+    are too few; None if these are, too. And numbers of the places that they fix."""
     same = same_features(part, places, links)
     for widest in (widest_narrow(part.camera.width), np.inf):
         tracks = tie_tracks(places, same, world_from_node, widest)

@@ -3,7 +3,7 @@
 Comparing all features of two pictures is a product of two large matrices for each pair of keyframes. Where the map is
 right to some pixels, each feature has one or two candidates. What is lost is the rest of the picture, against which a
 likeness must stand out (Lowe, IJCV 2004); a feature's own picture, which looks much the same, stands for it, and is
-asked once for all pairs. See docs/front_end.md for what that is worth.
+asked once for all pairs. See docs/lab/front_end.md for what that is worth.
 """
 
 import numpy as np

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 AGREEMENT = 0.05  # of the depth; a map that puts its surface within this of a vertex has seen it
 BEST_ANGLE_DEG = 70.0  # between ray and normal: wall that no frame saw squarer is not believed
 MOST_CONTRADICTION = 0.2  # share of the confidence of those frames that saw a vertex or through it
-# Both were chosen on runs of two films, of seeds 11 and 12; docs/coverage.md marks their figures as not held out.
+# Both were chosen on runs of two films, of seeds 11 and 12; docs/lab/coverage.md marks their figures as not held out.
 
 
 class SurfaceWitness:

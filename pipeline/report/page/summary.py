@@ -169,8 +169,8 @@ def coverage_section(judgement: Judgement, link: Link | None = None) -> str:
         f'<div class="wide">{table}</div>'
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
-        "begins, carried along without twisting. Not every listed region is real: docs/coverage.md says how far to "
-        "believe them.</p>"
+        "begins, carried along without twisting. Not every listed region is real: docs/guide/coverage.md says how far "
+        "to believe them.</p>"
     )
 
 
