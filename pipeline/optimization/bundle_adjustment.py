@@ -2,7 +2,7 @@
 
 Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6. Residuals are linear in the plane z = 1 (see
 `rays`), down-weighted by Cauchy's loss through reweighting. Beside Ceres and GTSAM on a tracker's windows:
-`benchmarks/window_adjustment.py`, docs/lab/front_end.md.
+`benchmarks.speed window-adjustment`, docs/lab/front_end.md.
 """
 
 from dataclasses import dataclass, replace

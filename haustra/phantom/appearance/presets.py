@@ -1,6 +1,6 @@
 """Mucosae and lights of the named scenes.
 
-Chosen by eye, beside pictures of `benchmarks/phantom_likeness.py`; nothing was fitted to them.
+Chosen by eye, beside pictures of the retired `phantom_likeness` benchmark; nothing was fitted to them.
 """
 
 from __future__ import annotations
