@@ -27,7 +27,7 @@ from benchmarks.common.front_end import path_errors, store
 from benchmarks.common.runner import add_folder, run
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, FrameSettings
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.submap import Submap
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses

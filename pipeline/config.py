@@ -15,22 +15,42 @@ from haustra.core.errors import HaustraError
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
 
+# Names of version 0.1 in run.yaml and --config files, and what they are called today.
+RENAMED = {
+    "pose_graph.enabled": "loop_closing.enabled",
+    "pose_graph.join": "loop_closing.merge_submaps",
+    "pose_graph.max_places": "loop_closing.max_keyframes",
+}
+# Settings of version 0.1 that nobody set, and the module in which they are constants now.
+RETIRED = {
+    **dict.fromkeys(
+        ("frames.min_brightness", "frames.max_burnt", "frames.min_texture", "frames.min_relative_sharpness"),
+        "pipeline.input.frame_quality",
+    ),
+    "frames.min_change": "pipeline.input.frame_quality",
+    "structure": "pipeline.frontend",
+    "sparse": "pipeline.depth.sparse_depth",
+    "depth.min_points": "pipeline.depth.completion_stage",
+    "depth.max_fov_deg": "pipeline.depth.rectification",
+    "pose_graph": "pipeline.loop_closing.detection",
+    "consistency.severity": "pipeline.surface.consistency",
+    "consistency.max_contradicted": "pipeline.surface.consistency",
+    "fusion.truncation_voxels": "pipeline.surface.fusion_stage",
+    "fusion.min_component": "pipeline.surface.fusion_stage",
+}
+
+
 class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class FrameSettings(Settings):
-    """Decoding and judging frames."""
+    """Which frames are read, and how large they are worked on."""
 
     start_s: float = Field(0.0, ge=0, description="s; frames before it are left out")
     end_s: float | None = Field(None, description="s; frames from it on are left out")
     stride: int = Field(1, ge=1, description="use every n-th frame")
     long_side: int = Field(480, ge=96, description="px; SIFT's precision gains little beyond, its time doubles")
-    min_brightness: float = Field(8.0, description="grey levels; a darker median frame is black")
-    max_burnt: float = Field(0.6, description="share of pixels at 250 and more beyond which nothing is left to see")
-    min_texture: float = Field(1.2, description="grey levels, robust spread of the Laplacian; red-out is below it")
-    min_relative_sharpness: float = Field(0.3, description="of the running median; a third is motion blur")
-    min_change: float = Field(0.35, description="grey levels between thumbnails; compression alone gives 0.2")
 
     @model_validator(mode="after")
     def _ends_after_it_starts(self) -> "FrameSettings":
@@ -39,23 +59,8 @@ class FrameSettings(Settings):
         return self
 
 
-class StructureSettings(Settings):
-    """SIFT, matching and mapping by COLMAP."""
-
-    peak_threshold: float = Field(0.002, description="a third of COLMAP's: mucosa has weak contrast")
-    max_features: int = Field(2048, ge=100, description="per frame; more only lengthens matching")
-    overlap: int = Field(8, ge=1, description="frames; each is matched with as many before it")
-    loop_neighbours: int = Field(2, ge=0, description="look-alike frames beyond the overlap tried for each keyframe")
-    loop_stride: int = Field(10, ge=1, description="frames between two that look for loops")
-    threads: int = Field(2, ge=1, description="of feature extraction; matching and mapping take one, to be repeatable")
-    min_registered: float = Field(0.8, description="share of frames below which a second mapper is asked")
-    max_dark_near: float = Field(
-        0.05, description="share of frames with brightness growing with distance that is tolerated"
-    )
-
-
 class OdometrySettings(Settings):
-    """How the video is tracked."""
+    """How the front end `odometry` tracks the video."""
 
     keyframe_motion: float = Field(
         0.012, gt=0, le=0.2, description="share of the width that corners move by between keyframes"
@@ -70,47 +75,21 @@ class OdometrySettings(Settings):
         return self
 
 
-class SparseSettings(Settings):
-    """From COLMAP's points to each frame's sparse depth."""
-
-    max_reprojection_px: float = Field(1.5, gt=0, description="px at working size, mean over the track")
-    min_track_length: int = Field(3, ge=2)
-    min_angle_deg: float = Field(1.0, ge=0, description="deg; below it a pixel of error is a tenth of the depth")
-    pixel_noise: float = Field(0.5, gt=0, description="px; SIFT's localisation error on mucosa")
-    neighbours: int = Field(4, ge=0, description="frames on each side whose points are projected too")
-    outlier_ratio: float = Field(0.25, gt=0, description="log-depth difference to the neighbours' median")
-
-
 class DepthSettings(Settings):
     """Which frames are completed, and by what."""
 
     keyframe_motion: float = Field(0.02, gt=0, description="share of the width that shared points move by")
-    min_points: int = Field(12, ge=1, description="fewer sparse points do not fix a frame's depth")
     looks: PositiveInt | None = Field(None, description="of the model at each frame, no more than it knows; None: 2")
-    max_fov_deg: float = Field(120.0, description="deg; a pinhole image wider than this is mostly stretched border")
 
 
-class FusionSettings(Settings):
-    """TSDF fusion."""
-
-    voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
-    truncation_voxels: float = Field(12.0, ge=2, description="must exceed the error of completed depth")
-    min_observations: int = Field(2, ge=1, description="frames that must agree before a surface is believed")
-    min_confidence: float = Field(0.1, ge=0, le=1)
-    max_depth_ratio: float = Field(2.0, gt=0, description="times the median depth; farther is seen better later")
-    delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
-    min_component: float = Field(0.02, ge=0, le=1, description="share of the area; smaller pieces float")
-
-
-class PoseGraphSettings(Settings):
-    """Places seen twice, and the poses that follow from them."""
+class LoopClosingSettings(Settings):
+    """Loop closing and the merging of submaps, after depth completion."""
 
     enabled: bool = Field(True, description="close loops inside a submap, then adjust it to its images")
-    join: bool = Field(True, description="make one of submaps that show the same places")
-    max_places: int = Field(
+    merge_submaps: bool = Field(True, description="make one of submaps that show the same places")
+    max_keyframes: int = Field(
         60, ge=2, description="keyframes of a submap, evenly spaced, that are compared; more in a long one"
     )
-    per_place: int = Field(3, ge=1, description="look-alikes tried for each")
 
 
 class ConsistencySettings(Settings):
@@ -120,34 +99,38 @@ class ConsistencySettings(Settings):
         (2, 5, 10), description="keyframes away, on both sides; the nearest err alike"
     )
     tolerance: float = Field(0.04, gt=0, lt=1, description="relative; two to three times the error of completed depth")
-    severity: float = Field(6.0, ge=0, description="one contradiction against none divides the confidence by 1 + this")
-    max_contradicted: float = Field(0.5, gt=0, le=1, description="share of pixels beyond which a keyframe is left out")
+
+
+class FusionSettings(Settings):
+    """TSDF fusion."""
+
+    voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
+    min_observations: int = Field(2, ge=1, description="frames that must agree before a surface is extracted")
+    min_confidence: float = Field(0.1, ge=0, le=1, description="of depth that is fused")
+    max_depth_ratio: float = Field(2.0, gt=0, description="times the median depth; farther is seen better later")
+    delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
 
 
 class Config(Settings):
     """The whole run. Saved, resolved, in `run.yaml`."""
 
-    camera: str = "auto"
-    front_end: Literal["auto", "sfm", "odometry"] = "auto"
-    model: str = "mscsa"
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    seed: int = 0
+    camera: str = Field("auto", description="`auto`, the name of a preset, or a camera file")
+    front_end: str = Field(
+        "auto", description="`auto`: odometry, and COLMAP (`sfm`) where odometry's result is doubtful; or a front end"
+    )
+    model: str = Field("mscsa", description="completion network: a shipped name or a weight file")
+    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where completion runs")
+    seed: int = Field(0, description="of every random step; the same seed gives the same bytes")
     lumen_mm: float | None = Field(None, gt=0, description="mm, median diameter of the lumen, sets the scale")
-    scale_file: str | None = None
+    scale_file: str | None = Field(
+        None, description="YAML file with `mm_per_unit`, or with `frame_a`, `frame_b` and `distance_mm`"
+    )
     frames: FrameSettings = FrameSettings()
-    structure: StructureSettings = StructureSettings()
     odometry: OdometrySettings = OdometrySettings()
-    sparse: SparseSettings = SparseSettings()
     depth: DepthSettings = DepthSettings()
-    pose_graph: PoseGraphSettings = PoseGraphSettings()
+    loop_closing: LoopClosingSettings = LoopClosingSettings()
     consistency: ConsistencySettings = ConsistencySettings()
     fusion: FusionSettings = FusionSettings()
-
-    @model_validator(mode="after")
-    def _asks_odometry(self) -> "Config":
-        if self.front_end == "sfm" and self.odometry != OdometrySettings():
-            raise ValueError("the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto")
-        return self
 
     def is_same_work(self, other: "Config") -> bool:
         """Whether a run with these settings gives what one with the others does, wherever it is computed."""
@@ -191,11 +174,46 @@ def load_config(path: Path | None, **overrides: object) -> Config:
 def validate_config(values: dict[str, object]) -> Config:
     """A `Config`, or one sentence that names the first wrong setting."""
     try:
-        return Config.model_validate(values)
+        return Config.model_validate(_with_new_names(values))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
-            raise HaustraError(f"there is no setting '{where}'") from error
+            raise HaustraError(f"there is no setting '{where}'{_why_gone(where)}") from error
         said = first["msg"].removeprefix("Value error, ")
         raise HaustraError(f"setting '{where}': {said}" if where else said) from error
+
+
+def _with_new_names(values: dict[str, object]) -> dict[str, object]:
+    """Settings by the names that they have today; `RENAMED` ones keep their values."""
+    found = dict(values)
+    for old, new in RENAMED.items():
+        (section, name), (target, key) = old.split("."), new.split(".")
+        given = found.get(section)
+        if isinstance(given, dict) and name in given:
+            found[section] = {k: v for k, v in given.items() if k != name}
+            others = found.get(target)
+            found[target] = {key: given[name]} | (others if isinstance(others, dict) else {})
+            if not found[section]:
+                del found[section]
+    return found
+
+
+def _why_gone(name: str) -> str:
+    """What became of a setting of version 0.1 that nobody changed."""
+    section = name.split(".")[0]
+    where = RETIRED.get(name) or RETIRED.get(section)
+    return f" any more; it is a constant in {where}" if where else ""
+
+
+def read_recorded(values: dict[str, object]) -> Config:
+    """The configuration of a run's record, which may be of an earlier version: settings that became constants are left
+    out."""
+    known: dict[str, object] = {}
+    for name, value in _with_new_names(values).items():
+        if name in RETIRED:
+            continue
+        if isinstance(value, dict):
+            value = {key: kept for key, kept in value.items() if f"{name}.{key}" not in RETIRED}
+        known[name] = value
+    return validate_config(known)

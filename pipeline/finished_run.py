@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
-from pipeline.frontend.select import load_structure
+from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames, load_frames
 from pipeline.loop_closing.close_loops import refined_keyframes
 from pipeline.mapping.submap import Submap
@@ -109,7 +109,7 @@ class Run:
     def keyframes(self, submap: int = 0) -> Iterator[RunKeyframe]:
         """The completed keyframes in their order, read from disk one at a time."""
         completed, factor = self.completed_submaps[submap], self.surfaces[submap].scale.factor
-        maker = SparseDepthMaker(completed.submap, completed.camera, self.workspace.config.sparse)
+        maker = SparseDepthMaker(completed.submap, completed.camera)
         for row in map(int, completed.rows):
             keyframe = completed.keyframe(row)
             world_from_camera = keyframe.world_from_camera.copy()

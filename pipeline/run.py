@@ -8,7 +8,8 @@ from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.finished_run import Run
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.registry import check_front_end
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.calibration import check_choice
 from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
@@ -36,6 +37,7 @@ def reconstruct(
     """
     config, progress = config or Config(), progress or SilentProgress()
     video = Source(Path(source))
+    check_front_end(config)
     check_choice(config.camera, video.path)
     check_weights(config.model, config.depth.looks)
     choose_device(config.device)  # refused now, not after the film has been tracked

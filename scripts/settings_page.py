@@ -26,17 +26,6 @@ frames: {start_s: 60, stride: 2}
 fusion: {voxel_size: 0.01}
 ```
 """
-# Meaning of fields that have no description of their own; a description, once written, is printed instead.
-UNDESCRIBED = {
-    "camera": "`auto`, the name of a preset, or a camera file",
-    "front_end": "`auto`: odometry, then COLMAP (`sfm`) where odometry's result is doubtful",
-    "model": "completion network: a shipped name or a weight file",
-    "device": "where completion runs",
-    "seed": "of every random step; the same seed gives the same bytes",
-    "scale_file": "YAML file with `mm_per_unit`, or with `frame_a`, `frame_b` and `distance_mm`",
-    "min_track_length": "frames that must have seen a point",
-    "min_confidence": "depth that is less certain is not fused",
-}
 BOUNDS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 

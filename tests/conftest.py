@@ -12,7 +12,13 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # and what `nohup` starts
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # Half of the suite's time: begun first, so that no process is left with one of them when the others are done.
-LONGEST = ("test_reconstruct.py", "test_chunks.py", "test_refit.py", "test_training.py", "test_joining.py")
+LONGEST = (
+    "test_reconstruct.py",
+    "test_chunks.py",
+    "test_feature_adjustment.py",
+    "test_train.py",
+    "test_submap_merging.py",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -19,10 +19,10 @@ from pipeline.config import Config
 from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.finished_run import open_run
-from pipeline.frontend.select import load_structure
+from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames
 from pipeline.surface.consistency import ConsistencyCheck
-from pipeline.surface.fusion_stage import fusion_settings
+from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_settings
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -93,7 +93,7 @@ class MeasuredRun:
         if not rows:
             return
         true_rows, mm_per_unit = associated(part, self.frames, self.film), self._posed(part).mm_per_unit
-        maker = SparseDepthMaker(part.submap, part.camera, self.config.sparse)
+        maker = SparseDepthMaker(part.submap, part.camera)
         for row in rows:
             path = self.film.depths[true_rows[row]] if row in true_rows else None
             sparse = maker.sparse_depth(row)
@@ -182,7 +182,7 @@ class FusedMap:
                 left_out += 1
             else:
                 fusion.integrate(self.images[place], self.depths[place], kept, part.camera.matrix, frames.poses[place])
-        mesh = drop_small_components(fusion.extract(), config.fusion.min_component)[0]
+        mesh = drop_small_components(fusion.extract(), MIN_COMPONENT)[0]
         return errors_of(mesh.transformed(self.posed.truth_from_map), truth) | {"left_out": left_out}
 
     def _weights(self, weighted: bool, floor: float) -> list[NDArray[np.float32]]:

@@ -25,15 +25,15 @@ from benchmarks.common.runner import add_folders
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config
+from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.odometry.front_end import adjust_maps, join_maps
 from pipeline.input.frames import Frames
-from pipeline.mapping.global_adjustment import to_submap
-from pipeline.mapping.lift_features import find_places
+from pipeline.mapping.lift_features import features_of_map
 from pipeline.mapping.local_map import LocalMap
-from pipeline.mapping.submap_matching import Shown, find_links, joint_similarity, sure_links
-from pipeline.matching.keyframe_features import FindFeatures
-from pipeline.matching.sift_cache import KeyframeFeatures, ReadFrame
+from pipeline.mapping.submap_matching import MapFeatures, consistent_matches, find_matches, joint_similarity
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.sift import FindFeatures
+from pipeline.matching.sift_cache import ReadFrame, SiftCache
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses, trajectory_errors
 
@@ -44,7 +44,7 @@ Held = tuple[LocalMap, float | None]  # and how wide the features that moved it 
 class Film:
     name: str
     frames: Frames
-    features: KeyframeFeatures
+    features: SiftCache
     read: ReadFrame
     truth: np.ndarray
 
@@ -53,7 +53,7 @@ def film_of(folder: Path, scratch: Path) -> Film:
     frames, workspace = store(folder, Config(front_end="odometry"), scratch / folder.name)
     _, truth = read_tum(folder / "trajectory.txt")
     read = frame_reader(workspace)
-    return Film(folder.name, frames, KeyframeFeatures(read), read, truth)
+    return Film(folder.name, frames, SiftCache(read), read, truth)
 
 
 def tracked(film: Film, part: np.ndarray) -> list[Held]:
@@ -83,9 +83,9 @@ def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
 
 def offered(first: LocalMap, second: LocalMap, finders: tuple[FindFeatures, FindFeatures]) -> np.ndarray | None:
     """`second_from_first` if the evidence is enough for a join."""
-    a, b = (Shown(m, find_places(m, find)) for m, find in zip((first, second), finders, strict=True))
-    links = sure_links(find_links(a, b, np.random.default_rng(0), 0), a, b)
-    return joint_similarity(links) if links else None
+    a, b = (MapFeatures(m, features_of_map(m, find)) for m, find in zip((first, second), finders, strict=True))
+    matches = consistent_matches(find_matches((a, b), np.random.default_rng(0), 0), (a, b))
+    return joint_similarity(matches, (a, b)) if matches else None
 
 
 def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap] | None]:

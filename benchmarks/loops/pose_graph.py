@@ -30,15 +30,22 @@ from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config, FrameSettings
 from pipeline.depth.completion_stage import DenseSubmap, complete_depth
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.video import Source
-from pipeline.loop_closing.detection import Link, Place, find_links, find_places, join_candidates, loop_candidates
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, join
+from pipeline.loop_closing.detection import (
+    LoopClosure,
+    SubmapFeatures,
+    find_features,
+    loop_candidates,
+    merge_candidates,
+    verify_loops,
+)
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.run_folder.workspace import create_workspace
 from pipeline.surface.consistency import ConsistencyCheck
-from pipeline.surface.fusion_stage import fusion_settings
+from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_settings
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -63,18 +70,14 @@ def dense_submaps(folder: Path, config: Config, root: Path) -> tuple[Frames, lis
 
 def links_of(
     frames: Frames, parts: tuple[DenseSubmap, DenseSubmap], config: Config
-) -> tuple[tuple[list[Place], list[Place]], list[Link], int]:
-    """Places, links, and how many pairs were tried; the same submap twice: its own loops."""
-    settings = config.pose_graph
-    first = find_places(parts[0], frames, settings)
+) -> tuple[tuple[SubmapFeatures, SubmapFeatures], list[LoopClosure], int]:
+    """Features, loop closures, and how many pairs were tried; the same submap twice: its own loops."""
+    most, seed = config.loop_closing.max_keyframes, config.seed
+    first = find_features(parts[0], frames, most)
     own = parts[0] is parts[1]
-    second = first if own else find_places(parts[1], frames, settings)
-    pairs = (
-        loop_candidates(parts[0], first, settings, config.seed)
-        if own
-        else join_candidates(first, second, settings, config.seed)
-    )
-    return (first, second), find_links(parts, (first, second), pairs, config.seed), len(pairs)
+    second = first if own else find_features(parts[1], frames, most)
+    pairs = loop_candidates(first, seed) if own else merge_candidates(first, second, seed)
+    return (first, second), verify_loops(first, second, pairs, seed), len(pairs)
 
 
 def path_figures(part: DenseSubmap, truth: np.ndarray) -> dict[str, float]:
@@ -98,9 +101,9 @@ def end_to_start(poses: np.ndarray, true: np.ndarray, mm_per_unit: float) -> dic
     return {"end_to_start_mm": float(np.median(shift)), "end_to_start_deg": float(np.median(turn))}
 
 
-def is_false(link: Link, rows: tuple[int, int], part: DenseSubmap, truth: np.ndarray, unit_mm: float) -> bool:
+def is_false(link: LoopClosure, rows: tuple[int, int], part: DenseSubmap, truth: np.ndarray, unit_mm: float) -> bool:
     first, second = (truth[part.submap.frames[row]] for row in rows)
-    wanted, found = np.linalg.inv(first) @ second, link.first_from_second
+    wanted, found = np.linalg.inv(first) @ second, link.match.first_from_second
     turn = Rotation.from_matrix((found[:3, :3] / scale_of(found)).T @ wanted[:3, :3]).magnitude()
     shift = np.linalg.norm(found[:3, 3] - wanted[:3, 3] / unit_mm)
     return bool(np.degrees(turn) > FALSE_DEG or shift > FALSE_SHIFT)
@@ -115,7 +118,7 @@ def surface_figures(part: DenseSubmap, truth: np.ndarray, wall: ObservedTruth, c
         if confidence is not None:
             fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera)
     truth_from_run = align_poses(part.submap.world_from_camera, truth[part.submap.frames])
-    mesh = drop_small_components(fusion.extract(), config.fusion.min_component)[0].transformed(truth_from_run)
+    mesh = drop_small_components(fusion.extract(), MIN_COMPONENT)[0].transformed(truth_from_run)
     errors = surface_errors(mesh, wall, 1.0, np.random.default_rng(0))
     return {"f_score": errors.f_score, "precision": errors.precision, "recall": errors.recall}
 
@@ -125,9 +128,9 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     frames, dense = dense_submaps(folder, config, scratch)
     part = dense[0]
     places, links, tried = links_of(frames, (part, part), config)
-    closed = close_loops(part, places[0], links)
+    closed = close_loops(places[0], links)
     unit_mm = trajectory_errors(part.submap.world_from_camera, truth[part.submap.frames]).scale
-    at = {k: (places[0][link.first].row, places[1][link.second].row) for k, link in enumerate(links)}
+    at = {k: (places[0].rows[link.match.first], places[1].rows[link.match.second]) for k, link in enumerate(links)}
     false = {k: is_false(link, at[k], part, truth, unit_mm) for k, link in enumerate(links)}
     kept = {k for k in at if tuple(int(part.submap.frames[row]) for row in at[k]) in closed.kept}
     figures: dict[str, Any] = {
@@ -142,7 +145,7 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     }
     states = {"before": part}
     if closed.kept:
-        adjusted = adjust_loops(part, closed, places[0], frames)
+        adjusted = adjust_loops(places[0], closed, frames)
         states |= {"graph": closed.part} | ({"after": adjusted} if adjusted else {})
     wall = observed_truth(folder) if with_surface and closed.kept else None
     for name, state in states.items():
@@ -159,7 +162,7 @@ def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
     submap, scales = second.submap.scaled(HALF_UNIT), np.full(len(second.submap.frames), HALF_UNIT)
     parts = (first, replace(second, submap=submap, depth_scale=scales))
     places, links, tried = links_of(frames, parts, config)
-    joined = join(parts, places, links)
+    joined = merge(places, links)
     figures: dict[str, Any] = {"tried": tried, "links": len(links), "joined": joined is not None}
     if joined is None:
         return figures

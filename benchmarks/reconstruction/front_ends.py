@@ -34,7 +34,7 @@ from haustra.core.camera import guess_camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace

@@ -6,7 +6,7 @@ Seed by seed over all sequences; every run is written down, with its commit, as 
 goes on where the one before it stopped. Features and matches of COLMAP are made once for each sequence, with seed 0,
 since they take as long as the mapping (how far they depend on the seed was not measured); each seed then maps them with
 `global` and with `incremental`. `sfm` is what the front end of that name makes of both: the first, or where it leaves
-doubt the better by evidence; `odometry-fast` is odometry with `--fast`. Of every method the models count that
+doubt the better by its score; `odometry-fast` is odometry with `--fast`. Of every method the models count that
 `reconstruct` would keep: the largest, and others that the lamp does not contradict. ATE, rotation and wrong runs are
 those of `front-ends`, each method's over the frames that it posed. Processor time is the fairer speed: COLMAP
 matches and maps with one thread, as `reconstruct` has it, while odometry's last steps use two.
@@ -29,7 +29,9 @@ from benchmarks.common.runner import add_folders, add_seeds
 from benchmarks.reconstruction.front_ends import run_front_end
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
-from pipeline.frontend.select import WORKER, Judged, believed, best_mapper, colmap_job, is_doubtful, map_by_colmap
+from pipeline.frontend.base import COLMAP_WORKER
+from pipeline.frontend.colmap.front_end import colmap_job, map_by_colmap
+from pipeline.frontend.scoring import Candidate, accepted, best_mapper, candidates_of, needs_second_opinion
 from pipeline.input.frames import Frames
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace
@@ -74,9 +76,9 @@ class Matched:
     def __init__(self, folder: Path, scratch: Path) -> None:
         self.config = Config(front_end="sfm", seed=0)
         self.frames, self.workspace = store(folder, self.config, scratch / folder.name)
-        job = colmap_job(self.frames, self.config, self.workspace)
+        job = colmap_job(self.frames, self.config.seed, self.workspace)
         begin = np.array([time.perf_counter(), processor_seconds()])
-        run_isolated(WORKER, "match", job, self.workspace.log / "match.log", "matching", SilentProgress())
+        run_isolated(COLMAP_WORKER, "match", job, self.workspace.log / "match.log", "matching", SilentProgress())
         self.spent = np.array([time.perf_counter(), processor_seconds()]) - begin  # wall and processor seconds
 
 
@@ -84,32 +86,33 @@ def by_colmap(matched: Matched, seed: int, truth: np.ndarray) -> dict[str, dict[
     """The runs of both mappers with one seed, and that of `sfm`."""
     frames, workspace, config = matched.frames, matched.workspace, matched.config
     count = len(frames.index)
-    mapped: dict[str, list[Judged]] = {}
+    mapped: dict[str, list[Candidate]] = {}
     spent: dict[str, np.ndarray] = {}
     for method in COLMAP:
         mapped[method], spent[method] = _timed(method, seed, frames, config, workspace)
-    asked = COLMAP if is_doubtful(mapped["global"], count, config) else COLMAP[:1]
+    asked = COLMAP if needs_second_opinion(mapped["global"], count) else COLMAP[:1]
     chosen = best_mapper({m: mapped[m] for m in asked}, count)
-    runs = {m: _figures(mapped[m], matched.spent + spent[m], count, truth, config) for m in COLMAP}
+    runs = {m: _figures(mapped[m], matched.spent + spent[m], count, truth) for m in COLMAP}
     both = matched.spent + sum(spent[m] for m in asked)
-    return runs | {"sfm": _figures(mapped[chosen], both, count, truth, config) | {"mapper": chosen}}
+    return runs | {"sfm": _figures(mapped[chosen], both, count, truth) | {"mapper": chosen}}
 
 
 def _timed(
     method: str, seed: int, frames: Frames, config: Config, workspace: Workspace
-) -> tuple[list[Judged], np.ndarray]:
+) -> tuple[list[Candidate], np.ndarray]:
     """One mapper on a copy of the matches, since a mapper may write to them."""
-    job = colmap_job(frames, config, workspace)
+    job = colmap_job(frames, config.seed, workspace)
     copied = workspace.features.with_name("copied.db")
     shutil.copyfile(workspace.features, copied)
     begin = np.array([time.perf_counter(), processor_seconds()])
-    models = map_by_colmap(method, job | {"seed": seed, "database": str(copied)}, workspace, SilentProgress())
+    found = map_by_colmap(method, job | {"seed": seed, "database": str(copied)}, workspace, SilentProgress())
+    models = candidates_of(method, found, frames.camera, workspace)
     return models, np.array([time.perf_counter(), processor_seconds()]) - begin
 
 
-def _figures(models: list[Judged], spent: np.ndarray, count: int, truth: np.ndarray, config: Config) -> dict[str, Any]:
+def _figures(models: list[Candidate], spent: np.ndarray, count: int, truth: np.ndarray) -> dict[str, Any]:
     """Errors of the models that `reconstruct` would keep; spent: wall and processor seconds."""
-    submaps = [submap for submap, _, _ in believed(models, config)]
+    submaps = [candidate.submap for candidate in accepted(models)]
     posed = sum(len(submap.frames) for submap in submaps) / count
     speed = {"frames_per_s": count / spent[0], "processor_ms_per_frame": 1e3 * spent[1] / count}
     return {"used": count, "posed_share": posed, "submaps": len(submaps)} | speed | path_errors(submaps, truth)

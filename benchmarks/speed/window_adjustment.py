@@ -36,8 +36,8 @@ from benchmarks.common.runner import add_folders
 from haustra.core.camera import Camera
 from pipeline.config import Config
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.mapping import local_map
-from pipeline.mapping.local_map import LOSS_PX, WINDOW_ITERATIONS
+from pipeline.mapping import map_adjustment
+from pipeline.mapping.map_adjustment import LOSS_PX, WINDOW_ITERATIONS
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.kernels import robust_cost
 
@@ -79,11 +79,11 @@ def windows_of(folder: Path, every: int, scratch: Path) -> tuple[Camera, list[Bu
         met.append(bundle)
         return adjust(bundle, *others)
 
-    local_map.adjust = recorded  # type: ignore[attr-defined]
+    map_adjustment.adjust = recorded  # type: ignore[attr-defined]
     try:
         tracked_maps(frames.camera, frame_reader(workspace), frames.index)
     finally:
-        local_map.adjust = adjust  # type: ignore[attr-defined]
+        map_adjustment.adjust = adjust  # type: ignore[attr-defined]
     return frames.camera, [w for w in met if w.fixed.sum() > 1 and not w.fixed.all()][::every]
 
 

@@ -16,10 +16,11 @@ from pipeline.depth.depth_io import read_confidence, read_depth, write_confidenc
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.rectification import Rectifier, make_rectifier
 from pipeline.depth.sparse_depth import SparseDepthMaker
-from pipeline.frontend.select import structure_camera
 from pipeline.input.frames import Frames, read_image
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run_folder.workspace import Workspace, write_json
+
+MIN_POINTS = 12  # fewer sparse points do not fix a frame's depth
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def complete_depth(
     done, kept = 0, []
     with progress.bar("depth completion", total) as advance:
         for part in dense:
-            maker = SparseDepthMaker(part.submap, part.camera, config.sparse)
+            maker = SparseDepthMaker(part.submap, part.camera)
             content = part.rectifier.mask(frames.content)
             completed = []
             for row in part.rows:
@@ -112,9 +113,9 @@ def planned_keyframes(frames: Frames, submaps: list[Submap], workspace: Workspac
 
 
 def _plan(frames: Frames, submap: Submap, config: Config, workspace: Workspace) -> DenseSubmap:
-    camera = structure_camera(frames.camera, submap)
+    camera = refined_camera(frames.camera, submap)
     rows = choose_keyframes(submap, camera.width, config.depth.keyframe_motion)
-    return DenseSubmap(submap, make_rectifier(camera, config.depth.max_fov_deg), rows, workspace)
+    return DenseSubmap(submap, make_rectifier(camera), rows, workspace)
 
 
 def _complete(
@@ -128,7 +129,7 @@ def _complete(
     """Complete one keyframe and write it; False if it has too few points."""
     index = int(part.submap.frames[row])
     sparse = maker.sparse_depth(row)
-    if len(sparse.depth) < config.depth.min_points:
+    if len(sparse.depth) < MIN_POINTS:
         return False
     workspace = part.workspace
     if workspace.depth_path(index).exists() and workspace.confidence_path(index).exists():

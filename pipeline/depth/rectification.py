@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 
+MAX_FOV_DEG = 120.0  # a pinhole image wider than this is mostly stretched border
+
 
 @dataclass(frozen=True)
 class Rectifier:
@@ -36,7 +38,7 @@ class Rectifier:
         return cv2.remap(mask, self.map_xy, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
 
 
-def make_rectifier(camera: Camera, max_fov_deg: float) -> Rectifier:
+def make_rectifier(camera: Camera, max_fov_deg: float = MAX_FOV_DEG) -> Rectifier:
     """Rectifier of a structure camera at its working size."""
     if camera.is_pinhole:
         return Rectifier(_as_pinhole(camera), None, 1.0)

@@ -14,9 +14,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from haustra.core.camera import Camera
-from pipeline.config import SparseSettings
 from pipeline.mapping.submap import Submap
 
+MAX_REPROJECTION_PX = 1.5  # at working size, mean over the track
+MIN_TRACK_LENGTH = 3  # frames that saw a point
+MIN_ANGLE_DEG = 1.0  # between a point's rays; below it a pixel of error is a tenth of the depth
+PIXEL_NOISE = 0.5  # px; SIFT's localisation error on mucosa
+FRAMES_AROUND = 4  # on each side, whose points are projected too
+OUTLIER_RATIO = 0.25  # log-depth difference to the neighbours' median
 NEIGHBOURS = 8  # points whose median log depth a point is compared with
 OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
 SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/lab/front_end.md
@@ -48,7 +53,7 @@ class SparseDepth:
 
 
 def reliable_points(
-    submap: Submap, angles: NDArray[np.float64], focal: float, settings: SparseSettings
+    submap: Submap, angles: NDArray[np.float64], focal: float, pixel_noise: float = PIXEL_NOISE
 ) -> tuple[NDArray, NDArray]:
     """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each if it was found in each
     frame for itself.
@@ -56,12 +61,8 @@ def reliable_points(
     angles: (P,) the submap's triangulation angles, deg. focal: of the image in which the points were found, px.
     """
     lengths = submap.track_lengths()
-    good = (
-        (submap.error_px <= settings.max_reprojection_px)
-        & (lengths >= settings.min_track_length)
-        & (angles >= settings.min_angle_deg)
-    )
-    noise = np.maximum(settings.pixel_noise, submap.error_px)
+    good = (submap.error_px <= MAX_REPROJECTION_PX) & (lengths >= MIN_TRACK_LENGTH) & (angles >= MIN_ANGLE_DEG)
+    noise = np.maximum(pixel_noise, submap.error_px)
     return good, noise / (focal * np.maximum(submap.ray_spreads(), 1e-6))
 
 
@@ -79,11 +80,11 @@ def error_with_slide(
 class SparseDepthMaker:
     """Sparse depth of any frame of a submap; filters and errors are computed once."""
 
-    def __init__(self, submap: Submap, pinhole: Camera, settings: SparseSettings) -> None:
-        self.submap, self.pinhole, self.settings = submap, pinhole, settings
+    def __init__(self, submap: Submap, pinhole: Camera) -> None:
+        self.submap, self.pinhole = submap, pinhole
         # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
         focal, angles = submap.camera_params[0], submap.triangulation_angles()
-        self.good, self.scatter = reliable_points(submap, angles, focal, settings)
+        self.good, self.scatter = reliable_points(submap, angles, focal)
         self.error = error_with_slide(self.scatter, submap.is_followed, angles, SLIDE * pinhole.width / focal)
         order, self._starts = submap.by_frame()
         self._points = submap.observations[order, 1]
@@ -97,7 +98,7 @@ class SparseDepthMaker:
         """Points seen by the frame, then those that only its neighbours saw and that nothing hides here; followed ones
         only where few others are."""
         own = self.seen_by(row)
-        reach = self.settings.neighbours
+        reach = FRAMES_AROUND
         around = range(max(0, row - reach), min(len(self.submap.frames), row + reach + 1))
         near = np.unique(np.concatenate([self.seen_by(other) for other in around]))
         others = np.setdiff1d(near, own)
@@ -112,7 +113,7 @@ class SparseDepthMaker:
         pixels, depth, error = pixels[keep], in_camera[keep, 2], self.error[points[keep]]
         kept = ~is_replaced(pixels, depth, error, self.submap.is_followed[points[keep]], self.pinhole.width)
         pixels, depth, error = pixels[kept], depth[kept], error[kept]
-        inlier = ~is_outlier(pixels, depth, self.settings.outlier_ratio)
+        inlier = ~is_outlier(pixels, depth, OUTLIER_RATIO)
         return SparseDepth(pixels[inlier], depth[inlier], error[inlier])
 
     def _is_visible(self, pixels: NDArray, depth: NDArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:

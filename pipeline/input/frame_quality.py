@@ -8,17 +8,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config import FrameSettings
-
 Verdict = Literal["used", "black", "burnt out", "no texture", "blurred", "repeated"]
 HISTORY = 15  # frames over which sharpness is compared
+MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
+SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see
+MIN_TEXTURE = 1.2  # grey levels, robust spread of the Laplacian; red-out is below it
+MIN_RELATIVE_SHARPNESS = 0.3  # of the running median; a third is motion blur
+MIN_CHANGE = 0.35  # grey levels between thumbnails; compression alone gives 0.2
 
 
 @dataclass
 class FrameJudge:
     """Judges frames in order; remembers recent sharpness and the last frame that was used."""
 
-    settings: FrameSettings
     _sharpness: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
     _last: NDArray[np.float32] | None = None
 
@@ -26,20 +28,20 @@ class FrameJudge:
         """rgb (H,W,3) and content mask (H,W), both at working size."""
         inside = content > 0
         brightest = np.maximum.reduce(cv2.split(rgb))[inside]
-        if np.median(brightest) < self.settings.min_brightness:
+        if np.median(brightest) < MIN_BRIGHTNESS:
             return "black"
-        if (brightest >= 250).mean() > self.settings.max_burnt:
+        if (brightest >= SATURATED).mean() > MAX_SATURATED:
             return "burnt out"
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
-        if self._last is not None and np.abs(thumbnail - self._last).mean() < self.settings.min_change:
+        if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
             return "repeated"
         sharpness = _sharpness(grey, inside)
-        if sharpness < self.settings.min_texture:
+        if sharpness < MIN_TEXTURE:
             return "no texture"
         # A running median that only grows from sharp frames would never accept a softer passage: all count.
         self._sharpness.append(sharpness)
-        if sharpness < self.settings.min_relative_sharpness * float(np.median(self._sharpness)):
+        if sharpness < MIN_RELATIVE_SHARPNESS * float(np.median(self._sharpness)):
             return "blurred"
         self._last = thumbnail
         return "used"

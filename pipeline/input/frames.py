@@ -115,7 +115,7 @@ def _store_frames(
     """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
     settings = config.frames
     content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
-    judge = FrameJudge(settings)
+    judge = FrameJudge()
     verdicts: list[tuple[int, float, str]] = []
     with progress.bar("reading frames", source.announced or None) as advance:
         for frame in _in_range(source, settings):

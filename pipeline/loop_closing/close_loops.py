@@ -14,7 +14,7 @@ from scipy.spatial import QhullError
 from haustra.core.progress import Progress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import DenseSubmap
-from pipeline.frontend.select import structure_camera
+from pipeline.frontend.structure_stage import closes_loops
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.detection import (
     SubmapFeatures,
@@ -26,7 +26,7 @@ from pipeline.loop_closing.detection import (
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.mapping.colmap_io import write_model
-from pipeline.mapping.submap import read_submap
+from pipeline.mapping.submap import read_submap, refined_camera
 from pipeline.run_folder.workspace import Workspace, damage_named
 
 FAILURES = (np.linalg.LinAlgError, QhullError, ValueError)
@@ -54,15 +54,15 @@ def refine_poses(
     stage whose surface is done, since its mesh belongs to its poses.
     """
     done = workspace.is_done("refinement") or workspace.is_done("surface")
-    if done or not config.pose_graph.enabled or not _is_by_odometry(workspace):
+    if done or not config.loop_closing.enabled or closes_loops(workspace):
         return refined_keyframes(dense, workspace)
     warnings: list[str] = []
     with progress.bar("places seen twice", len(dense)) as advance:
         pieces = []
         for number, part in enumerate(dense):
-            pieces.append(_Piece(part, [number], find_features(part, frames, config.pose_graph)))
+            pieces.append(_Piece(part, [number], find_features(part, frames, config.loop_closing.max_keyframes)))
             advance(number + 1)
-    if config.pose_graph.join:
+    if config.loop_closing.merge_submaps:
         pieces = _joined(frames, pieces, config, warnings)
     for piece in pieces:
         _close(piece, frames, config, warnings)
@@ -74,10 +74,6 @@ def refine_poses(
         progress.say(sentence)
     workspace.finish("refinement", submaps=records, warnings=warnings)
     return refined_keyframes(dense, workspace)
-
-
-def _is_by_odometry(workspace: Workspace) -> bool:
-    return workspace.is_done("structure") and workspace.result("structure")["mapper"] == "odometry"
 
 
 def refined_keyframes(dense: list[DenseSubmap], workspace: Workspace) -> list[DenseSubmap]:
@@ -122,21 +118,21 @@ def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings:
     if min(len(base.part), len(other.part)) == 0:
         return None
     try:
-        pairs = merge_candidates(*seen, config.pose_graph, config.seed)
+        pairs = merge_candidates(*seen, config.seed)
         part = merge(seen, verify_loops(*seen, pairs, config.seed))
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not joined: {error}")
         return None
     if part is None:
         return None
-    return _Piece(part, base.members + other.members, find_features(part, frames, config.pose_graph))
+    return _Piece(part, base.members + other.members, find_features(part, frames, config.loop_closing.max_keyframes))
 
 
 def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -> None:
     if len(piece.part) < 2:
         return
     try:
-        pairs = loop_candidates(piece.seen, config.pose_graph, config.seed)
+        pairs = loop_candidates(piece.seen, config.seed)
         closed = close_loops(piece.seen, verify_loops(piece.seen, piece.seen, pairs, config.seed))
         piece.proposed, piece.supported = closed.proposed, closed.supported
         adjusted = adjust_loops(piece.seen, closed, frames) if closed.kept else piece.part
@@ -156,7 +152,7 @@ def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) ->
     part, moved = piece.part, piece.part.depth_scale is not None
     if moved:
         folder = _folder(workspace, number)
-        write_model(part.submap, structure_camera(frames.camera, part.submap), folder)
+        write_model(part.submap, refined_camera(frames.camera, part.submap), folder)
         np.savez(folder / "depth_scale.npz", rows=part.rows, depth_scale=np.asarray(part.depth_scale))
     return {
         "members": piece.members,

@@ -13,7 +13,6 @@ from scipy.sparse import csr_array
 
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
-from pipeline.config import PoseGraphSettings
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.input.frames import Frames, read_image
@@ -26,6 +25,7 @@ from reconstruction.pose_graph import tie_information, with_common_error
 
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MAX_STEP = 8  # keyframes between compared ones; farther apart, two loops do not support each other (REACH of the graph)
+PER_KEYFRAME = 3  # look-alikes tried for each keyframe
 MIN_GAP = 5  # compared keyframes between two that may be a loop
 REACH = 1.0  # scene units: median depths between cameras that should see the same
 MAX_TURN = np.radians(40)  # between their views
@@ -58,9 +58,9 @@ class SubmapFeatures:
         return [features.keyframe for features in self.features]
 
 
-def find_features(part: DenseSubmap, frames: Frames, settings: PoseGraphSettings) -> SubmapFeatures:
-    """Features of evenly spaced keyframes of a submap."""
-    step = max(1, min(-(-len(part) // settings.max_places), MAX_STEP))
+def find_features(part: DenseSubmap, frames: Frames, max_keyframes: int) -> SubmapFeatures:
+    """Features of evenly spaced keyframes of a submap: `max_keyframes`, or more where they would lie too far apart."""
+    step = max(1, min(-(-len(part) // max_keyframes), MAX_STEP))
     return _features(part, frames, part.rows[::step], {})
 
 
@@ -70,7 +70,7 @@ def features_of_all(known: SubmapFeatures, frames: Frames) -> SubmapFeatures:
     return _features(known.part, frames, known.part.rows, found)
 
 
-def loop_candidates(seen: SubmapFeatures, settings: PoseGraphSettings, seed: int) -> list[Pair]:
+def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
     """Pairs of keyframes that no sparse point ties: those whose poses say that they overlap, and the most alike."""
     poses = seen.part.submap.world_from_camera[seen.rows]
     turn = np.arccos(np.clip(poses[:, :3, 2] @ poses[:, :3, 2].T, -1, 1))
@@ -79,15 +79,13 @@ def loop_candidates(seen: SubmapFeatures, settings: PoseGraphSettings, seed: int
     number = np.arange(len(poses))
     open_ = (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(seen.part, seen.rows) <= MAX_SHARED)
     near = open_ & (apart < REACH) & (turn < MAX_TURN)
-    expected = retrieve_within(np.where(near, similarity, -np.inf), settings.per_place)
+    expected = retrieve_within(np.where(near, similarity, -np.inf), PER_KEYFRAME)
     return expected + retrieve_within(np.where(open_ & ~near, similarity, -np.inf), 1)
 
 
-def merge_candidates(
-    first: SubmapFeatures, second: SubmapFeatures, settings: PoseGraphSettings, seed: int
-) -> list[Pair]:
+def merge_candidates(first: SubmapFeatures, second: SubmapFeatures, seed: int) -> list[Pair]:
     """Pairs of keyframes of two submaps, the most alike for each of the first."""
-    return retrieve(similarities(first.features, second.features, seed), settings.per_place)
+    return retrieve(similarities(first.features, second.features, seed), PER_KEYFRAME)
 
 
 def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair], seed: int) -> list[LoopClosure]:
@@ -100,7 +98,7 @@ def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair
 def _features(
     part: DenseSubmap, frames: Frames, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures]
 ) -> SubmapFeatures:
-    maker = SparseDepthMaker(part.submap, part.camera, part.workspace.config.sparse)
+    maker = SparseDepthMaker(part.submap, part.camera)
     rays = RayTable(part.camera)
     return SubmapFeatures(
         part, [known.get(row) or _lifted(part, maker, rays, row, frames) for row in map(int, rows)], rays

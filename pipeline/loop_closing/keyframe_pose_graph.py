@@ -110,7 +110,7 @@ def point_ties(part: DenseSubmap) -> list[Edge]:
     the ray is the depth error that its triangulation left.
     """
     submap = part.submap
-    maker = SparseDepthMaker(submap, part.camera, part.workspace.config.sparse)
+    maker = SparseDepthMaker(submap, part.camera)
     seen = [np.unique(maker.seen_by(int(row))) for row in part.rows]
     times = np.bincount(np.concatenate(seen), minlength=len(submap.points))
     ties = []

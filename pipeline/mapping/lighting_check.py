@@ -1,4 +1,4 @@
-"""Is a reconstruction true? Evidence beyond the number of registered frames.
+"""Is a reconstruction true? LightingCheck beyond the number of registered frames.
 
 An endoscope carries its own witness: the lamp sits at the camera, so brightness falls with the square of the distance
 and in a true model nearer points are brighter, in every frame. Wrong models (a false two-view start registers every
@@ -15,16 +15,16 @@ from scipy.stats import spearmanr
 
 from pipeline.mapping.submap import Submap
 
-MIN_POINTS = 15  # fewer do not give a rank correlation worth a vote
+MIN_POINTS = 15  # fewer do not give a rank correlation worth asking
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What speaks for or against a submap.
+class LightingCheck:
+    """Figures that speak for or against a submap.
 
     frames, points: counts. reprojection_px: mean. angle_deg: median triangulation angle. spearman: median over
-    frames of the rank correlation of distance and brightness (-1 is perfect). contrary: share of the frames whose
-    correlation is positive. voters: frames with enough points to vote.
+    frames of the rank correlation of distance and brightness (-1 is perfect). inconsistent_share: share of the
+    checked frames whose correlation is positive. n_checked: frames with enough points for a correlation.
     """
 
     frames: int
@@ -32,11 +32,13 @@ class Evidence:
     reprojection_px: float
     angle_deg: float
     spearman: float
-    contrary: float
-    voters: int
+    inconsistent_share: float
+    n_checked: int
 
     def to_dict(self) -> dict[str, float]:
-        return asdict(self)
+        """For run.yaml and metrics.json, whose keys are those of version 0.1."""
+        names = {"inconsistent_share": "contrary", "n_checked": "voters"}
+        return {names.get(name, name): value for name, value in asdict(self).items()}
 
 
 def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -45,8 +47,8 @@ def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     return cv2.GaussianBlur(np.maximum.reduce(cv2.split(rgb)).astype(np.float32), (0, 0), sigma)
 
 
-def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> Evidence:
-    """Evidence for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
+def check_lighting(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> LightingCheck:
+    """LightingCheck for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
     order, starts = submap.by_frame()
     frame, point = submap.observations[order].T
     pixels = submap.pixels[order]
@@ -64,12 +66,12 @@ def judge_submap(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -
         if np.isfinite(correlation):
             correlations.append(correlation)
     angles = submap.triangulation_angles()
-    return Evidence(
+    return LightingCheck(
         frames=len(submap.frames),
         points=len(submap.points),
         reprojection_px=float(submap.error_px.mean()) if len(submap.points) else float("inf"),
         angle_deg=float(np.median(angles)) if len(angles) else 0.0,
         spearman=float(np.median(correlations)) if correlations else 0.0,
-        contrary=float((np.array(correlations) > 0).mean()) if correlations else 0.0,
-        voters=len(correlations),
+        inconsistent_share=float((np.array(correlations) > 0).mean()) if correlations else 0.0,
+        n_checked=len(correlations),
     )

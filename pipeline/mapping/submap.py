@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera
+
 
 @dataclass(frozen=True)
 class Submap:
@@ -113,6 +115,11 @@ class Submap:
         poses = self.world_from_camera.copy()
         poses[:, :3, 3] *= factor
         return replace(self, world_from_camera=poses, points=self.points * factor)
+
+
+def refined_camera(camera: Camera, submap: Submap) -> Camera:
+    """The camera with the parameters that were refined together with the submap."""
+    return Camera(camera.model, camera.width, camera.height, submap.camera_params, camera.trusted)
 
 
 def read_submap(folder: Path) -> Submap:

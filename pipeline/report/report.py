@@ -8,7 +8,8 @@ import numpy as np
 from haustra.core.progress import Progress
 from pipeline.depth.completion_stage import DenseSubmap, camera_path
 from pipeline.depth.depth_io import DEPTH_STEP
-from pipeline.frontend.select import camera_trust
+from pipeline.frontend.base import COLMAP_WORKER
+from pipeline.frontend.structure_stage import camera_trust, front_end_of
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.close_loops import model_sources
 from pipeline.report.page import write_page
@@ -68,7 +69,7 @@ def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progr
         for k, (surface, (source, unit)) in enumerate(zip(surfaces, model_sources(workspace), strict=True))
     ]
     run_isolated(
-        "pipeline.frontend.colmap.worker",
+        COLMAP_WORKER,
         "scale",
         {"models": models},
         workspace.log / "scale.log",
@@ -128,7 +129,7 @@ def collect_metrics(
             "notes": workspace.result("frames")["notes"],
         },
         "camera": workspace.result("frames")["camera_origin"],
-        "front_end": "odometry" if structure["mapper"] == "odometry" else "sfm",
+        "front_end": front_end_of(workspace),
         "mapper": structure["mapper"],
         "warnings": [*structure["warnings"], *refinement["warnings"]],
         "loops": refinement["submaps"],

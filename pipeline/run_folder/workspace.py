@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from haustra.core.errors import HaustraError
-from pipeline.config import Config, validate_config
+from pipeline.config import Config, read_recorded
 from pipeline.run_folder.inputs import changed_inputs, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
 from pipeline.run_folder.lock import RunLock
@@ -94,7 +94,7 @@ class Workspace:
 
     @property
     def config(self) -> Config:
-        return validate_config(self.record["config"])
+        return read_recorded(self.record["config"])
 
 
 def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:

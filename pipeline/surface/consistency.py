@@ -9,6 +9,8 @@ from pipeline.config import ConsistencySettings
 from pipeline.depth.completion_stage import DenseSubmap
 from reconstruction.fusion.depth_consistency import Agreement, DepthView, agreement
 
+SEVERITY = 6.0  # one contradiction against none divides the confidence by 1 + this
+MAX_CONTRADICTED = 0.5  # share of pixels beyond which a keyframe is left out
 CACHED = 64  # depth maps kept while the check moves along the keyframes; more than its reach on both sides
 
 
@@ -35,9 +37,9 @@ class ConsistencyCheck:
         Their product is no limit: wall that a frame is half sure of would go for one contradiction of many votes.
         """
         votes = self(place)
-        if votes.is_outvoted(self.settings.max_contradicted):
+        if votes.is_outvoted(MAX_CONTRADICTED):
             return None
-        left = votes.weight(self.settings.severity)
+        left = votes.weight(SEVERITY)
         kept = (confidence >= self.min_confidence) & (left >= self.min_confidence)
         return np.where(kept, confidence * left, np.float32(0))
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from pipeline.depth.completion_stage import DenseSubmap
-from pipeline.frontend.select import structure_camera
 from pipeline.input.frames import Frames
+from pipeline.mapping.submap import refined_camera
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import in_words
@@ -88,7 +88,7 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
     factor = surface.scale.factor
     submap = part.submap.scaled(factor)
     # Before the depth maps are read: a picture that cannot be judged need not wait for them.
-    rays = RayTable(structure_camera(frames.camera, part.submap))
+    rays = RayTable(refined_camera(frames.camera, part.submap))
     half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
     witness = SurfaceWitness(surface.mesh)
     for row in part.rows:

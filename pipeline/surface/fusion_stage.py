@@ -17,6 +17,8 @@ from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_vox
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
+TRUNCATION_VOXELS = 12.0  # must exceed the error of completed depth
+MIN_COMPONENT = 0.02  # share of the area; smaller pieces float
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
 LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
 
@@ -101,7 +103,7 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
                 fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, pose)
             advance(place + 1)
     whole = fusion.extract()
-    mesh, dropped = drop_small_components(whole, config.fusion.min_component)
+    mesh, dropped = drop_small_components(whole, MIN_COMPONENT)
     scale = find_scale(config, part.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
@@ -131,7 +133,7 @@ def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
     median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
     return FusionSettings(
         voxel_size=config.fusion.voxel_size or choose_voxel_size(depths, part.camera.matrix),
-        truncation=config.fusion.truncation_voxels,
+        truncation=TRUNCATION_VOXELS,
         max_depth=config.fusion.max_depth_ratio * median,
         min_observations=config.fusion.min_observations,
     )

@@ -33,7 +33,7 @@ DARK, BURNT = 12, 248  # grey levels between which a pixel says how bright its w
 MIN_COSINE = 0.15  # flatter slopes of completed depth are mostly its error
 MIN_PIXELS = 200  # of a frame that takes part in the fit
 SAMPLES = 2000  # pixels of each frame
-SMOOTH_SHARE = 0.02  # of the width: normals of completed depth are too rough to divide by (docs/lab/retired_experiments.md)
+SMOOTH_SHARE = 0.02  # of the width: normals of completed depth are too rough to divide by (docs/lab)
 RANGES = ((-3.0, 0.0), (0.0, 2.0), (-1.0, 6.0))  # of the exponents; light does not grow with distance
 MOST = np.log(6.0)  # a pixel is brightened or darkened by no more: beyond, only its noise would show
 _LINEAR = np.power(np.arange(256, dtype=np.float32) / np.float32(255), np.float32(GAMMA))  # of each grey level

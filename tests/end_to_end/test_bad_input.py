@@ -200,12 +200,12 @@ def test_full_disk_keeps_what_is_done(run, tmp_path, monkeypatch):
     """The write of the frame list fails as on a full disk: one sentence, and the run folder stays."""
     import errno
 
-    import pipeline.input.frames
+    from pipeline.input import frames
 
     def no_space(path, value):
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     write_video(tmp_path / "a.mp4", textured_frames(6))
-    monkeypatch.setattr(pipeline.frames, "write_json", no_space)
+    monkeypatch.setattr(frames, "write_json", no_space)
     assert_one_sentence(run("a.mp4", "-o", "out"), "No space left on device")
     assert len(list((tmp_path / "out" / "images").glob("*.jpg"))) == 6

@@ -21,7 +21,7 @@ from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
 from pipeline.depth.completion_stage import planned_keyframes
-from pipeline.frontend.select import load_structure
+from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import load_frames
 from pipeline.run import reconstruct
 from pipeline.run_folder.subprocesses import run_isolated

@@ -1,36 +1,46 @@
-"""Working frames to submaps by streaming odometry: the door of this package."""
+"""Front end `odometry`: working frames to submaps by streaming odometry."""
 
-import copy
+import shutil
 import time
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.camera import Camera
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import Config
-from pipeline.frontend.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, track_chunks
+from pipeline.frontend.base import FoundSubmap, FrontEndResult
+from pipeline.frontend.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, scratch, track_chunks
+from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
 from pipeline.frontend.odometry.klt import View
 from pipeline.frontend.odometry.prefetch import made_ahead
-from pipeline.frontend.odometry.self_calibration import FRAME_STEP, KEYFRAME_STEP, refine_lens
+from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames
-from pipeline.mapping.feature_adjustment import adjust_to_features
-from pipeline.mapping.local_map import LocalMap, TrackKind
-from pipeline.mapping.map_adjustment import adjust_all
+from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
-from pipeline.mapping.submap_merging import merge_maps
-from pipeline.mapping.submap_of_map import to_submap
-from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
 
-MIN_FRAMES = 3  # of a submap
-LENS_ROUNDS = 3
-FAR, SETTLED = 0.01, 0.001  # of the width, by which a better lens shifts pixels: first to corners; no need to ask again
+NAME = "odometry"
+
+
+class OdometryFrontEnd:
+    """Streaming odometry that ends in a bundle adjustment of each map."""
+
+    closes_loops = False
+
+    def check(self, config: Config) -> None:
+        """Its settings are checked where they are defined."""
+
+    def run(self, frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> FrontEndResult:
+        tracked = track_frames(frames, config, workspace, progress)
+        progress.say(tracked.sentence)
+        shutil.rmtree(workspace.log / NAME, ignore_errors=True)
+        shutil.rmtree(scratch(workspace), ignore_errors=True)
+        return FrontEndResult({NAME: [FoundSubmap(submap) for submap in tracked.submaps]}, tracked.stats)
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,20 @@ class Tracked:
     joins: int
     seams: Seams | None = None
 
+    @property
+    def stats(self) -> dict[str, float]:
+        """For `run.yaml`."""
+        chunks = {} if self.seams is None else {"chunks": self.seams.chunks, "closed_seams": self.seams.closed}
+        return {"frames_per_second": self.frames_per_second, "maps": self.maps, "joins": self.joins, **chunks}
+
+    @property
+    def sentence(self) -> str:
+        merged = f"; {self.joins} of {self.maps} submaps merged into another" if self.maps > 1 else ""
+        if self.seams is None:
+            return f"odometry at {self.frames_per_second:.1f} frames a second{merged}"
+        chunks, closed = self.seams.chunks, self.seams.closed
+        return f"odometry in {chunks} chunks, {closed} of {chunks - 1} joined by the frames that they share{merged}"
+
 
 def track_frames(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
@@ -56,9 +80,9 @@ def track_frames(frames: Frames, config: Config, workspace: Workspace, progress:
         camera = frames.camera
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
-            camera, sigma, held = _better_lens(maps, held, camera, config.seed, features, workspace, progress)
+            camera, sigma, held = refine_intrinsics(maps, held, camera, config.seed, features, workspace, progress)
         merged, joins = join_maps(maps, held, features, config.seed, progress)
-        return Tracked(_submaps(merged, camera.params, sigma), rate, len(maps), joins, seams)
+        return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, seams)
 
 
 def _tracked(
@@ -89,135 +113,3 @@ def _tracked(
             pace = done / max(time.perf_counter() - started, 1e-9)
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
     return odometry.finish(), None
-
-
-def join_maps(
-    maps: list[LocalMap], held: list[float | None], find: FindFeatures, seed: int, progress: Progress
-) -> tuple[list[LocalMap], int]:
-    """Maps that saw the same places made one, and how many joins there were.
-
-    After each map has been straightened by its features: a bent map's scale at the seam is not that of the rest. Where
-    the features that held the parts do not hold the whole, the parts are given back: a seam must not cost them that.
-    """
-    if len(maps) < 2:
-        return maps, 0
-    apart = copy.deepcopy(maps)
-    with progress.bar("joining submaps", None):
-        merged = merge_maps(maps, find, seed)
-    result: list[LocalMap] = []
-    for whole in merged:
-        if len(whole.members) == 1:
-            result.append(whole.map)
-            continue
-        (by,) = refit_maps([whole.map], find, progress)
-        before = [width for width in (held[number] for number in whole.members) if width is not None]
-        if len(before) < len(whole.members):  # one of them never was
-            if by is None:
-                adjust_all(whole.map, changed=True)
-        elif by is None or by > max(before):
-            progress.say(f"{len(before)} submaps look alike, but their features do not hold together; they stay apart")
-            result += [apart[number] for number in whole.members]
-            continue
-        result.append(whole.map)
-    return result, len(maps) - len(result)
-
-
-def adjust_maps(
-    maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
-) -> list[float | None]:
-    """As `refit_maps`; and those that features do not hold to their corners, `changed` or not (see `adjust_all`)."""
-    held = refit_maps(maps, find, progress)
-    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-        with progress.bar("adjusting to corners", None) as advance:
-            adjust_all(local_map, changed, advance)
-    return held
-
-
-def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
-    """Every map moved to where its own features have it. Those that they do not hold (None) stay, and a sentence says
-    so; of the others, how wide the features were at most."""
-    if not maps:
-        return []
-    held = []
-    for local_map in maps:
-        with progress.bar("adjusting to features", None) as advance:
-            held.append(adjust_to_features(local_map, find, advance))
-    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
-        first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
-        progress.say(
-            f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
-        )
-    return held
-
-
-def _submaps(
-    maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = (), kind: TrackKind | None = None
-) -> list[Submap]:
-    """Of the maps that are long enough, most frames first; kind: see `to_submap`."""
-    found = [to_submap(local_map, params, sigma, kind) for local_map in maps]
-    kept = [submap for submap in found if submap is not None and len(submap.frames) >= MIN_FRAMES]
-    return sorted(kept, key=lambda submap: -len(submap.frames))
-
-
-def _better_lens(
-    maps: list[LocalMap],
-    held: list[float | None],
-    guess: Camera,
-    seed: int,
-    find: FindFeatures,
-    workspace: Workspace,
-    progress: Progress,
-) -> tuple[Camera, tuple[float, ...], list[float | None]]:
-    """All maps adjusted with the lens that the largest one determines, or left with the guess if it does not; the lens,
-    its sigmas, and what holds the maps now.
-
-    Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
-    for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
-    it, until it stays.
-    """
-    largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
-    camera = guess
-    sigma: tuple[float, ...] = ()
-    for _ in range(LENS_ROUNDS):
-        by_features = _submaps([largest], camera.params, kind=TrackKind.FEATURE)
-        asked = by_features or _submaps([largest], camera.params)
-        if not asked:
-            break
-        step = KEYFRAME_STEP if by_features else FRAME_STEP
-        lens = refine_lens(asked[0], camera, seed, workspace.log, progress, step)
-        if not lens.determined:
-            return camera, sigma or lens.sigma, held  # an earlier round's answer stands
-        shift = lens_shift(camera, lens.camera)
-        sigma = lens.sigma
-        if shift < SETTLED:
-            break
-        camera = lens.camera
-        held = _with_lens(maps, camera, shift > FAR, find, progress)
-    return camera, sigma, held
-
-
-def lens_shift(old: Camera, new: Camera) -> float:
-    """By how much one lens puts what another sees elsewhere: RMS over the picture, as a share of its width. Where
-    either has no ray does not count; infinite if that is everywhere."""
-    rays = RayTable(old)
-    rows, columns = np.nonzero(rays.usable & RayTable(new).usable)
-    if len(rows) == 0:
-        return float("inf")
-    pixels = np.stack([columns, rows], axis=1)[:: max(1, len(rows) // 5000)] + 0.5
-    seen, _ = rays.look_up(pixels)
-    off = new.project(np.concatenate([seen, np.ones((len(seen), 1))], axis=1)) - pixels
-    return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
-
-
-def _with_lens(
-    maps: list[LocalMap], camera: Camera, far: bool, find: FindFeatures, progress: Progress
-) -> list[float | None]:
-    """Adjust all maps with another lens; with one that is far from the last, first to the followed corners alone."""
-    rays = RayTable(camera)
-    for local_map in maps:
-        local_map.recalibrate(rays)
-        if far:
-            local_map.forget_features()
-            with progress.bar("adjusting to corners", None) as advance:
-                adjust_all(local_map, True, advance)
-    return adjust_maps(maps, find, progress, changed=True)

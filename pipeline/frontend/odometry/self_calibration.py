@@ -15,16 +15,25 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
+from haustra.core.ray_table import RayTable
+from pipeline.frontend.base import COLMAP_WORKER, MAX_FOCAL_SIGMA
+from pipeline.frontend.odometry.finish_maps import adjust_maps, submaps_of
 from pipeline.mapping.colmap_io import write_model
-from pipeline.mapping.map_adjustment import LOSS_PX
+from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.map_adjustment import LOSS_PX, adjust_all
 from pipeline.mapping.submap import Submap
+from pipeline.matching.sift import FindFeatures
 from pipeline.run_folder.subprocesses import run_isolated
+from pipeline.run_folder.workspace import Workspace
 
 MOST_FRAMES = 100  # that determine the lens: more cost minutes and add little
 FRAME_STEP = 10  # frames between two of them at most; corners are followed over some tens of frames
 KEYFRAME_STEP = 3  # the same where the frames are keyframes; their features are found again in four, in the median
 MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
-MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
+ROUNDS = 3
+# Of the width, RMS, by which another lens shifts pixels: above the first the maps are adjusted to their corners again
+# before features are asked; below the second the lens has converged.
+LENS_RESTART, LENS_CONVERGED = 0.01, 0.001
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,70 @@ class Lens:
     camera: Camera
     sigma: tuple[float, ...]
     determined: bool
+
+
+def refine_intrinsics(
+    maps: list[LocalMap],
+    held: list[float | None],
+    guess: Camera,
+    seed: int,
+    find: FindFeatures,
+    workspace: Workspace,
+    progress: Progress,
+) -> tuple[Camera, tuple[float, ...], list[float | None]]:
+    """All maps adjusted with the lens that the largest one determines, or left with the guess if it does not; the lens,
+    its sigmas, and what holds the maps now.
+
+    Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
+    for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
+    it, until it stays.
+    """
+    largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
+    camera = guess
+    sigma: tuple[float, ...] = ()
+    for _ in range(ROUNDS):
+        by_features = submaps_of([largest], camera.params, kind=TrackKind.FEATURE)
+        asked = by_features or submaps_of([largest], camera.params)
+        if not asked:
+            break
+        step = KEYFRAME_STEP if by_features else FRAME_STEP
+        lens = refine_lens(asked[0], camera, seed, workspace.log, progress, step)
+        if not lens.determined:
+            return camera, sigma or lens.sigma, held  # an earlier round's answer stands
+        shift = lens_shift(camera, lens.camera)
+        sigma = lens.sigma
+        if shift < LENS_CONVERGED:
+            break
+        camera = lens.camera
+        held = _with_lens(maps, camera, shift > LENS_RESTART, find, progress)
+    return camera, sigma, held
+
+
+def lens_shift(old: Camera, new: Camera) -> float:
+    """By how much one lens puts what another sees elsewhere: RMS over the picture, as a share of its width. Where
+    either has no ray does not count; infinite if that is everywhere."""
+    rays = RayTable(old)
+    rows, columns = np.nonzero(rays.usable & RayTable(new).usable)
+    if len(rows) == 0:
+        return float("inf")
+    pixels = np.stack([columns, rows], axis=1)[:: max(1, len(rows) // 5000)] + 0.5
+    seen, _ = rays.look_up(pixels)
+    off = new.project(np.concatenate([seen, np.ones((len(seen), 1))], axis=1)) - pixels
+    return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
+
+
+def _with_lens(
+    maps: list[LocalMap], camera: Camera, far: bool, find: FindFeatures, progress: Progress
+) -> list[float | None]:
+    """Adjust all maps with another lens; with one that is far from the last, first to the followed corners alone."""
+    rays = RayTable(camera)
+    for local_map in maps:
+        local_map.recalibrate(rays)
+        if far:
+            local_map.forget_features()
+            with progress.bar("adjusting to corners", None) as advance:
+                adjust_all(local_map, True, advance)
+    return adjust_maps(maps, find, progress, changed=True)
 
 
 def refine_lens(
@@ -49,7 +122,7 @@ def refine_lens(
     write_model(thin, camera, folder)
     job = {"model": str(folder), "output": str(folder / "lens.json"), "loss_px": LOSS_PX, "seed": seed}
     try:
-        run_isolated("pipeline.frontend.colmap.worker", "calibrate", job, scratch / "lens.log", "lens", progress)
+        run_isolated(COLMAP_WORKER, "calibrate", job, scratch / "lens.log", "lens", progress)
     except HaustraError as error:
         progress.say(f"{error}; the guessed lens stays")
         return unknown

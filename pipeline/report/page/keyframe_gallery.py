@@ -110,7 +110,7 @@ def _draw(
     for keyframe in shown:
         part, factor = dense[keyframe.submap], surfaces[keyframe.submap].scale.factor
         if keyframe.submap not in makers:
-            makers[keyframe.submap] = SparseDepthMaker(part.submap, part.camera, part.workspace.config.sparse)
+            makers[keyframe.submap] = SparseDepthMaker(part.submap, part.camera)
         views, limits = part.keyframe(keyframe.row), ranges[keyframe.submap]
         sparse = makers[keyframe.submap].sparse_depth(keyframe.row).scaled(factor)
         known, image = views.depth > 0, np.ascontiguousarray(views.rgb[..., ::-1])

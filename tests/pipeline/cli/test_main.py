@@ -65,16 +65,13 @@ def test_a_setting_is_a_finite_number(tmp_path, value):
         load_config(path)
 
 
-def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs, capsys):
+def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs):
     path = tmp_path / "settings.yaml"
     path.write_text("odometry: {keyframe_motion: 0.03}\n")
     for words in ((), ("--fast",), ("--config", path), ("--config", path, "--fast")):
         assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
     motions = [config.odometry.keyframe_motion for _, config in runs]
     assert motions == [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION, 0.03, FAST_KEYFRAME_MOTION]
-    assert command(monkeypatch, VIDEO, "-o", tmp_path, "--fast", "--front-end", "sfm") == 1
-    told = "error: the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto\n"
-    assert capsys.readouterr().err == told
 
 
 def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys):

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from haustra.core.camera import Camera
-from pipeline.config import SparseSettings
 from pipeline.depth.sparse_depth import SLIDE, SparseDepthMaker, is_replaced
 from pipeline.frontend.odometry.self_calibration import _without_points
 from pipeline.mapping.colmap_io import write_model
@@ -32,8 +31,8 @@ def test_a_followed_point_slides_by_the_angle_that_it_spans_however_many_frames_
     pixels = np.random.default_rng(0).uniform(150, 190, (40, 2))
     followed = np.arange(40) % 2 == 0
     submap, slide_px = wall(pixels, followed), SLIDE * CAMERA.width
-    found = SparseDepthMaker(replace(submap, followed=None), CAMERA, SparseSettings())
-    maker = SparseDepthMaker(submap, CAMERA, SparseSettings())
+    found = SparseDepthMaker(replace(submap, followed=None), CAMERA)
+    maker = SparseDepthMaker(submap, CAMERA)
     assert_array_equal(maker.scatter, found.error)
     assert_array_equal(maker.error[~followed], found.error[~followed])
     baseline = 0.5 * (FRAMES - 1)
@@ -47,7 +46,7 @@ def test_a_followed_point_slides_by_the_angle_that_it_spans_however_many_frames_
         observations=np.concatenate([submap.observations * (2, 1), submap.observations * (2, 1) + (1, 0)]),
         pixels=np.tile(submap.pixels, (2, 1)),
     )
-    denser = SparseDepthMaker(twice, CAMERA, SparseSettings())
+    denser = SparseDepthMaker(twice, CAMERA)
     np.testing.assert_allclose(denser.scatter, maker.scatter / np.sqrt(2))
     again = np.sqrt(denser.error[followed] ** 2 - denser.scatter[followed] ** 2)
     np.testing.assert_allclose(again, slid)
@@ -59,7 +58,7 @@ def test_a_followed_point_stays_only_where_few_others_are(found, kept):
     among = np.array([[200.0, 160.0], [210.0, 170.0], [190.0, 170.0]])[:found]
     pixels = np.concatenate([among, [[200.0, 165.0], [60.0, 160.0]]])
     submap = wall(pixels, np.arange(len(pixels)) >= found)
-    sparse = SparseDepthMaker(submap, CAMERA, SparseSettings()).sparse_depth(0)
+    sparse = SparseDepthMaker(submap, CAMERA).sparse_depth(0)
     assert len(sparse.depth) == found + kept
     assert 60.0 in sparse.pixels[:, 0].round(6)
 
@@ -94,7 +93,7 @@ def test_a_fold_keeps_its_points_before_a_wall_of_features():
 def test_nothing_changes_where_no_point_was_followed():
     pixels = np.random.default_rng(1).uniform(20, 300, (60, 2))
     plain, none = wall(pixels, None), wall(pixels, np.zeros(60, dtype=bool))
-    one, other = (SparseDepthMaker(s, CAMERA, SparseSettings()).sparse_depth(2) for s in (plain, none))
+    one, other = (SparseDepthMaker(s, CAMERA).sparse_depth(2) for s in (plain, none))
     assert_array_equal(one.depth, other.depth)
     assert_array_equal(one.error, other.error)
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.config import FrameSettings
 from pipeline.input.content_area import find_content, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.video import Source
@@ -164,7 +163,7 @@ def test_the_sinus_disc_agrees_with_the_authors_mask():
 
 
 def judge_all(frames):
-    judge = FrameJudge(FrameSettings())
+    judge = FrameJudge()
     content = np.full(frames[0].shape[:2], 255, np.uint8)
     return [judge.judge(frame, content) for frame in frames]
 

@@ -11,7 +11,7 @@ from haustra.core.errors import ReconstructionError
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
-from pipeline.config import Config, PoseGraphSettings
+from pipeline.config import Config, LoopClosingSettings
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.depth_io import DEPTH_STEP, write_confidence, write_depth
 from pipeline.depth.rectification import make_rectifier
@@ -30,7 +30,7 @@ CAMERA = Camera("PINHOLE", 64, 64, (40.0, 40.0, 32.0, 32.0))
 RAYS = RayTable(CAMERA)
 GROWTH = 0.004  # of the scale, from keyframe to keyframe
 COUNT = 24
-CONFIG = Config(camera="given", pose_graph=PoseGraphSettings(enabled=True))
+CONFIG = Config(camera="given", loop_closing=LoopClosingSettings(enabled=True))
 
 
 def drifting_submap(count: int = COUNT, growth: float = GROWTH, seed: int = 0) -> Submap:
@@ -267,7 +267,7 @@ def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice,
 
 def test_without_the_stage_nothing_changes(workspace, frames):
     part = dense(workspace)
-    off = CONFIG.model_copy(update={"pose_graph": PoseGraphSettings(enabled=False)})
+    off = CONFIG.model_copy(update={"loop_closing": LoopClosingSettings(enabled=False)})
     assert refine_poses(frames, [part], off, workspace, SilentProgress()) == [part]
     assert not workspace.is_done("refinement")
 

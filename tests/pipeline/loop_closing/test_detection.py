@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.config import PoseGraphSettings
 from pipeline.loop_closing import detection as loops
 from pipeline.loop_closing.keyframe_pose_graph import MIN_TIE, REACH, _tied
 
@@ -25,7 +24,7 @@ def test_places_lie_near_enough_to_support_each_other(monkeypatch, count):
             return count
 
     Part.workspace = workspace
-    found = loops.find_features(Part(), None, PoseGraphSettings()).features
+    found = loops.find_features(Part(), None, 60).features
     assert found[0] == 0
     assert np.diff(np.append(found, 3 * count)).max() / 3 < REACH
     assert len(found) <= 60 or count > 480

@@ -14,8 +14,8 @@ from haustra.core.se3 import angle_between, inverse
 from haustra.core.sim3 import scale_of, transform_points
 from pipeline.frontend.odometry.two_view import judge, parallax_px, start_pose
 from pipeline.matching.sim3_ransac import (
-    Side,
-    Stack,
+    Correspondences,
+    StackedCorrespondences,
     _errors_of_each,
     refine_similarity,
     robust_similarity,
@@ -261,8 +261,8 @@ def test_similarity_is_found_whatever_it_is(scale, turn, shift, seed, outliers):
     second_pose[:3, :3], second_pose[:3, 3] = rotation, scale * first_pose[:3, 3] - rotation @ similarity[:3, 3]
     wrong = rng.choice(60, int(outliers * 60), replace=False)
     moved[wrong] = moved[rng.permutation(wrong)] + rng.normal(0, 10 * scale, (len(wrong), 3))
-    first = Side(points, first_pose, on_plane(first_pose, points)[0], gains(60))
-    second = Side(moved, second_pose, on_plane(second_pose, moved)[0], gains(60))
+    first = Correspondences(points, first_pose, on_plane(first_pose, points)[0], gains(60))
+    second = Correspondences(moved, second_pose, on_plane(second_pose, moved)[0], gains(60))
     found = robust_similarity(first, second, rng)
     assert found is not None
     right = np.setdiff1d(np.arange(60), wrong)
@@ -280,7 +280,7 @@ def random_sides(count, rng):
     sides = []
     for _ in range(2):
         points, camera = rng.normal(0, 20, (count, 3)), pose(rng.uniform(-30, 30, 3), rng.normal(0, 5, 3))
-        sides.append(Side(points, camera, rng.normal(0, 0.5, (count, 2)), gains(count)))
+        sides.append(Correspondences(points, camera, rng.normal(0, 0.5, (count, 2)), gains(count)))
     return sides
 
 
@@ -303,7 +303,7 @@ def test_many_similarities_are_judged_as_each_alone():
 def test_many_sides_are_judged_as_each_alone():
     rng = np.random.default_rng(4)
     sides, transform = [random_sides(count, rng)[0] for count in (5, 30, 9)], random_similarity(rng)
-    stack = Stack.of(sides)
+    stack = StackedCorrespondences.of(sides)
     together = stack.errors(transform, stack.points)
     alone = [reprojection_errors(s.pose, transform_points(transform, s.points), s.seen, s.gain) for s in sides]
     assert stack.starts.tolist() == [0, 5, 35]
@@ -313,7 +313,7 @@ def test_many_sides_are_judged_as_each_alone():
 
 def test_points_that_no_side_saw_are_refused():
     """The kernel checks no index."""
-    stack = Stack.of([random_sides(5, np.random.default_rng(6))[0]])
+    stack = StackedCorrespondences.of([random_sides(5, np.random.default_rng(6))[0]])
     with pytest.raises(ValueError, match="was seen"):
         stack.errors(np.eye(4), np.zeros((6, 3)))
 
@@ -338,8 +338,8 @@ def test_one_generator_gives_one_similarity():
     points = tube(60, rng)
     moved = 2 * points + rng.normal(0, 1.0, points.shape)
     camera = np.eye(4)
-    first = Side(points, camera, on_plane(camera, points)[0], gains(60))
-    second = Side(moved, camera, on_plane(camera, moved)[0], gains(60))
+    first = Correspondences(points, camera, on_plane(camera, points)[0], gains(60))
+    second = Correspondences(moved, camera, on_plane(camera, moved)[0], gains(60))
     found = [robust_similarity(first, second, np.random.default_rng(seed), 20) for seed in (6, 6, *range(10))]
     assert all(one is not None for one in found)
     np.testing.assert_array_equal(found[0][0], found[1][0])

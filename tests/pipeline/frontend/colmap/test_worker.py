@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
-from pipeline.config import SparseSettings
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
+from pipeline.frontend.base import disjoint
 from pipeline.frontend.colmap.worker import sequential_pairs
-from pipeline.frontend.select import _score, disjoint
-from pipeline.mapping.lighting_check import Evidence, judge_submap
+from pipeline.frontend.scoring import Candidate, score
+from pipeline.mapping.lighting_check import LightingCheck, check_lighting
 from pipeline.mapping.submap import Submap
 from pipeline.matching.place_recognition import loop_pairs
 
@@ -86,33 +86,33 @@ def lit_image(submap, row, exponent=-2.0):
 
 def test_light_agrees_with_a_true_model_and_contradicts_a_mirrored_depth(tube):
     rows = {int(index): row for row, index in enumerate(tube.frames)}
-    true = judge_submap(tube, lambda index: lit_image(tube, rows[index]))
-    assert true.contrary == 0
+    true = check_lighting(tube, lambda index: lit_image(tube, rows[index]))
+    assert true.inconsistent_share == 0
     assert true.spearman < -0.8
-    false = judge_submap(tube, lambda index: lit_image(tube, rows[index], exponent=1.0))
-    assert false.contrary > 0.9
-    assert _score([(tube, true, Path())], 12) > _score([(tube, false, Path())], 12) + 1
+    false = check_lighting(tube, lambda index: lit_image(tube, rows[index], exponent=1.0))
+    assert false.inconsistent_share > 0.9
+    assert score([Candidate(tube, true, Path())], 12) > score([Candidate(tube, false, Path())], 12) + 1
 
 
 def test_a_mapper_that_leaves_frames_out_needs_clearly_better_light_to_win(tube):
-    whole = Evidence(12, 600, 0.5, 5.0, -0.9, 0.0, 12)
-    half = Evidence(6, 300, 0.4, 5.0, -0.95, 0.0, 6)
-    wrong = Evidence(12, 600, 0.3, 5.0, -0.86, 0.17, 12)
-    scores = [_score([(tube, evidence, Path())], 12) for evidence in (whole, half, wrong)]
+    whole = LightingCheck(12, 600, 0.5, 5.0, -0.9, 0.0, 12)
+    half = LightingCheck(6, 300, 0.4, 5.0, -0.95, 0.0, 6)
+    wrong = LightingCheck(12, 600, 0.3, 5.0, -0.86, 0.17, 12)
+    scores = [score([Candidate(tube, evidence, Path())], 12) for evidence in (whole, half, wrong)]
     assert scores[0] > scores[1] > scores[2]
-    two_halves = [(tube, half, Path()), (tube, half, Path())]
-    assert scores[2] < _score(two_halves, 12) < scores[0]
+    two_halves = [Candidate(tube, half, Path()), Candidate(tube, half, Path())]
+    assert scores[2] < score(two_halves, 12) < scores[0]
 
 
 def test_one_bad_frame_shows_although_the_median_does_not(tube):
     rows = {int(index): row for row, index in enumerate(tube.frames)}
-    evidence = judge_submap(tube, lambda i: lit_image(tube, rows[i], 1.0 if rows[i] in (3, 4) else -2.0))
+    evidence = check_lighting(tube, lambda i: lit_image(tube, rows[i], 1.0 if rows[i] in (3, 4) else -2.0))
     assert evidence.spearman < -0.8
-    assert evidence.contrary == pytest.approx(2 / 12)
+    assert evidence.inconsistent_share == pytest.approx(2 / 12)
 
 
 def test_sparse_depth_is_exact_on_an_exact_model(tube):
-    maker = SparseDepthMaker(tube, CAMERA, SparseSettings())
+    maker = SparseDepthMaker(tube, CAMERA)
     sparse = maker.sparse_depth(5)
     local = tube.points_in_camera(5, tube.points)
     pixels = CAMERA.project(local)
@@ -129,7 +129,7 @@ def test_predicted_error_follows_from_noise():
     noise = 0.5
     exact = tube_submap(frames=10, points=400)
     noisy = tube_submap(frames=10, points=400, noise_px=noise)
-    good, predicted = reliable_points(exact, exact.triangulation_angles(), 160.0, SparseSettings(pixel_noise=noise))
+    good, predicted = reliable_points(exact, exact.triangulation_angles(), 160.0, noise)
     ratios = []
     for p in np.flatnonzero(good):
         frame = exact.observations[exact.observations[:, 1] == p, 0]
@@ -174,8 +174,7 @@ def test_points_hidden_behind_a_nearer_surface_are_not_lent():
         np.arange(2), poses, np.concatenate([near, far]), np.zeros(80), np.array(observations),
         np.zeros((80, 2)), CAMERA.params,
     )  # fmt: skip
-    settings = SparseSettings(min_track_length=2, min_angle_deg=0)
-    maker = SparseDepthMaker(submap, CAMERA, settings)
+    maker = SparseDepthMaker(submap, CAMERA)
     maker.good[:] = True
     maker.error[:] = 0.01
     sparse = SparseDepthMaker.sparse_depth(maker, 0)

@@ -18,7 +18,7 @@ from pipeline.frontend.odometry import chunks, front_end
 from pipeline.frontend.odometry.chunk_stitching import first_from_second
 from pipeline.frontend.odometry.chunks import cut, jobs_of, local_run, scratch, sew, track_chunks
 from pipeline.frontend.odometry.front_end import track_frames
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.map_io import load_maps, save_maps
 from pipeline.mapping.submap_merging import Merged
 from pipeline.mapping.submap_of_map import to_submap

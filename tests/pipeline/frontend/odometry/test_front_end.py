@@ -9,7 +9,7 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import Config
 from pipeline.frontend.odometry.corner_tracks import TrackSet
 from pipeline.frontend.odometry.klt import detect, follow, make_view
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.descriptor_matching import match_descriptors
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors

@@ -16,7 +16,7 @@ from pipeline.frontend.odometry.chunk_worker import track
 from pipeline.frontend.odometry.chunks import jobs_of
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.state_machine import Odometry
-from pipeline.frontend.select import solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.local_map import WINDOW
 from pipeline.mapping.map_adjustment import adjust_window
 from pipeline.mapping.map_io import load_maps

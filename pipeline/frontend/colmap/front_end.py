@@ -1,0 +1,84 @@
+"""Front end `sfm`: SIFT, matching and mapping by COLMAP, in a process of its own.
+
+The global mapper goes first, as it has no two-view start that could be false; where its result is doubtful, the
+incremental one follows.
+"""
+
+import shutil
+
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress
+from pipeline.config import Config, OdometrySettings
+from pipeline.frontend.base import COLMAP_WORKER, FoundSubmap, FrontEndResult
+from pipeline.frontend.scoring import candidates_of, needs_second_opinion
+from pipeline.input.frames import Frames
+from pipeline.mapping.submap import read_submap
+from pipeline.run_folder.subprocesses import run_isolated
+from pipeline.run_folder.workspace import Workspace
+
+PEAK_THRESHOLD = 0.002  # a third of COLMAP's: mucosa has weak contrast
+MAX_FEATURES = 2048  # per frame; more only lengthens matching
+OVERLAP = 8  # frames; each is matched with as many before it
+LOOP_NEIGHBOURS = 2  # look-alike frames beyond the overlap tried for each frame that looks for loops
+LOOP_STRIDE = 10  # frames between two that look for loops
+THREADS = 2  # of feature extraction; matching and mapping take one, to be repeatable
+
+
+class ColmapFrontEnd:
+    """Structure from motion by COLMAP."""
+
+    closes_loops = True
+
+    def check(self, config: Config) -> None:
+        if config.odometry != OdometrySettings():
+            raise HaustraError("the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto")
+
+    def run(self, frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> FrontEndResult:
+        job = colmap_job(frames, config.seed, workspace)
+        run_isolated(COLMAP_WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
+        found = {"global": map_by_colmap("global", job, workspace, progress)}
+        judged = candidates_of("global", found["global"], frames.camera, workspace)
+        if needs_second_opinion(judged, len(frames.index)):
+            found["incremental"] = map_by_colmap("incremental", job, workspace, progress)
+        if not any(found.values()) and all((workspace.log / f"{mapper}.failed").exists() for mapper in found):
+            raise HaustraError(f"COLMAP failed to map the frames; its logs are in {workspace.log}")
+        return FrontEndResult(found)
+
+
+def colmap_job(frames: Frames, seed: int, workspace: Workspace) -> dict[str, object]:
+    """What COLMAP's worker must know of the run."""
+    return {
+        "database": str(workspace.features),
+        "image_folder": str(workspace.images),
+        "images": [workspace.image_path(int(index)).name for index in frames.index],
+        "masks": str(workspace.masks),
+        "scratch": str(workspace.log),
+        "camera": frames.camera.to_dict(),
+        "refine_camera": not frames.camera.trusted,
+        "seed": seed,
+        "peak_threshold": PEAK_THRESHOLD,
+        "max_features": MAX_FEATURES,
+        "overlap": OVERLAP,
+        "loop_neighbours": LOOP_NEIGHBOURS,
+        "loop_stride": LOOP_STRIDE,
+        "threads": THREADS,
+    }
+
+
+def map_by_colmap(mapper: str, job: dict[str, object], workspace: Workspace, progress: Progress) -> list[FoundSubmap]:
+    """All models of one mapper, most frames first.
+
+    A mapper that fails is logged, and what it wrote before is used; the other one may still succeed.
+    """
+    output = workspace.log / mapper
+    shutil.rmtree(output, ignore_errors=True)
+    failed = workspace.log / f"{mapper}.failed"
+    failed.unlink(missing_ok=True)
+    job = job | {"method": mapper, "output": str(output)}
+    try:
+        run_isolated(COLMAP_WORKER, "map", job, workspace.log / f"{mapper}.log", f"structure ({mapper})", progress)
+    except HaustraError as error:
+        progress.say(str(error))
+        failed.write_text(str(error))
+    found = [FoundSubmap(read_submap(p.parent), p.parent) for p in sorted(output.glob("*/model.npz"))]
+    return sorted(found, key=lambda one: -len(one.submap.frames))

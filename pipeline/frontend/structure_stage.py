@@ -1,0 +1,184 @@
+"""Stage 2: working frames to submaps of poses and points, by one front end or by the better of two.
+
+`auto` runs odometry, and COLMAP where that leaves frames out or the endoscope's own light contradicts it.
+"""
+
+import shutil
+from dataclasses import dataclass
+
+import numpy as np
+
+from haustra.core.camera import Camera
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress
+from pipeline.config import Config
+from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
+from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
+from pipeline.frontend.scoring import (
+    MAX_INCONSISTENT,
+    Candidate,
+    accepted,
+    best_mapper,
+    candidates_of,
+    needs_second_opinion,
+)
+from pipeline.input.frames import Frames
+from pipeline.mapping.submap import Submap, read_submap
+from pipeline.run_folder.stage import load_or_make
+from pipeline.run_folder.workspace import Workspace, damage_named
+
+STAGE = "structure"
+MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` does not ask it of longer videos
+
+
+def solve_structure(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Submap]:
+    """Submaps, the largest first, each in units of its own median depth; loads them if this stage is done."""
+    return load_or_make(
+        workspace,
+        STAGE,
+        lambda: load_structure(workspace),
+        lambda: _solve(frames, config, workspace, progress),
+    )
+
+
+def load_structure(workspace: Workspace) -> list[Submap]:
+    """The submaps of a finished stage, scaled to units of median depth."""
+    units = workspace.result(STAGE)["units"]
+    with damage_named(workspace.models):
+        read = [read_submap(workspace.models / str(k)) for k in range(len(units))]
+    return [submap.scaled(1 / unit) for submap, unit in zip(disjoint(read), units, strict=True)]
+
+
+def front_end_of(workspace: Workspace) -> str:
+    """Name of the front end whose submaps a finished stage kept."""
+    record = workspace.result(STAGE)
+    name = record.get("front_end")  # absent in runs of version 0.1
+    return str(name or ("odometry" if record["mapper"] == "odometry" else "sfm"))
+
+
+def closes_loops(workspace: Workspace) -> bool:
+    """Whether the front end of a finished stage closed the loops itself."""
+    return FRONT_ENDS[front_end_of(workspace)].closes_loops
+
+
+def camera_trust(guess: Camera, submap: Submap) -> str:
+    """What became of a guessed camera, and how far to trust it."""
+    focal, start = submap.camera_params[0], guess.focal[0]
+    sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
+    text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after adjustment"
+    if focal == start:
+        text = f"camera: focal length {start:.1f} px guessed and kept"
+    if not np.isfinite(sigma):
+        return text + "; the motion does not determine it: shapes may be stretched along the view"
+    text += f" (sigma {sigma:.2g} px for 1 px of noise)"
+    if sigma > MAX_FOCAL_SIGMA * focal:
+        return text + "; too uncertain to trust: shapes may be stretched along the view"
+    return text
+
+
+def _solve(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> None:
+    results = _run(frames, config, workspace, progress)
+    by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
+    total = len(frames.index)
+    mapper = best_mapper(by_mapper, total) if by_mapper else ""
+    kept = accepted(by_mapper[mapper]) if by_mapper else []
+    if not kept:
+        raise HaustraError(
+            f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
+            f"by {', '.join(results)})"
+        )
+    _keep(kept, workspace)
+    warnings = _warnings(kept)
+    name = next(name for name, result in results.items() if mapper in result.candidates)
+    workspace.finish(
+        STAGE,
+        front_end=name,
+        mapper=mapper,
+        evidence={of: [c.check.to_dict() for c in found] for of, found in by_mapper.items()},
+        units=[_unit(c.submap) for c in kept],
+        stats=results[name].stats,
+        warnings=warnings,
+    )
+    for sentence in (_sentence(kept, mapper, total), *warnings):
+        progress.say(sentence)
+    if not frames.camera.trusted:
+        progress.say(camera_trust(frames.camera, kept[0].submap))
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What a front end found, checked and written."""
+
+    candidates: dict[str, list[Candidate]]  # of each mapper, in the order in which they were run
+    stats: dict[str, float]
+
+
+def _run(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> dict[str, _Result]:
+    """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful."""
+
+    def run(name: str) -> _Result:
+        result = FRONT_ENDS[name].run(frames, config, workspace, progress)
+        found = {m: candidates_of(m, of, frames.camera, workspace) for m, of in result.found.items()}
+        return _Result(found, result.stats)
+
+    if config.front_end != AUTO:
+        return {config.front_end: run(config.front_end)}
+    results, total = {FIRST: run(FIRST)}, len(frames.index)
+    found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
+    if total <= MOST_SFM_FRAMES and needs_second_opinion(found, total):
+        progress.say(f"{_why(found, total)}; running COLMAP for comparison")
+        try:
+            results[SECOND] = run(SECOND)
+        except HaustraError as error:
+            progress.say(str(error))
+    return results
+
+
+def _why(candidates: list[Candidate], total: int) -> str:
+    """Why the first front end's result is not taken as it is."""
+    posed = sum(c.check.frames for c in candidates)
+    checked = sum(c.check.n_checked for c in candidates)
+    failed = sum(c.check.inconsistent_share * c.check.n_checked for c in candidates)
+    return (
+        f"odometry posed {posed} of {total} frames in {len(candidates)} submap(s), and in {failed:.0f} of {checked} "
+        "checked frames brightness grows with distance"
+    )
+
+
+def _keep(candidates: list[Candidate], workspace: Workspace) -> None:
+    shutil.rmtree(workspace.models, ignore_errors=True)
+    for number, candidate in enumerate(candidates):
+        shutil.copytree(candidate.folder, workspace.models / str(number))
+
+
+def _unit(submap: Submap) -> float:
+    """Median depth of the observations: the scene unit of a reconstruction without scale."""
+    depths = submap.depths()
+    positive = depths[depths > 0]
+    return float(np.median(positive)) if len(positive) else 1.0
+
+
+def _warnings(candidates: list[Candidate]) -> list[str]:
+    """Sentences on submaps that are kept although the lighting check does not speak for them."""
+    found = []
+    for number, check in enumerate(c.check for c in candidates):
+        if check.n_checked == 0:
+            found.append(f"submap {number} has too few points in each frame for the lighting check")
+        elif check.inconsistent_share > MAX_INCONSISTENT:
+            share = 100 * check.inconsistent_share
+            found.append(
+                f"submap {number} is not to be trusted: the endoscope's lamp makes near wall bright, but in "
+                f"{share:.0f} % of {check.n_checked} frames nearer points are darker; compare with --front-end sfm, or "
+                "use other frames"
+            )
+    return found
+
+
+def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:
+    posed, first = sum(len(c.submap.frames) for c in candidates), candidates[0].check
+    agreeing = 100 * (1 - first.inconsistent_share)
+    light = f", lighting consistent in {agreeing:.0f} % of {first.n_checked} frames" if first.n_checked else ""
+    return (
+        f"{posed} of {total} frames posed in {len(candidates)} submap(s) by the {mapper} mapper: "
+        f"{first.points} points, reprojection {first.reprojection_px:.2f} px{light}"
+    )

@@ -1,0 +1,118 @@
+"""`--front-end auto`: odometry, and COLMAP for clips of which odometry's result is doubtful."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
+from pipeline.config import Config, OdometrySettings
+from pipeline.frontend import structure_stage
+from pipeline.frontend.base import FrontEndResult
+from pipeline.frontend.colmap import front_end as colmap
+from pipeline.frontend.registry import FRONT_ENDS, check_front_end
+from pipeline.frontend.scoring import Candidate, best_mapper
+from pipeline.mapping.lighting_check import LightingCheck
+
+GOOD = Candidate(None, LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path())
+DARK = Candidate(None, LightingCheck(90, 600, 0.3, 5.0, -0.2, 0.4, 90), Path())
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path):
+    """Run the stage's front ends with mappers that find what is given; the mappers run, in order, and the best one."""
+
+    def call(front_end, frames, found):
+        ran = []
+
+        def look_up(mapper):
+            ran.append(mapper)
+            return mapper
+
+        monkeypatch.setattr(colmap, "run_isolated", lambda *_: None)
+        monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
+        monkeypatch.setattr(colmap, "map_by_colmap", lambda mapper, *_: [look_up(mapper)])
+        for module in (colmap, structure_stage):
+            monkeypatch.setattr(module, "candidates_of", lambda mapper, *_: found[mapper])
+        odometry = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": [look_up("odometry")]}))
+        monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
+        many = SimpleNamespace(index=np.arange(frames), camera=None)
+        workspace = SimpleNamespace(log=tmp_path)
+        results = structure_stage._run(many, Config(front_end=front_end), workspace, SilentProgress())
+        mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
+        assert list(mapped) == ran
+        return ran, best_mapper(mapped, frames)
+
+    return call
+
+
+def test_a_good_map_of_odometry_is_enough(asked):
+    assert asked("auto", 100, {"odometry": [GOOD]}) == (["odometry"], "odometry")
+
+
+def test_colmap_is_asked_where_odometry_is_doubtful(asked):
+    assert asked("auto", 100, {"odometry": [DARK], "global": [GOOD]}) == (["odometry", "global"], "global")
+    found = {"odometry": [], "global": [], "incremental": [GOOD]}
+    assert asked("auto", 100, found) == (["odometry", "global", "incremental"], "incremental")
+
+
+def test_colmap_is_not_asked_of_a_long_video(asked):
+    long = structure_stage.MOST_SFM_FRAMES + 1
+    assert asked("auto", long, {"odometry": [DARK]}) == (["odometry"], "odometry")
+
+
+def test_a_mapper_that_finds_nothing_does_not_win(asked):
+    assert asked("auto", 100, {"odometry": [DARK], "global": [], "incremental": []})[1] == "odometry"
+
+
+def test_sfm_and_odometry_ask_nobody_else(asked):
+    assert asked("sfm", 100, {"global": [DARK], "incremental": []})[0] == ["global", "incremental"]
+    assert asked("odometry", 100, {"odometry": []})[0] == ["odometry"]
+
+
+def test_who_asks_for_sfm_gets_sfm(asked):
+    assert asked("sfm", 100, {"global": [], "incremental": [DARK]})[0] == ["global", "incremental"]
+    long = structure_stage.MOST_SFM_FRAMES + 1
+    assert asked("sfm", long, {"global": [], "incremental": []})[0][0] == "global"
+
+
+def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
+    def fail(*_):
+        raise HaustraError("features and matches failed")
+
+    def call(front_end):
+        monkeypatch.setattr(colmap, "run_isolated", fail)
+        monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
+        monkeypatch.setattr(structure_stage, "candidates_of", lambda *_: [DARK])
+        found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))
+        monkeypatch.setitem(FRONT_ENDS, "odometry", found)
+        few = SimpleNamespace(index=np.arange(100), camera=None)
+        workspace = SimpleNamespace(log=tmp_path)
+        return structure_stage._run(few, Config(front_end=front_end), workspace, SilentProgress())
+
+    assert list(call("auto")) == ["odometry"]
+    with pytest.raises(HaustraError, match="failed"):
+        call("sfm")
+
+
+def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
+    def crash(*words):
+        if words[1] == "map":
+            raise HaustraError("crashed")
+
+    monkeypatch.setattr(colmap, "run_isolated", crash)
+    monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
+    frames, workspace = SimpleNamespace(index=np.arange(9), camera=None), SimpleNamespace(log=tmp_path)
+    with pytest.raises(HaustraError, match=f"logs are in {tmp_path}"):
+        FRONT_ENDS["sfm"].run(frames, Config(), workspace, SilentProgress())
+
+
+def test_choices_that_cannot_work_are_refused_at_once():
+    with pytest.raises(HaustraError, match=r"no front end 'orb'; known: auto, odometry, sfm"):
+        check_front_end(Config(front_end="orb"))
+    fast = OdometrySettings(keyframe_motion=0.05)
+    with pytest.raises(HaustraError, match="no keyframe_motion"):
+        check_front_end(Config(front_end="sfm", odometry=fast))
+    check_front_end(Config(front_end="auto", odometry=fast))
