@@ -61,7 +61,7 @@ def track(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
         kept, workspace = store(folder, config, Path(scratch) / "run")
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         start = time.perf_counter()
-        submaps = solve_structure(kept, config, workspace, SilentProgress())
+        submaps = solve_structure(kept, config.front_end, config.front_end_settings, workspace, SilentProgress())
         seconds = time.perf_counter() - start
     drift = drifts(submaps, truth, stretch_mm)
     return {

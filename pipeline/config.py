@@ -75,6 +75,14 @@ class OdometrySettings(Settings):
         return self
 
 
+class FrontEndSettings(Settings):
+    """What a front end is told: the settings of all of them, and the seed."""
+
+    seed: int
+    stride: int  # of the working frames in the source
+    odometry: OdometrySettings
+
+
 class DepthSettings(Settings):
     """Which frames are completed, and by what."""
 
@@ -131,6 +139,10 @@ class Config(Settings):
     loop_closing: LoopClosingSettings = LoopClosingSettings()
     consistency: ConsistencySettings = ConsistencySettings()
     fusion: FusionSettings = FusionSettings()
+
+    @property
+    def front_end_settings(self) -> FrontEndSettings:
+        return FrontEndSettings(seed=self.seed, stride=self.frames.stride, odometry=self.odometry)
 
     def is_same_work(self, other: "Config") -> bool:
         """Whether a run with these settings gives what one with the others does, wherever it is computed."""

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completion_stage import load_completed
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames, load_frames
-from pipeline.loop_closing.close_loops import refined_keyframes
+from pipeline.loop_closing.close_loops import load_refined
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace, damage_named, open_workspace
 from pipeline.surface.coverage_stage import measure_submap
@@ -82,9 +83,9 @@ class Run:
         return load_frames(self.workspace)
 
     @cached_property
-    def completed_submaps(self) -> list[DenseSubmap]:
-        planned = planned_keyframes(self.frames, load_structure(self.workspace), self.workspace)
-        return refined_keyframes(planned, self.workspace)
+    def completed_submaps(self) -> list[CompletedSubmap]:
+        planned = load_completed(self.frames, load_structure(self.workspace), self.workspace)
+        return load_refined(planned, self.workspace)
 
     @property
     def submaps(self) -> list[Submap]:

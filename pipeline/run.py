@@ -13,12 +13,12 @@ from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.calibration import check_choice
 from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
-from pipeline.loop_closing.close_loops import refine_poses
+from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.report import write_report
-from pipeline.run_folder.workspace import create_workspace, resume_workspace
+from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import judge_coverage
-from pipeline.surface.fusion_stage import fuse_depth
-from pipeline.surface.scale import check_scale_file
+from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
+from pipeline.surface.scale import ScaleSource, check_scale_file
 
 
 def reconstruct(
@@ -36,25 +36,37 @@ def reconstruct(
     sentence) for input that cannot be reconstructed.
     """
     config, progress = config or Config(), progress or SilentProgress()
-    video = Source(Path(source))
-    check_front_end(config)
-    check_choice(config.camera, video.path)
-    check_weights(config.model, config.depth.looks)
-    choose_device(config.device)  # refused now, not after the film has been tracked
-    if config.scale_file is not None:
-        check_scale_file(Path(config.scale_file))
-    if resume:
-        workspace = resume_workspace(Path(output), video.path, config)
-    else:
-        workspace = create_workspace(Path(output), video.path, config, overwrite)
-    with workspace:  # nobody else works in the folder meanwhile
-        frames = read_frames(video, config, workspace, progress)
-        submaps = solve_structure(frames, config, workspace, progress)  # poses and sparse points
-        dense = complete_depth(frames, submaps, config, workspace, progress)  # sparse depth, completed
-        dense = refine_poses(frames, dense, config, workspace, progress)  # places seen twice close the path
-        surfaces = fuse_depth(dense, config, workspace, progress)
-        coverage = judge_coverage(frames, dense, surfaces, workspace)  # what was not seen
-        write_report(frames, dense, surfaces, coverage, workspace, progress)
+    video, scale = Source(Path(source)), ScaleSource(config.lumen_mm, _path(config.scale_file))
+    _check(config, video, scale)
+    with _workspace(video, Path(output), config, resume, overwrite) as workspace:  # nobody else works in it meanwhile
+        frames = read_frames(video, config.camera, config.frames, workspace, progress)
+        submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, progress)
+        completed = complete_depth(frames, submaps, config.model, config.device, config.depth, workspace, progress)
+        completed = close_loops_stage(frames, completed, config.loop_closing, config.seed, workspace, progress)
+        surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
+        surfaces = fuse_depth(completed, surface, workspace, progress)
+        coverage = judge_coverage(frames, completed, surfaces, workspace)
+        write_report(frames, completed, surfaces, coverage, workspace, progress)
         run = Run(workspace)
         progress.say(str(run))
         return run
+
+
+def _check(config: Config, video: Source, scale: ScaleSource) -> None:
+    """Refuse what cannot work before any work is done."""
+    check_front_end(config.front_end, config.front_end_settings)
+    check_choice(config.camera, video.path)
+    check_weights(config.model, config.depth.looks)
+    choose_device(config.device)
+    if scale.file is not None:
+        check_scale_file(scale.file)
+
+
+def _workspace(video: Source, output: Path, config: Config, resume: bool, overwrite: bool) -> Workspace:
+    if resume:
+        return resume_workspace(output, video.path, config)
+    return create_workspace(output, video.path, config, overwrite)
+
+
+def _path(name: str | None) -> Path | None:
+    return None if name is None else Path(name)

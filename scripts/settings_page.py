@@ -49,7 +49,7 @@ def _is_section(field: FieldInfo) -> bool:
 def _table(fields: dict[str, FieldInfo]) -> str:
     rows = ["| setting | type | default | meaning |", "|---|---|---|---|"]
     for name, field in fields.items():
-        cells = (f"`{name}`", _type_name(field), _default(field), field.description or UNDESCRIBED.get(name, ""))
+        cells = (f"`{name}`", _type_name(field), _default(field), field.description or "")
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows) + "\n"
 

@@ -27,7 +27,7 @@ MIN_FRAMES = 3  # for an alignment
 def store(folder: Path, config: Config, root: Path) -> tuple[Frames, Workspace]:
     """The working frames of a film, decoded and judged into a new run folder."""
     workspace = create_workspace(root, folder, config, overwrite=True)
-    return read_frames(Source(folder), config, workspace, SilentProgress()), workspace
+    return read_frames(Source(folder), config.camera, config.frames, workspace, SilentProgress()), workspace
 
 
 def tracked_maps(camera: Camera, read: ReadFrame, index: NDArray[np.int64]) -> list[LocalMap]:

@@ -17,7 +17,7 @@ from scipy.interpolate import LinearNDInterpolator
 from completion import DepthCompleter
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
-from pipeline.depth.completion_stage import Keyframe
+from pipeline.depth.completed_submap import Keyframe
 from pipeline.depth.rectification import Rectifier
 from pipeline.depth.sparse_depth import SparseDepth
 

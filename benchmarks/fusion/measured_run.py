@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from benchmarks.fusion.depths import Completed, DepthSource, KeyframeView, completed
 from haustra.core.camera import Camera
 from pipeline.config import Config
-from pipeline.depth.completion_stage import DenseSubmap, planned_keyframes
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completion_stage import load_completed
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.finished_run import open_run
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames
 from pipeline.surface.consistency import ConsistencyCheck
-from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_settings
+from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -47,7 +48,7 @@ Figures = dict[str, Any]
 class PosedMap:
     """The main submap before or after refinement; `truth_from_map` (4,4) is the Sim(3) of its posed frames to mm."""
 
-    part: DenseSubmap
+    part: CompletedSubmap
     truth_from_map: NDArray[np.float64]
 
     @property
@@ -73,7 +74,7 @@ class MeasuredRun:
         workspace, refined = run.workspace, run.completed_submaps[0]
         self.name, self.folder, self.config = folder.name, film, workspace.config
         self.frames, self.film = run.frames, read_film(film)
-        self.planned = planned_keyframes(run.frames, load_structure(workspace), workspace)  # before loop closing
+        self.planned = load_completed(run.frames, load_structure(workspace), workspace)  # before loop closing
         self.refinement_ran, self.moved = workspace.is_done("refinement"), refined.depth_scale is not None
         self.before = self._posed(self.planned[0])
         self.after = self._posed(refined) if self.moved else self.before
@@ -88,7 +89,7 @@ class MeasuredRun:
         wanted = {int(p.submap.frames[row]) for p in (self.before.part, self.after.part) for row in p.rows}
         return {view.keyframe.index: view for part in self.planned for view in self._views_of(part, wanted)}
 
-    def _views_of(self, part: DenseSubmap, wanted: set[int]) -> Iterator[KeyframeView]:
+    def _views_of(self, part: CompletedSubmap, wanted: set[int]) -> Iterator[KeyframeView]:
         rows = [int(row) for row in part.rows if int(part.submap.frames[row]) in wanted]
         if not rows:
             return
@@ -99,7 +100,7 @@ class MeasuredRun:
             sparse = maker.sparse_depth(row)
             yield KeyframeView(part.keyframe(row), sparse, part.rectifier, mm_per_unit, path, self.film.unit)
 
-    def _posed(self, part: DenseSubmap) -> PosedMap:
+    def _posed(self, part: CompletedSubmap) -> PosedMap:
         """With the Sim(3) that `haustra compare` fits: poses alone, all posed frames, never the surface."""
         rows = associated(part, self.frames, self.film)
         poses = part.submap.world_from_camera[list(rows)]
@@ -195,9 +196,9 @@ class FusedMap:
         return weights
 
 
-def ranges(part: DenseSubmap, config: Config) -> FusionSettings:
+def ranges(part: CompletedSubmap, config: Config) -> FusionSettings:
     """Voxel size and greatest depth by the run's own depth, so that they are alike for every source."""
-    settings = fusion_settings(part, config)
+    settings = fusion_ranges(part, config.fusion)
     assert settings is not None, "a finished run has depth"
     return settings
 
@@ -217,7 +218,7 @@ def read_film(folder: Path) -> TrueFilm:
     return TrueFilm(seconds, poses, depths, float(json.loads((folder / "camera.json").read_text())["depth_unit_mm"]))
 
 
-def associated(part: DenseSubmap, frames: Frames, film: TrueFilm) -> dict[int, int]:
+def associated(part: CompletedSubmap, frames: Frames, film: TrueFilm) -> dict[int, int]:
     """Row of the truth for each row of the submap, by time, half a frame apart at most."""
     mine = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])
     rows, true_rows = associate(mine, film.seconds, 0.5 * float(np.median(np.diff(film.seconds))))

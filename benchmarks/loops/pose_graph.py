@@ -29,7 +29,8 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config, FrameSettings
-from pipeline.depth.completion_stage import DenseSubmap, complete_depth
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completion_stage import complete_depth
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.video import Source
@@ -45,7 +46,7 @@ from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.run_folder.workspace import create_workspace
 from pipeline.surface.consistency import ConsistencyCheck
-from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_settings
+from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
 from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -60,27 +61,27 @@ OVERLAP = 0.1  # of the film, that both halves have
 HALF_UNIT = 0.5
 
 
-def dense_submaps(folder: Path, config: Config, root: Path) -> tuple[Frames, list[DenseSubmap]]:
+def dense_submaps(folder: Path, config: Config, root: Path) -> list[CompletedSubmap]:
     workspace, silent = create_workspace(root, folder, config, overwrite=True), SilentProgress()
     with workspace:
-        frames = read_frames(Source(folder), config, workspace, silent)
-        submaps = solve_structure(frames, config, workspace, silent)
-        return frames, complete_depth(frames, submaps, config, workspace, silent)
+        frames = read_frames(Source(folder), config.camera, config.frames, workspace, silent)
+        submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, silent)
+        return complete_depth(frames, submaps, config.model, config.device, config.depth, workspace, silent)
 
 
 def links_of(
-    frames: Frames, parts: tuple[DenseSubmap, DenseSubmap], config: Config
+    parts: tuple[CompletedSubmap, CompletedSubmap], config: Config
 ) -> tuple[tuple[SubmapFeatures, SubmapFeatures], list[LoopClosure], int]:
     """Features, loop closures, and how many pairs were tried; the same submap twice: its own loops."""
     most, seed = config.loop_closing.max_keyframes, config.seed
-    first = find_features(parts[0], frames, most)
+    first = find_features(parts[0], most)
     own = parts[0] is parts[1]
-    second = first if own else find_features(parts[1], frames, most)
+    second = first if own else find_features(parts[1], most)
     pairs = loop_candidates(first, seed) if own else merge_candidates(first, second, seed)
     return (first, second), verify_loops(first, second, pairs, seed), len(pairs)
 
 
-def path_figures(part: DenseSubmap, truth: np.ndarray) -> dict[str, float]:
+def path_figures(part: CompletedSubmap, truth: np.ndarray) -> dict[str, float]:
     poses, true = part.submap.world_from_camera, truth[part.submap.frames]
     errors = trajectory_errors(poses, true)
     figures = {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
@@ -101,7 +102,9 @@ def end_to_start(poses: np.ndarray, true: np.ndarray, mm_per_unit: float) -> dic
     return {"end_to_start_mm": float(np.median(shift)), "end_to_start_deg": float(np.median(turn))}
 
 
-def is_false(link: LoopClosure, rows: tuple[int, int], part: DenseSubmap, truth: np.ndarray, unit_mm: float) -> bool:
+def is_false(
+    link: LoopClosure, rows: tuple[int, int], part: CompletedSubmap, truth: np.ndarray, unit_mm: float
+) -> bool:
     first, second = (truth[part.submap.frames[row]] for row in rows)
     wanted, found = np.linalg.inv(first) @ second, link.match.first_from_second
     turn = Rotation.from_matrix((found[:3, :3] / scale_of(found)).T @ wanted[:3, :3]).magnitude()
@@ -109,8 +112,8 @@ def is_false(link: LoopClosure, rows: tuple[int, int], part: DenseSubmap, truth:
     return bool(np.degrees(turn) > FALSE_DEG or shift > FALSE_SHIFT)
 
 
-def surface_figures(part: DenseSubmap, truth: np.ndarray, wall: ObservedTruth, config: Config) -> dict[str, float]:
-    settings = fusion_settings(part, config)
+def surface_figures(part: CompletedSubmap, truth: np.ndarray, wall: ObservedTruth, config: Config) -> dict[str, float]:
+    settings = fusion_ranges(part, config.fusion)
     assert settings is not None
     fusion, check = SurfaceFusion(settings), ConsistencyCheck(part, config.consistency, config.fusion.min_confidence)
     for place, keyframe in enumerate(part):
@@ -125,9 +128,9 @@ def surface_figures(part: DenseSubmap, truth: np.ndarray, wall: ObservedTruth, c
 
 def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) -> dict[str, Any]:
     truth = read_tum(folder / "trajectory.txt")[1]
-    frames, dense = dense_submaps(folder, config, scratch)
+    dense = dense_submaps(folder, config, scratch)
     part = dense[0]
-    places, links, tried = links_of(frames, (part, part), config)
+    places, links, tried = links_of((part, part), config)
     closed = close_loops(places[0], links)
     unit_mm = trajectory_errors(part.submap.world_from_camera, truth[part.submap.frames]).scale
     at = {k: (places[0].rows[link.match.first], places[1].rows[link.match.second]) for k, link in enumerate(links)}
@@ -145,7 +148,7 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     }
     states = {"before": part}
     if closed.kept:
-        adjusted = adjust_loops(places[0], closed, frames)
+        adjusted = adjust_loops(places[0], closed)
         states |= {"graph": closed.part} | ({"after": adjusted} if adjusted else {})
     wall = observed_truth(folder) if with_surface and closed.kept else None
     for name, state in states.items():
@@ -158,10 +161,10 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
 def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
     """Two halves of a film, the second in another unit, joined."""
     seconds, truth = read_tum(folder / "trajectory.txt")
-    frames, first, second = halves_of(folder, float(seconds[-1]), config, scratch)
+    first, second = halves_of(folder, float(seconds[-1]), config, scratch)
     submap, scales = second.submap.scaled(HALF_UNIT), np.full(len(second.submap.frames), HALF_UNIT)
     parts = (first, replace(second, submap=submap, depth_scale=scales))
-    places, links, tried = links_of(frames, parts, config)
+    places, links, tried = links_of(parts, config)
     joined = merge(places, links)
     figures: dict[str, Any] = {"tried": tried, "links": len(links), "joined": joined is not None}
     if joined is None:
@@ -174,14 +177,15 @@ def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
     return figures | {"scale_error": after / before - 1, "ate_mm": errors.ate_rmse}
 
 
-def halves_of(folder: Path, length_s: float, config: Config, scratch: Path) -> tuple[Frames, DenseSubmap, DenseSubmap]:
-    """The largest submap of either half of the film, each reconstructed alone; and the second half's frames."""
-    halves: list[DenseSubmap] = []
+def halves_of(
+    folder: Path, length_s: float, config: Config, scratch: Path
+) -> tuple[Frames, CompletedSubmap, CompletedSubmap]:
+    """The largest submap of either half of the film, each reconstructed alone."""
+    halves: list[CompletedSubmap] = []
     for start, end in ((0.0, (0.5 + OVERLAP / 2) * length_s), ((0.5 - OVERLAP / 2) * length_s, None)):
         own = config.model_copy(update={"frames": FrameSettings(start_s=start, end_s=end)})
-        frames, dense = dense_submaps(folder, own, scratch / str(len(halves)))
-        halves.append(dense[0])
-    return frames, halves[0], halves[1]
+        halves.append(dense_submaps(folder, own, scratch / str(len(halves)))[0])
+    return halves[0], halves[1]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from haustra.core.progress import Progress
-from pipeline.config import Config
+from pipeline.config import FrontEndSettings
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
@@ -41,10 +41,12 @@ class FrontEnd(Protocol):
 
     closes_loops: bool
 
-    def check(self, config: Config) -> None:
+    def check(self, settings: FrontEndSettings) -> None:
         """Raise `HaustraError` for settings that it cannot work with, before any work is done."""
 
-    def run(self, frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> FrontEndResult:
+    def run(
+        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    ) -> FrontEndResult:
         """Structure of the stored working frames. Files of its own go to `workspace.log`."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
-from pipeline.config import Config
+from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
 from pipeline.frontend.scoring import (
@@ -31,13 +31,15 @@ STAGE = "structure"
 MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` does not ask it of longer videos
 
 
-def solve_structure(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> list[Submap]:
-    """Submaps, the largest first, each in units of its own median depth; loads them if this stage is done."""
+def solve_structure(
+    frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+) -> list[Submap]:
+    """Submaps by `front_end`, a registered name or `auto`; the largest first, each in units of its own median depth."""
     return load_or_make(
         workspace,
         STAGE,
         lambda: load_structure(workspace),
-        lambda: _solve(frames, config, workspace, progress),
+        lambda: _solve(frames, front_end, settings, workspace, progress),
     )
 
 
@@ -76,8 +78,10 @@ def camera_trust(guess: Camera, submap: Submap) -> str:
     return text
 
 
-def _solve(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> None:
-    results = _run(frames, config, workspace, progress)
+def _solve(
+    frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+) -> None:
+    results = _run(frames, front_end, settings, workspace, progress)
     by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
     total = len(frames.index)
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
@@ -113,16 +117,18 @@ class _Result:
     stats: dict[str, float]
 
 
-def _run(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> dict[str, _Result]:
+def _run(
+    frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+) -> dict[str, _Result]:
     """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful."""
 
     def run(name: str) -> _Result:
-        result = FRONT_ENDS[name].run(frames, config, workspace, progress)
+        result = FRONT_ENDS[name].run(frames, settings, workspace, progress)
         found = {m: candidates_of(m, of, frames.camera, workspace) for m, of in result.found.items()}
         return _Result(found, result.stats)
 
-    if config.front_end != AUTO:
-        return {config.front_end: run(config.front_end)}
+    if front_end != AUTO:
+        return {front_end: run(front_end)}
     results, total = {FIRST: run(FIRST)}, len(frames.index)
     found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
     if total <= MOST_SFM_FRAMES and needs_second_opinion(found, total):

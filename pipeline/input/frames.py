@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
-from pipeline.config import Config, FrameSettings
+from pipeline.config import FrameSettings
 from pipeline.input.calibration import calibrate
 from pipeline.input.content_area import ContentArea, find_content, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.video import RawFrame, Source
+from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, damage_named, write_json
 
 CONTENT_SAMPLES = 24  # frames looked at for the content area,
 CONTENT_STRIDE = 25  # of which 25 apart are 20 s: long enough for the view to move over all of it
+STAGE = "frames"
 MIN_FRAMES = 3
 
 
@@ -40,27 +42,35 @@ class Frames:
         return float(self.seconds[np.searchsorted(self.index, index)])
 
 
-def read_frames(source: Source, config: Config, workspace: Workspace, progress: Progress) -> Frames:
-    """Decode, judge and store the working frames; loads them instead if this stage is done."""
-    if workspace.is_done("frames"):
-        return load_frames(workspace)
+def read_frames(
+    source: Source, camera: str, settings: FrameSettings, workspace: Workspace, progress: Progress
+) -> Frames:
+    """Decode, judge and store the working frames; camera: a choice as `--camera` takes it."""
+    return load_or_make(
+        workspace,
+        STAGE,
+        lambda: load_frames(workspace),
+        lambda: _read(source, camera, settings, workspace, progress),
+    )
+
+
+def _read(source: Source, choice: str, settings: FrameSettings, workspace: Workspace, progress: Progress) -> None:
     for folder in (workspace.images, workspace.masks):
         folder.mkdir(exist_ok=True)
-    area, size = _find_area(source, config.frames)
-    calibration = calibrate(config.camera, source.path, size, area.box)
-    scale = _working_scale(area.box[2:], config.frames.long_side)
+    area, size = _find_area(source, settings)
+    calibration = calibrate(choice, source.path, size, area.box)
+    scale = _working_scale(area.box[2:], settings.long_side)
     camera = calibration.camera.cropped_and_scaled(*area.box, scale)
-    verdicts = _store_frames(source, config, area, camera, workspace, progress)
+    verdicts = _store_frames(source, settings, area, camera, workspace, progress)
     counts = Counter(verdict for _, _, verdict in verdicts)
     if counts["used"] < MIN_FRAMES:
         raise HaustraError(_too_few(counts))
     content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
     cv2.imwrite(str(workspace.masks / "content.png"), content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
-    workspace.finish("frames", camera_origin=calibration.origin, notes=source.notes, content_box=list(area.box))
+    workspace.finish(STAGE, camera_origin=calibration.origin, notes=source.notes, content_box=list(area.box))
     for note in (f"camera: {calibration.origin}", *source.notes):
         progress.say(note)
-    return load_frames(workspace)
 
 
 def _working_scale(box: tuple[int, int], long_side: int) -> float:
@@ -106,14 +116,13 @@ def _in_range(source: Source, settings: FrameSettings) -> Iterator[RawFrame]:
 
 def _store_frames(
     source: Source,
-    config: Config,
+    settings: FrameSettings,
     area: ContentArea,
     camera: Camera,
     workspace: Workspace,
     progress: Progress,
 ) -> list[tuple[int, float, str]]:
     """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
-    settings = config.frames
     content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
     judge = FrameJudge()
     verdicts: list[tuple[int, float, str]] = []

@@ -1,7 +1,7 @@
-"""Stage 3b: places seen twice close the path; poses, sparse points and the scale of the depths follow together.
+"""Stage 4: loop closing. Poses, sparse points and the scale of the depths follow together.
 
-Submaps that show the same places become one, and each then closes its own loops. Without a loop that can be believed
-nothing is touched, to the last bit. What moved is written beside what the structure stage made, never over it.
+Submaps that show the same places are merged, and each then closes its own loops. Without an accepted loop nothing is
+touched, to the last bit. What moved is written beside what the structure stage made, never over it.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import QhullError
 
 from haustra.core.progress import Progress
-from pipeline.config import Config
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.config import LoopClosingSettings
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.frontend.structure_stage import closes_loops
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.detection import (
@@ -29,6 +29,7 @@ from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import read_submap, refined_camera
 from pipeline.run_folder.workspace import Workspace, damage_named
 
+STAGE = "refinement"  # its name in run.yaml since version 0.1
 FAILURES = (np.linalg.LinAlgError, QhullError, ValueError)
 UNHELD = "too few features hold its keyframes together"
 
@@ -37,7 +38,7 @@ UNHELD = "too few features hold its keyframes together"
 class _Piece:
     """A submap on its way: what it was made of, and what became of its loops."""
 
-    part: DenseSubmap
+    part: CompletedSubmap
     members: list[int]
     seen: SubmapFeatures
     proposed: int = 0
@@ -45,65 +46,78 @@ class _Piece:
     loops: list[tuple[int, int]] = field(default_factory=list)
 
 
-def refine_poses(
-    frames: Frames, dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress
-) -> list[DenseSubmap]:
-    """The submaps joined and with their loops closed; what fails stays as it was, with a warning.
+def close_loops_stage(
+    frames: Frames,
+    completed: list[CompletedSubmap],
+    settings: LoopClosingSettings,
+    seed: int,
+    workspace: Workspace,
+    progress: Progress,
+) -> list[CompletedSubmap]:
+    """The submaps merged and with their loops closed; what fails stays as it was, with a warning.
 
-    COLMAP's maps are left alone: it matches far frames itself and adjusts all of them. So is a run from before this
-    stage whose surface is done, since its mesh belongs to its poses.
+    Submaps of a front end that closes loops itself are left alone. So is a run from before this stage whose surface is
+    done, since its mesh belongs to its poses.
     """
-    done = workspace.is_done("refinement") or workspace.is_done("surface")
-    if done or not config.loop_closing.enabled or closes_loops(workspace):
-        return refined_keyframes(dense, workspace)
+    done = workspace.is_done(STAGE) or workspace.is_done("surface")
+    if not done and settings.enabled and not closes_loops(workspace):
+        _refine(frames, completed, settings, seed, workspace, progress)
+    return load_refined(completed, workspace)
+
+
+def _refine(
+    frames: Frames,
+    completed: list[CompletedSubmap],
+    settings: LoopClosingSettings,
+    seed: int,
+    workspace: Workspace,
+    progress: Progress,
+) -> None:
     warnings: list[str] = []
-    with progress.bar("places seen twice", len(dense)) as advance:
+    with progress.bar("loop detection", len(completed)) as advance:
         pieces = []
-        for number, part in enumerate(dense):
-            pieces.append(_Piece(part, [number], find_features(part, frames, config.loop_closing.max_keyframes)))
+        for number, submap in enumerate(completed):
+            pieces.append(_Piece(submap, [number], find_features(submap, settings.max_keyframes)))
             advance(number + 1)
-    if config.loop_closing.merge_submaps:
-        pieces = _joined(frames, pieces, config, warnings)
+    if settings.merge_submaps:
+        pieces = _merged(pieces, settings, seed, warnings)
     for piece in pieces:
-        _close(piece, frames, config, warnings)
+        _close(piece, seed, warnings)
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
-    for piece, before in zip(pieces, records, strict=True):
-        if before["moved"]:
-            progress.say(_sentence(piece))
-    for sentence in warnings:
+    moved = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
+    for sentence in (*map(_sentence, moved), *warnings):
         progress.say(sentence)
-    workspace.finish("refinement", submaps=records, warnings=warnings)
-    return refined_keyframes(dense, workspace)
+    workspace.finish(STAGE, submaps=records, warnings=warnings)
 
 
-def refined_keyframes(dense: list[DenseSubmap], workspace: Workspace) -> list[DenseSubmap]:
+def load_refined(completed: list[CompletedSubmap], workspace: Workspace) -> list[CompletedSubmap]:
     """What a finished stage made of the depth stage's submaps; those themselves where it did not run."""
-    if not workspace.is_done("refinement"):
-        return dense
-    records = workspace.result("refinement")["submaps"]
-    return [_loaded(number, dense, record, workspace) for number, record in enumerate(records)]
+    if not workspace.is_done(STAGE):
+        return completed
+    records = workspace.result(STAGE)["submaps"]
+    return [_loaded(number, completed, record, workspace) for number, record in enumerate(records)]
 
 
 def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:
     """For each submap as refined: the folder of its COLMAP model, and one scene unit in the model's unit."""
     units = workspace.result("structure")["units"]
-    if not workspace.is_done("refinement"):
+    if not workspace.is_done(STAGE):
         return [(workspace.models / str(number), unit) for number, unit in enumerate(units)]
     return [
         (_folder(workspace, number), 1.0)
         if record["moved"]
         else (workspace.models / str(record["members"][0]), units[record["members"][0]])
-        for number, record in enumerate(workspace.result("refinement")["submaps"])
+        for number, record in enumerate(workspace.result(STAGE)["submaps"])
     ]
 
 
-def _joined(frames: Frames, pieces: list[_Piece], config: Config, warnings: list[str]) -> list[_Piece]:
+def _merged(pieces: list[_Piece], settings: LoopClosingSettings, seed: int, warnings: list[str]) -> list[_Piece]:
     """Each piece grown by those that surely show the same places; a grown one is compared anew."""
     left, done = list(pieces), []
     while left:
         base, number = left.pop(0), 0
         while number < len(left):
-            grown = _join(frames, base, left[number], config, warnings)
+            grown = _merge(base, left[number], settings, seed, warnings)
             if grown is None:
                 number += 1
                 continue
@@ -113,29 +127,29 @@ def _joined(frames: Frames, pieces: list[_Piece], config: Config, warnings: list
     return done
 
 
-def _join(frames: Frames, base: _Piece, other: _Piece, config: Config, warnings: list[str]) -> _Piece | None:
+def _merge(base: _Piece, other: _Piece, settings: LoopClosingSettings, seed: int, warnings: list[str]) -> _Piece | None:
     seen = base.seen, other.seen
     if min(len(base.part), len(other.part)) == 0:
         return None
     try:
-        pairs = merge_candidates(*seen, config.seed)
-        part = merge(seen, verify_loops(*seen, pairs, config.seed))
+        pairs = merge_candidates(*seen, seed)
+        part = merge(seen, verify_loops(*seen, pairs, seed))
     except FAILURES as error:
-        warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not joined: {error}")
+        warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not merged: {error}")
         return None
     if part is None:
         return None
-    return _Piece(part, base.members + other.members, find_features(part, frames, config.loop_closing.max_keyframes))
+    return _Piece(part, base.members + other.members, find_features(part, settings.max_keyframes))
 
 
-def _close(piece: _Piece, frames: Frames, config: Config, warnings: list[str]) -> None:
+def _close(piece: _Piece, seed: int, warnings: list[str]) -> None:
     if len(piece.part) < 2:
         return
     try:
-        pairs = loop_candidates(piece.seen, config.seed)
-        closed = close_loops(piece.seen, verify_loops(piece.seen, piece.seen, pairs, config.seed))
+        pairs = loop_candidates(piece.seen, seed)
+        closed = close_loops(piece.seen, verify_loops(piece.seen, piece.seen, pairs, seed))
         piece.proposed, piece.supported = closed.proposed, closed.supported
-        adjusted = adjust_loops(piece.seen, closed, frames) if closed.kept else piece.part
+        adjusted = adjust_loops(piece.seen, closed) if closed.kept else piece.part
     except FAILURES as error:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {error}")
         return
@@ -163,8 +177,10 @@ def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) ->
     }
 
 
-def _loaded(number: int, dense: list[DenseSubmap], record: dict[str, Any], workspace: Workspace) -> DenseSubmap:
-    part = dense[record["members"][0]]
+def _loaded(
+    number: int, completed: list[CompletedSubmap], record: dict[str, Any], workspace: Workspace
+) -> CompletedSubmap:
+    part = completed[record["members"][0]]
     if not record["moved"]:
         return part
     folder = _folder(workspace, number)

@@ -13,9 +13,8 @@ from scipy.sparse import csr_array
 
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
-from pipeline.input.frames import Frames, read_image
 from pipeline.matching.keyframe_features import KeyframeFeatures, lift_features
 from pipeline.matching.place_recognition import Pair, retrieve, retrieve_within, similarities
 from pipeline.matching.sift import detect_sift
@@ -34,7 +33,7 @@ COMMON = np.array([0.004, 0.004, 0.004, 0.01, 0.01, 0.01, 0.01])  # that all fea
 TOLERANCE, MAX_CONTRADICTED = 0.1, 0.5  # of the depth maps laid on each other
 MIN_CONFIDENCE = 0.1  # of depth that may contradict
 
-Parts = tuple[DenseSubmap, DenseSubmap]
+Parts = tuple[CompletedSubmap, CompletedSubmap]
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class LoopClosure:
 class SubmapFeatures:
     """A submap and the features of those of its keyframes that are compared; `keyframe` is the row in the submap."""
 
-    part: DenseSubmap
+    part: CompletedSubmap
     features: list[KeyframeFeatures]
     rays: RayTable  # of the rectified pictures
 
@@ -58,16 +57,16 @@ class SubmapFeatures:
         return [features.keyframe for features in self.features]
 
 
-def find_features(part: DenseSubmap, frames: Frames, max_keyframes: int) -> SubmapFeatures:
+def find_features(part: CompletedSubmap, max_keyframes: int) -> SubmapFeatures:
     """Features of evenly spaced keyframes of a submap: `max_keyframes`, or more where they would lie too far apart."""
     step = max(1, min(-(-len(part) // max_keyframes), MAX_STEP))
-    return _features(part, frames, part.rows[::step], {})
+    return _features(part, part.rows[::step], {})
 
 
-def features_of_all(known: SubmapFeatures, frames: Frames) -> SubmapFeatures:
+def features_of_all(known: SubmapFeatures) -> SubmapFeatures:
     """Features of all keyframes of the submap; those that are known already are not detected again."""
     found = {features.keyframe: features for features in known.features}
-    return _features(known.part, frames, known.part.rows, found)
+    return _features(known.part, known.part.rows, found)
 
 
 def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
@@ -95,23 +94,16 @@ def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair
     return [loop for loop in tried if loop is not None]
 
 
-def _features(
-    part: DenseSubmap, frames: Frames, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures]
-) -> SubmapFeatures:
+def _features(part: CompletedSubmap, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures]) -> SubmapFeatures:
     maker = SparseDepthMaker(part.submap, part.camera)
     rays = RayTable(part.camera)
-    return SubmapFeatures(
-        part, [known.get(row) or _lifted(part, maker, rays, row, frames) for row in map(int, rows)], rays
-    )
+    return SubmapFeatures(part, [known.get(row) or _lifted(part, maker, rays, row) for row in map(int, rows)], rays)
 
 
-def _lifted(part: DenseSubmap, maker: SparseDepthMaker, rays: RayTable, row: int, frames: Frames) -> KeyframeFeatures:
+def _lifted(part: CompletedSubmap, maker: SparseDepthMaker, rays: RayTable, row: int) -> KeyframeFeatures:
     """Features of one rectified picture, within the hull of its sparse points."""
-    index = int(part.submap.frames[row])
-    rgb = part.rectifier.image(read_image(part.workspace.image_path(index)))
-    stored = cv2.imread(str(part.workspace.mask_path(index)), cv2.IMREAD_GRAYSCALE)
-    mask = part.rectifier.mask(frames.content if stored is None else stored)
-    found, sparse = detect_sift(rgb, cv2.erode(mask, np.ones((5, 5), np.uint8))), maker.sparse_depth(row)
+    mask = cv2.erode(part.mask(row), np.ones((5, 5), np.uint8))
+    found, sparse = detect_sift(part.rgb(row), mask), maker.sparse_depth(row)
     return lift_features(row, found, rays, sparse.pixels, sparse.depth)
 
 
@@ -146,7 +138,7 @@ def _contradict(parts: Parts, rows: tuple[int, int], first_from_second: NDArray[
     return False
 
 
-def _shared(part: DenseSubmap, rows: list[int]) -> NDArray[np.int64]:
+def _shared(part: CompletedSubmap, rows: list[int]) -> NDArray[np.int64]:
     """(P,P) number of sparse points that two frames `rows` of the submap both observed."""
     number = np.full(len(part.submap.frames), -1)
     number[rows] = np.arange(len(rows))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from haustra.core.sim3 import scale_of
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
 from reconstruction.pose_graph import Edge, between, misfit, solve_pose_graph, supported, tie_information
@@ -32,7 +32,7 @@ class Closed:
     and what is left between them is for the images to say. Of a map that has closed its loops itself there are none.
     """
 
-    part: DenseSubmap
+    part: CompletedSubmap
     proposed: int
     supported: int
     links: tuple[LoopClosure, ...]
@@ -66,7 +66,7 @@ def _frames_of(seen: SubmapFeatures, links: Iterable[LoopClosure]) -> tuple[tupl
     return tuple((int(number[link.match.first]), int(number[link.match.second])) for link in links)
 
 
-def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure]) -> DenseSubmap | None:
+def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure]) -> CompletedSubmap | None:
     """The second submap in the frame and scale of the first, both bent to agree; None without enough evidence."""
     parts = first, second = seen[0].part, seen[1].part
     if first.camera != second.camera or first.submap.camera_params != second.submap.camera_params:
@@ -103,7 +103,7 @@ def first_from_second(loops: list[Edge], first_nodes: Array, second_nodes: Array
     return guesses[int(np.median(off, axis=1).argmin())]
 
 
-def point_ties(part: DenseSubmap) -> list[Edge]:
+def point_ties(part: CompletedSubmap) -> list[Edge]:
     """Relations of keyframes as the map has them, with the information of the points that both saw.
 
     A point of m keyframes ties m (m - 1) / 2 pairs, but links m frames: each pair has 2 / m of it. Its sigma along
@@ -138,7 +138,7 @@ def _tied(seen: list[NDArray[np.int64]], points: int) -> list[tuple[int, int]]:
     return sorted(pairs | set(pairwise(range(len(seen)))))
 
 
-def moved(part: DenseSubmap, rows: NDArray[np.int64], world_from_node: Array) -> DenseSubmap:
+def moved(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array) -> CompletedSubmap:
     """The submap with those of its frames at the nodes (K,4,4), Sim(3); what else it holds follows.
 
     A frame between two nodes follows both, by its share of the way; a point follows the nearest frame that saw it.
@@ -160,7 +160,7 @@ def moved(part: DenseSubmap, rows: NDArray[np.int64], world_from_node: Array) ->
     return replace(part, submap=replace(submap, world_from_camera=poses, points=points), depth_scale=before * scale)
 
 
-def nodes_of(before: DenseSubmap, after: DenseSubmap) -> Array:
+def nodes_of(before: CompletedSubmap, after: CompletedSubmap) -> Array:
     """(K,4,4) Sim(3) nodes at which `moved` put the keyframes of `after`."""
     nodes = after.submap.world_from_camera[before.rows].copy()
     if after.depth_scale is not None:
@@ -169,7 +169,7 @@ def nodes_of(before: DenseSubmap, after: DenseSubmap) -> Array:
     return nodes
 
 
-def united(first: DenseSubmap, second: DenseSubmap) -> DenseSubmap:
+def united(first: CompletedSubmap, second: CompletedSubmap) -> CompletedSubmap:
     """Two submaps of one frame, scale and camera as one, frames in order."""
     one, other = first.submap, second.submap
     frames = np.concatenate([one.frames, other.frames])

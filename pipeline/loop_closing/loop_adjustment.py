@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from haustra.core.sim3 import scale_of
-from pipeline.depth.completion_stage import DenseSubmap
-from pipeline.input.frames import Frames
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.loop_closing.detection import SubmapFeatures, features_of_all
 from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
 from pipeline.mapping.feature_adjustment import widest_narrow
@@ -40,10 +39,10 @@ Array = NDArray[np.float64]
 Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
 
 
-def adjust_loops(seen: SubmapFeatures, closed: Closed, frames: Frames) -> DenseSubmap | None:
+def adjust_loops(seen: SubmapFeatures, closed: Closed) -> CompletedSubmap | None:
     """The submap, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or if the
     adjusted map fulfils its loops no better than before."""
-    part, every = seen.part, features_of_all(seen, frames).features
+    part, every = seen.part, features_of_all(seen).features
     number = np.searchsorted(part.rows, seen.rows)
     matches = [
         replace(k.match, first=int(number[k.match.first]), second=int(number[k.match.second])) for k in closed.links
@@ -64,7 +63,7 @@ def adjust_loops(seen: SubmapFeatures, closed: Closed, frames: Frames) -> DenseS
 
 
 def adjust_nodes(
-    part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
+    part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[NDArray[np.int64], Array] | None:
     """Numbers of keyframes and their nodes (.,4,4), Sim(3), as the images have them; None if the features do not hold.
 
@@ -103,7 +102,7 @@ def adjust_nodes(
 
 
 def _held_tracks(
-    part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
+    part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[Tracks, NDArray[np.int64]] | None:
     """Tracks of narrow features, since wide ones slide and bend the scale (docs/lab/front_end.md); of all where those
     are too few; None if these are, too. And numbers of the places that they fix."""
@@ -116,7 +115,7 @@ def _held_tracks(
     return None
 
 
-def same_features(part: DenseSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match]) -> Same:
+def same_features(part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match]) -> Same:
     """Pairs of places, and of each the features (K,2) that look alike and lie where the map has them, or that a link
     matched."""
     pairs, same = [(k.first, k.second) for k in links], [k.rows for k in links]
@@ -151,7 +150,7 @@ def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
     return bool((seen[1:].multiply(seen[:-1]).sum(axis=1) >= MIN_SHARED).all())
 
 
-def _followed(part: DenseSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
+def _followed(part: CompletedSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
     """(K,2) features of two near keyframes that look alike and lie where the map says."""
     pairs = match_descriptors(here.rootsift, there.rootsift)
     if len(pairs) == 0:

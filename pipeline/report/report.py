@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from haustra.core.progress import Progress
-from pipeline.depth.completion_stage import DenseSubmap, camera_path
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completion_stage import camera_path
 from pipeline.depth.depth_io import DEPTH_STEP
 from pipeline.frontend.base import COLMAP_WORKER
 from pipeline.frontend.structure_stage import camera_trust, front_end_of
@@ -23,7 +24,7 @@ from reconstruction.mesh.mesh_io import write_mesh
 
 def write_report(
     frames: Frames,
-    dense: list[DenseSubmap],
+    dense: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[Judgement],
     workspace: Workspace,
@@ -34,26 +35,28 @@ def write_report(
         _write_paths(frames, part, surface, number, workspace)
     _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
-    workspace.record["submaps"] = [_submap_record(*pair) for pair in enumerate(zip(dense, surfaces, strict=True))]
+    workspace.record["submaps"] = [
+        _submap_record(camera_path(workspace, number).name, part, surface)
+        for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True))
+    ]
     metrics = collect_metrics(frames, dense, surfaces, coverage, workspace)
     write_json(workspace.metrics, metrics)
     write_page(frames, dense, surfaces, coverage, metrics, workspace)
     workspace.finish("report")
 
 
-def _submap_record(number: int, pair: tuple[DenseSubmap, Surface]) -> dict[str, Any]:
+def _submap_record(camera: str, part: CompletedSubmap, surface: Surface) -> dict[str, Any]:
     """How to read a submap's depth maps: unit, step of the PNGs, camera, and which frames they are."""
-    part, surface = pair
     return {
         "unit": surface.scale.unit,
         "depth_png_step": DEPTH_STEP * surface.scale.factor,
-        "camera": camera_path(part.workspace, number).name,
+        "camera": camera,
         "keyframes": part.submap.frames[part.rows].tolist(),
         "depth_scale": None if part.depth_scale is None else part.depth_scale[part.rows].tolist(),
     }
 
 
-def _write_paths(frames: Frames, part: DenseSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
+def _write_paths(frames: Frames, part: CompletedSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
     """`trajectory.tum` and `keyframes.tum`; with `_1`, `_2`, ... for further submaps, each in its own frame."""
     submap = part.submap.scaled(surface.scale.factor)
     seconds = np.array([frames.seconds_of(int(index)) for index in submap.frames])
@@ -80,7 +83,7 @@ def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progr
 
 def collect_metrics(
     frames: Frames,
-    dense: list[DenseSubmap],
+    dense: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[Judgement],
     workspace: Workspace,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from haustra.core.errors import HaustraError
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.finished_run import open_run
 from pipeline.input.frames import Frames
 from pipeline.run_folder.workspace import Workspace
@@ -61,7 +61,7 @@ def recording_id(workspace: Workspace) -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:32]
 
 
-def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: DenseSubmap, surface: Surface) -> None:
+def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: CompletedSubmap, surface: Surface) -> None:
     submap, mesh = part.submap.scaled(surface.scale.factor), surface.mesh
     recording.log(root, rerun.ViewCoordinates.RDF, static=True)  # x right, y down, z forward: the first camera's
     if len(mesh.faces):
@@ -93,7 +93,7 @@ def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: Den
             _log_keyframe(rerun, recording, camera, part, row, surface.scale.factor)
 
 
-def _log_keyframe(rerun: Any, recording: Any, camera: str, part: DenseSubmap, row: int, factor: float) -> None:
+def _log_keyframe(rerun: Any, recording: Any, camera: str, part: CompletedSubmap, row: int, factor: float) -> None:
     keyframe = part.keyframe(row)
     recording.log(f"{camera}/image", rerun.Image(keyframe.rgb).compress(jpeg_quality=JPEG_QUALITY))
     recording.log(f"{camera}/depth", rerun.DepthImage(keyframe.depth * np.float32(factor), meter=1.0))

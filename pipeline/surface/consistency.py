@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config import ConsistencySettings
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from reconstruction.fusion.depth_consistency import Agreement, DepthView, agreement
 
 SEVERITY = 6.0  # one contradiction against none divides the confidence by 1 + this
@@ -17,7 +17,7 @@ CACHED = 64  # depth maps kept while the check moves along the keyframes; more t
 class ConsistencyCheck:
     """Agreement of each keyframe of a submap with keyframes before and after it."""
 
-    def __init__(self, part: DenseSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
+    def __init__(self, part: CompletedSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
         self.part, self.settings, self.min_confidence = part, settings, min_confidence
         self._view = lru_cache(CACHED)(self._load)
 

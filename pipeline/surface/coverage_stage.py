@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import refined_camera
 from pipeline.run_folder.workspace import Workspace
@@ -64,7 +64,7 @@ def _unmeasured(record: dict[str, Any]) -> str:
 
 
 def judge_coverage(
-    frames: Frames, dense: list[DenseSubmap], surfaces: list[Surface], workspace: Workspace
+    frames: Frames, dense: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
 ) -> list[Judgement]:
     """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
     return [
@@ -78,12 +78,12 @@ def picture_path(workspace: Workspace, number: int) -> Path:
     return workspace.coverage if number == 0 else workspace.coverage.with_name(f"coverage_{number}.png")
 
 
-def measure_submap(frames: Frames, part: DenseSubmap, surface: Surface) -> Coverage:
+def measure_submap(frames: Frames, part: CompletedSubmap, surface: Surface) -> Coverage:
     """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
     return measure_believed(frames, part, surface)[0]
 
 
-def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
+def measure_believed(frames: Frames, part: CompletedSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
     """The same, and that wall: what is drawn must be what was measured."""
     factor = surface.scale.factor
     submap = part.submap.scaled(factor)
@@ -124,7 +124,7 @@ def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> fl
     return min(edge, float(np.degrees(np.arctan(side))))
 
 
-def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -> Judgement:
+def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Path) -> Judgement:
     try:
         coverage, believed = measure_believed(frames, part, surface)
     except NotATube as reason:
@@ -161,7 +161,7 @@ def _segment(segment: Segment) -> dict[str, float]:
     return {"start": segment.start, "end": segment.end, **shares}
 
 
-def _row(number: int, region: MissedRegion, frames: Frames, part: DenseSubmap) -> dict[str, Any]:
+def _row(number: int, region: MissedRegion, frames: Frames, part: CompletedSubmap) -> dict[str, Any]:
     index = int(part.submap.frames[region.frame])
     return {
         "number": number,

@@ -1,22 +1,26 @@
-"""Stage 4: keyframes' dense depth to one surface per submap, in the output unit, with the camera path in it."""
+"""Stage 5: keyframes' dense depth to one surface per submap, in the output unit, with the camera path in it."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
-from pipeline.config import Config
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.config import ConsistencySettings
+from pipeline.config import FusionSettings as FusionConfig
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.consistency import ConsistencyCheck
-from pipeline.surface.scale import SCENE, Scale, find_scale
+from pipeline.surface.scale import SCENE, Scale, ScaleSource, find_scale
 from reconstruction.fusion.photometry import Lamp, fit_lamp
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
+STAGE = "surface"
 TRUNCATION_VOXELS = 12.0  # must exceed the error of completed depth
 MIN_COMPONENT = 0.02  # share of the area; smaller pieces float
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
@@ -35,36 +39,57 @@ class Surface:
     lamp: Lamp | None = None  # divided out of the colours; None if they are as filmed
 
 
-def fuse_depth(dense: list[DenseSubmap], config: Config, workspace: Workspace, progress: Progress) -> list[Surface]:
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """Settings of the stage's parts, the source of its scale, and the seed of the lamp's fit."""
+
+    fusion: FusionConfig
+    consistency: ConsistencySettings
+    scale: ScaleSource
+    seed: int
+
+
+def fuse_depth(
+    completed: list[CompletedSubmap], settings: SurfaceSettings, workspace: Workspace, progress: Progress
+) -> list[Surface]:
     """Fuse every submap; a submap whose frames agree on no surface keeps an empty mesh."""
-    if workspace.is_done("surface"):
-        return load_surfaces(workspace)
-    records = []
-    for number, part in enumerate(dense):
+    return load_or_make(
+        workspace,
+        STAGE,
+        lambda: load_surfaces(workspace),
+        lambda: _fuse_all(completed, settings, workspace, progress),
+    )
+
+
+def _fuse_all(
+    completed: list[CompletedSubmap], settings: SurfaceSettings, workspace: Workspace, progress: Progress
+) -> None:
+    surfaces = []
+    for number, submap in enumerate(completed):
         # A scale file speaks of the first submap: the others have units of their own.
-        own = config if number == 0 else config.model_copy(update={"scale_file": None})
-        surface = _fuse(part, own, f"fusion of submap {number}", progress)
+        own = settings if number == 0 else replace(settings, scale=settings.scale.without_file())
+        surface = _fuse(submap, own, f"fusion of submap {number}", progress)
         if number == 0 and len(surface.mesh.faces) == 0:
             raise HaustraError(
                 "the keyframes agree on no surface: too few of them see the same place "
-                f"({len(part)} keyframes, {config.fusion.min_observations} must agree)"
+                f"({len(submap)} keyframes, {settings.fusion.min_observations} must agree)"
             )
-        path = mesh_path(workspace, number)
-        write_mesh(surface.mesh, path)
-        records.append(
-            {
-                "factor": surface.scale.factor,
-                "unit": surface.scale.unit,
-                "origin": surface.scale.origin,
-                "voxel_size": surface.voxel_size,
-                "dropped_share": surface.dropped_share,
-                "left_out": list(surface.left_out),
-                "lamp": None if surface.lamp is None else asdict(surface.lamp),
-            }
-        )
-    workspace.finish("surface", surfaces=records)
-    progress.say(_sentence(load_surfaces(workspace)[0]))
-    return load_surfaces(workspace)
+        write_mesh(surface.mesh, mesh_path(workspace, number))
+        surfaces.append(surface)
+    workspace.finish(STAGE, surfaces=[_record(surface) for surface in surfaces])
+    progress.say(_sentence(surfaces[0]))
+
+
+def _record(surface: Surface) -> dict[str, Any]:
+    return {
+        "factor": surface.scale.factor,
+        "unit": surface.scale.unit,
+        "origin": surface.scale.origin,
+        "voxel_size": surface.voxel_size,
+        "dropped_share": surface.dropped_share,
+        "left_out": list(surface.left_out),
+        "lamp": None if surface.lamp is None else asdict(surface.lamp),
+    }
 
 
 def load_surfaces(workspace: Workspace) -> list[Surface]:
@@ -78,7 +103,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             tuple(record.get("left_out", ())),
             Lamp(**record["lamp"]) if record.get("lamp") else None,
         )
-        for number, record in enumerate(workspace.result("surface")["surfaces"])
+        for number, record in enumerate(workspace.result(STAGE)["surfaces"])
     ]
 
 
@@ -87,12 +112,13 @@ def mesh_path(workspace: Workspace, number: int) -> Path:
     return workspace.mesh if number == 0 else workspace.mesh.with_name(f"mesh_{number}.ply")
 
 
-def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> Surface:
-    settings = fusion_settings(part, config)
-    if settings is None:
+def _fuse(part: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
+    ranges = fusion_ranges(part, settings.fusion)
+    if ranges is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
-    fusion, check, left_out = SurfaceFusion(settings), _check(part, config), []
-    lamp = _lamp(part, config)
+    fusion, left_out = SurfaceFusion(ranges), []
+    check = ConsistencyCheck(part, settings.consistency, settings.fusion.min_confidence)
+    lamp = _lamp(part, settings.seed) if settings.fusion.delight else None
     with progress.bar(label, len(part)) as advance:
         for place, keyframe in enumerate(part):
             confidence, pose = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
@@ -104,27 +130,21 @@ def _fuse(part: DenseSubmap, config: Config, label: str, progress: Progress) -> 
             advance(place + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, MIN_COMPONENT)
-    scale = find_scale(config, part.submap, mesh)
+    scale = find_scale(settings.scale, part.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
-    voxel_size = settings.voxel_size * scale.factor
+    voxel_size = ranges.voxel_size * scale.factor
     return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
 
 
-def _lamp(part: DenseSubmap, config: Config) -> Lamp | None:
+def _lamp(part: CompletedSubmap, seed: int) -> Lamp | None:
     """What the lamp does in this film, from keyframes spread over it."""
-    if not config.fusion.delight:
-        return None
     spread = np.unique(np.linspace(0, len(part) - 1, min(LAMP_SAMPLES, len(part))).astype(int))
     keyframes = (part.keyframe(int(part.rows[place])) for place in spread)
-    return fit_lamp(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, config.seed)
+    return fit_lamp(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, seed)
 
 
-def _check(part: DenseSubmap, config: Config) -> ConsistencyCheck:
-    return ConsistencyCheck(part, config.consistency, config.fusion.min_confidence)
-
-
-def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
+def fusion_ranges(part: CompletedSubmap, settings: FusionConfig) -> FusionSettings | None:
     """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
     step = max(1, len(part) // VOXEL_SAMPLES)
     depths = [part.depth(int(row))[0] for row in part.rows[::step]]
@@ -132,10 +152,10 @@ def fusion_settings(part: DenseSubmap, config: Config) -> FusionSettings | None:
         return None
     median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
     return FusionSettings(
-        voxel_size=config.fusion.voxel_size or choose_voxel_size(depths, part.camera.matrix),
+        voxel_size=settings.voxel_size or choose_voxel_size(depths, part.camera.matrix),
         truncation=TRUNCATION_VOXELS,
-        max_depth=config.fusion.max_depth_ratio * median,
-        min_observations=config.fusion.min_observations,
+        max_depth=settings.max_depth_ratio * median,
+        min_observations=settings.min_observations,
     )
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import yaml
 
 from haustra.core.errors import HaustraError
-from pipeline.config import Config
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -16,6 +15,17 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 def in_words(unit: str) -> str:
     """An output unit as a person reads it."""
     return "mm" if unit == "mm" else "scene units"
+
+
+@dataclass(frozen=True)
+class ScaleSource:
+    """What sets millimetres: the lumen's median diameter, or a file, which goes before."""
+
+    lumen_mm: float | None = None
+    file: Path | None = None
+
+    def without_file(self) -> "ScaleSource":
+        return ScaleSource(self.lumen_mm)
 
 
 @dataclass(frozen=True)
@@ -30,20 +40,20 @@ class Scale:
 SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
 
 
-def find_scale(config: Config, submap: Submap, mesh: SurfaceMesh) -> Scale:
+def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     """Scale of a submap whose mesh and poses are in scene units."""
-    if config.scale_file is not None:
-        return _scale_from_file(Path(config.scale_file), submap)
-    if config.lumen_mm is None:
+    if source.file is not None:
+        return _scale_from_file(source.file, submap)
+    if source.lumen_mm is None:
         return SCENE
     # One median depth ahead: in a tube that is where the picture's middle ground lies.
     width = measure_lumen(mesh.vertices, mesh.faces, submap.world_from_camera, reach=1.0)
     if width is None:
         return Scale(1.0, "scene", "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here")
     return Scale(
-        config.lumen_mm / width.diameter,
+        source.lumen_mm / width.diameter,
         "mm",
-        f"median lumen diameter set to {config.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations",
+        f"median lumen diameter set to {source.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations",
     )
 
 

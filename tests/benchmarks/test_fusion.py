@@ -16,7 +16,7 @@ from benchmarks.fusion.measured_run import UNMOVED, MeasuredRun
 from completion.evaluation.predictors import Predictor
 from haustra.core.camera import Camera
 from pipeline.config import Config
-from pipeline.depth.completion_stage import Keyframe
+from pipeline.depth.completed_submap import Keyframe
 from pipeline.depth.depth_io import write_confidence, write_depth
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sparse_depth import SparseDepth

@@ -20,13 +20,14 @@ from pipeline.cli import main as cli
 from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
-from pipeline.depth.completion_stage import planned_keyframes
+from pipeline.depth.completion_stage import load_completed
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import load_frames
 from pipeline.run import reconstruct
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import open_workspace
 from pipeline.surface import fusion_stage as surface
+from pipeline.surface.scale import ScaleSource
 
 ARTEFACTS = [
     *("run.yaml", "camera.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
@@ -190,9 +191,11 @@ def test_a_damaged_run_is_named(finished, tmp_path, name):
 
 def test_submaps_without_depth_end_empty_and_not_in_a_crash(finished, monkeypatch):
     workspace = open_workspace(finished[0])
-    part = planned_keyframes(load_frames(workspace), load_structure(workspace), workspace)[0]
+    part = load_completed(load_frames(workspace), load_structure(workspace), workspace)[0]
     empty = replace(part, rows=part.rows[:0])
-    surfaced = surface._fuse(empty, tiny_config(), "fusion", SilentProgress())
+    config = tiny_config()
+    settings = surface.SurfaceSettings(config.fusion, config.consistency, ScaleSource(), 0)
+    surfaced = surface._fuse(empty, settings, "fusion", SilentProgress())
     assert len(surfaced.mesh.faces) == 0
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from haustra.core.camera import Camera
 from pipeline.config import Config
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.depth_io import write_confidence, write_depth
+from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.input.frames import Frames, write_image
 from pipeline.mapping.submap import Submap
@@ -34,7 +35,7 @@ class TinyRun:
     """Everything that `write_page` takes."""
 
     frames: Frames
-    dense: list[DenseSubmap]
+    dense: list[CompletedSubmap]
     surfaces: list[Surface]
     coverage: list[Judgement]
     metrics: dict[str, Any]
@@ -77,7 +78,7 @@ def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
     return TinyRun(frames, dense, surfaces, coverage, metrics, workspace)
 
 
-def _dense(frames: np.ndarray, workspace: Workspace) -> DenseSubmap:
+def _dense(frames: np.ndarray, workspace: Workspace) -> CompletedSubmap:
     count, rng = len(frames), np.random.default_rng(1)
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, 2, 3] = STEP * np.arange(count)
@@ -100,7 +101,7 @@ def _dense(frames: np.ndarray, workspace: Workspace) -> DenseSubmap:
         write_image(workspace.image_path(index), image)
         write_depth(workspace.depth_path(index), wall)
         write_confidence(workspace.confidence_path(index), 1 / wall)
-    return DenseSubmap(submap, make_rectifier(CAMERA, 120), np.arange(count), workspace)
+    return CompletedSubmap(submap, make_rectifier(CAMERA, 120), np.arange(count), DiskKeyframes(workspace))
 
 
 def _tube(length: float, factor: float, hours: tuple[float, float] = (0, 12), start: float = 0.0) -> SurfaceMesh:
@@ -131,7 +132,7 @@ def _judgement(root: Path, frame: int) -> Judgement:
     return Judgement(record | {"smaller_regions": 2, "missed_regions": [region]}, picture, (patch,))
 
 
-def _figures(part: DenseSubmap, surface: Surface, judged: Judgement) -> dict[str, Any]:
+def _figures(part: CompletedSubmap, surface: Surface, judged: Judgement) -> dict[str, Any]:
     return {
         "frames": len(part.submap.frames),
         "keyframes": len(part),

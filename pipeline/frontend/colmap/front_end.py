@@ -8,7 +8,7 @@ import shutil
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
-from pipeline.config import Config, OdometrySettings
+from pipeline.config import FrontEndSettings, OdometrySettings
 from pipeline.frontend.base import COLMAP_WORKER, FoundSubmap, FrontEndResult
 from pipeline.frontend.scoring import candidates_of, needs_second_opinion
 from pipeline.input.frames import Frames
@@ -29,12 +29,14 @@ class ColmapFrontEnd:
 
     closes_loops = True
 
-    def check(self, config: Config) -> None:
-        if config.odometry != OdometrySettings():
+    def check(self, settings: FrontEndSettings) -> None:
+        if settings.odometry != OdometrySettings():
             raise HaustraError("the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto")
 
-    def run(self, frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> FrontEndResult:
-        job = colmap_job(frames, config.seed, workspace)
+    def run(
+        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    ) -> FrontEndResult:
+        job = colmap_job(frames, settings.seed, workspace)
         run_isolated(COLMAP_WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
         found = {"global": map_by_colmap("global", job, workspace, progress)}
         judged = candidates_of("global", found["global"], frames.camera, workspace)

@@ -22,7 +22,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
-from pipeline.config import Config
+from pipeline.config import FrontEndSettings
 from pipeline.frontend.odometry.chunk_stitching import first_from_second, sewn
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_io import load_maps
@@ -54,12 +54,12 @@ def cut(count: int, chunks: int) -> list[range]:
 
 
 def jobs_of(
-    index: NDArray[np.int64], camera: Camera, chunks: list[range], config: Config, workspace: Workspace
+    index: NDArray[np.int64], camera: Camera, chunks: list[range], settings: FrontEndSettings, workspace: Workspace
 ) -> list[Job]:
     """What each chunk's process needs to know."""
     folder = scratch(workspace).resolve()
-    about: Job = {"run": str(workspace.root.resolve()), "camera": camera.to_dict(), "stride": config.frames.stride}
-    about |= {"seed": config.seed, "keyframe_motion": config.odometry.keyframe_motion}
+    about: Job = {"run": str(workspace.root.resolve()), "camera": camera.to_dict(), "stride": settings.stride}
+    about |= {"seed": settings.seed, "keyframe_motion": settings.odometry.keyframe_motion}
     return [
         about | {"number": number, "frames": index[rows].tolist(), "output": str(folder / f"{number}.npz")}
         for number, rows in enumerate(chunks)

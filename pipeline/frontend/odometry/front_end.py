@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
-from pipeline.config import Config
+from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, scratch, track_chunks
 from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
@@ -32,11 +32,13 @@ class OdometryFrontEnd:
 
     closes_loops = False
 
-    def check(self, config: Config) -> None:
+    def check(self, settings: FrontEndSettings) -> None:
         """Its settings are checked where they are defined."""
 
-    def run(self, frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> FrontEndResult:
-        tracked = track_frames(frames, config, workspace, progress)
+    def run(
+        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    ) -> FrontEndResult:
+        tracked = track_frames(frames, settings, workspace, progress)
         progress.say(tracked.sentence)
         shutil.rmtree(workspace.log / NAME, ignore_errors=True)
         shutil.rmtree(scratch(workspace), ignore_errors=True)
@@ -70,34 +72,34 @@ class Tracked:
         return f"odometry in {chunks} chunks, {closed} of {chunks - 1} joined by the frames that they share{merged}"
 
 
-def track_frames(frames: Frames, config: Config, workspace: Workspace, progress: Progress) -> Tracked:
+def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress) -> Tracked:
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
     with single_threaded(), SiftCache(frame_reader(workspace)) as features:
         started = time.perf_counter()
-        maps, seams = _tracked(frames, config, features, workspace, progress)
+        maps, seams = _tracked(frames, settings, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         held = adjust_maps(maps, features, progress, changed=seams is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
-            camera, sigma, held = refine_intrinsics(maps, held, camera, config.seed, features, workspace, progress)
-        merged, joins = join_maps(maps, held, features, config.seed, progress)
+            camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
+        merged, joins = join_maps(maps, held, features, settings.seed, progress)
         return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, seams)
 
 
 def _tracked(
-    frames: Frames, config: Config, features: SiftCache, workspace: Workspace, progress: Progress
+    frames: Frames, settings: FrontEndSettings, features: SiftCache, workspace: Workspace, progress: Progress
 ) -> tuple[list[LocalMap], Seams | None]:
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
-    rays, settings = RayTable(frames.camera), config.odometry
-    pieces = cut(len(frames.index), settings.chunks)
-    if settings.chunks > 1 and len(pieces) == 1:
+    rays = RayTable(frames.camera)
+    pieces = cut(len(frames.index), settings.odometry.chunks)
+    if settings.odometry.chunks > 1 and len(pieces) == 1:
         progress.say(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")
     if len(pieces) > 1:
-        run = local_run(processors()) if settings.ray is None else ray_run(settings.ray)
-        jobs = jobs_of(frames.index, frames.camera, pieces, config, workspace)
+        run = local_run(processors()) if settings.odometry.ray is None else ray_run(settings.odometry.ray)
+        jobs = jobs_of(frames.index, frames.camera, pieces, settings, workspace)
         return track_chunks(jobs, rays, run, progress)
-    odometry = Odometry(rays, config.seed, config.frames.stride, settings.keyframe_motion)
+    odometry = Odometry(rays, settings.seed, settings.stride, settings.odometry.keyframe_motion)
     read = frame_reader(workspace)
 
     def look(index: int) -> tuple[int, NDArray[np.uint8], View]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.report.figures import path_figure, webp
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, browser_section, choose_shown, count_sentence, data_uri
@@ -34,7 +34,7 @@ __all__ = ["coverage_section", "write_page"]
 
 def write_page(
     frames: Frames,
-    dense: list[DenseSubmap],
+    dense: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[Judgement],
     metrics: dict[str, Any],
@@ -127,7 +127,7 @@ def _coverage_in_words(rest: list[Judgement], first: int) -> str:
     )
 
 
-def _static(frames: Frames, part: DenseSubmap, surface: Surface) -> str:
+def _static(frames: Frames, part: CompletedSubmap, surface: Surface) -> str:
     """For a browser without scripts or WebGL: the surface from outside and from within, and the path."""
     centres, unit = part.submap.centres * surface.scale.factor, surface.scale.unit
     seconds = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.input.frames import Frames
 from pipeline.surface.fusion_stage import Surface
@@ -39,7 +39,7 @@ class Shown:
     seconds: float
 
 
-def choose_shown(frames: Frames, dense: list[DenseSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
+def choose_shown(frames: Frames, dense: list[CompletedSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
     """At most `most` keyframes, evenly over those of the largest submaps, in the order of submaps and frames."""
     every = [
         Shown(number, int(row), index := int(part.submap.frames[row]), frames.seconds_of(index))
@@ -60,7 +60,7 @@ class Panels:
     points: int
 
 
-def browser_section(shown: list[Shown], dense: list[DenseSubmap], surfaces: list[Surface]) -> str:
+def browser_section(shown: list[Shown], dense: list[CompletedSubmap], surfaces: list[Surface]) -> str:
     """Every shown keyframe as an article. Without script they stand in a list; with it, one at a time is seen."""
     ranges = {k: _depth_range(dense[k], surfaces[k].scale.factor) for k in sorted({k.submap for k in shown})}
     panels = _within_budget(shown, dense, surfaces, ranges)
@@ -88,7 +88,7 @@ def data_uri(data: bytes, kind: str) -> str:
 
 
 def _within_budget(
-    shown: list[Shown], dense: list[DenseSubmap], surfaces: list[Surface], ranges: dict[int, tuple[float, float]]
+    shown: list[Shown], dense: list[CompletedSubmap], surfaces: list[Surface], ranges: dict[int, tuple[float, float]]
 ) -> list[Panels]:
     """All pictures at the best quality that keeps the page small, however noisy the video is."""
     panels: list[Panels] = []
@@ -101,7 +101,7 @@ def _within_budget(
 
 def _draw(
     shown: list[Shown],
-    dense: list[DenseSubmap],
+    dense: list[CompletedSubmap],
     surfaces: list[Surface],
     ranges: dict[int, tuple[float, float]],
     quality: int,
@@ -124,7 +124,7 @@ def _draw(
         yield Panels((encoded[0], encoded[1], encoded[2], encoded[3]), len(sparse.depth))
 
 
-def _depth_range(part: DenseSubmap, factor: float) -> tuple[float, float]:
+def _depth_range(part: CompletedSubmap, factor: float) -> tuple[float, float]:
     """One colour range for the whole submap, so that neighbouring keyframes can be compared; output units."""
     step = max(1, len(part) // RANGE_SAMPLES)
     known = [depth[depth > 0] for depth in (part.depth(int(row))[0] for row in part.rows[::step])]
@@ -188,7 +188,7 @@ def _bar(colours: int, low: str, title: str, high: str) -> str:
     )
 
 
-def count_sentence(shown: Iterable[Shown], dense: list[DenseSubmap]) -> str:
+def count_sentence(shown: Iterable[Shown], dense: list[CompletedSubmap]) -> str:
     """How many of how many keyframes are in the page."""
     count, total = len(list(shown)), sum(len(part) for part in dense)
     where = f" over the {MOST_SUBMAPS} largest of {len(dense)} submaps" if len(dense) > MOST_SUBMAPS else ""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import Shown
 from pipeline.surface.coverage_stage import Judgement
@@ -37,7 +37,7 @@ class Limits:
 
 def scene_data(
     frames: Frames,
-    dense: list[DenseSubmap],
+    dense: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[Judgement],
     shown: list[Shown],
@@ -70,7 +70,7 @@ def finite(mesh: SurfaceMesh) -> SurfaceMesh:
 
 def _submap(
     frames: Frames,
-    part: DenseSubmap,
+    part: CompletedSubmap,
     surface: Surface,
     judgement: Judgement,
     limits: Limits,

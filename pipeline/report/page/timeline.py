@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, Shown
 from pipeline.run_folder.workspace import Workspace, damage_named
 
@@ -42,7 +42,7 @@ class FrameStates:
         return float(self.seconds[0]), float(self.seconds[-1]) + self.step
 
 
-def frame_states(workspace: Workspace, dense: list[DenseSubmap]) -> FrameStates:
+def frame_states(workspace: Workspace, dense: list[CompletedSubmap]) -> FrameStates:
     """From `frames.json` and the poses."""
     with damage_named(workspace.frames):
         rows = json.loads(workspace.frames.read_text())["frames"]
@@ -53,7 +53,7 @@ def frame_states(workspace: Workspace, dense: list[DenseSubmap]) -> FrameStates:
     return FrameStates(index, np.array([row[1] for row in rows], dtype=float), [row[2] for row in rows], submap)
 
 
-def timeline_section(states: FrameStates, shown: list[Shown], dense: list[DenseSubmap]) -> str:
+def timeline_section(states: FrameStates, shown: list[Shown], dense: list[CompletedSubmap]) -> str:
     """Three lanes: what was judged of the frames, which are posed, which are keyframes."""
     columns = _columns(states)
     count = int(columns.max()) + 1
@@ -129,7 +129,7 @@ def _merged(columns: list[tuple[Piece, ...]], width: float) -> str:
     return "".join(parts)
 
 
-def _keyframes(states: FrameStates, shown: list[Shown], dense: list[DenseSubmap]) -> str:
+def _keyframes(states: FrameStates, shown: list[Shown], dense: list[CompletedSubmap]) -> str:
     """A thin mark for every keyframe, at most one a column, and a thick one for those that the page shows."""
     start, end = states.range
     top, height = KEYFRAME_LANE
@@ -148,7 +148,7 @@ def _keyframes(states: FrameStates, shown: list[Shown], dense: list[DenseSubmap]
     return thin + thick
 
 
-def _key(states: FrameStates, dense: list[DenseSubmap]) -> str:
+def _key(states: FrameStates, dense: list[CompletedSubmap]) -> str:
     counts = Counter(states.verdicts)
     items = [(slug(verdict), f"{verdict} ({n})") for verdict, n in counts.most_common()]
     sizes = [len(part.submap.frames) for part in dense]

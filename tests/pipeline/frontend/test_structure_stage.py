@@ -16,6 +16,7 @@ from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.scoring import Candidate, best_mapper
 from pipeline.mapping.lighting_check import LightingCheck
 
+SETTINGS = Config().front_end_settings
 GOOD = Candidate(None, LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path())
 DARK = Candidate(None, LightingCheck(90, 600, 0.3, 5.0, -0.2, 0.4, 90), Path())
 
@@ -40,7 +41,7 @@ def asked(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
         many = SimpleNamespace(index=np.arange(frames), camera=None)
         workspace = SimpleNamespace(log=tmp_path)
-        results = structure_stage._run(many, Config(front_end=front_end), workspace, SilentProgress())
+        results = structure_stage._run(many, front_end, SETTINGS, workspace, SilentProgress())
         mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
         assert list(mapped) == ran
         return ran, best_mapper(mapped, frames)
@@ -90,7 +91,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", found)
         few = SimpleNamespace(index=np.arange(100), camera=None)
         workspace = SimpleNamespace(log=tmp_path)
-        return structure_stage._run(few, Config(front_end=front_end), workspace, SilentProgress())
+        return structure_stage._run(few, front_end, SETTINGS, workspace, SilentProgress())
 
     assert list(call("auto")) == ["odometry"]
     with pytest.raises(HaustraError, match="failed"):
@@ -106,13 +107,13 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
     monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
     frames, workspace = SimpleNamespace(index=np.arange(9), camera=None), SimpleNamespace(log=tmp_path)
     with pytest.raises(HaustraError, match=f"logs are in {tmp_path}"):
-        FRONT_ENDS["sfm"].run(frames, Config(), workspace, SilentProgress())
+        FRONT_ENDS["sfm"].run(frames, SETTINGS, workspace, SilentProgress())
 
 
 def test_choices_that_cannot_work_are_refused_at_once():
     with pytest.raises(HaustraError, match=r"no front end 'orb'; known: auto, odometry, sfm"):
-        check_front_end(Config(front_end="orb"))
-    fast = OdometrySettings(keyframe_motion=0.05)
+        check_front_end("orb", SETTINGS)
+    fast = Config(odometry=OdometrySettings(keyframe_motion=0.05)).front_end_settings
     with pytest.raises(HaustraError, match="no keyframe_motion"):
-        check_front_end(Config(front_end="sfm", odometry=fast))
-    check_front_end(Config(front_end="auto", odometry=fast))
+        check_front_end("sfm", fast)
+    check_front_end("auto", fast)

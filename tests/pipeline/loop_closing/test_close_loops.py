@@ -12,12 +12,13 @@ from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config, LoopClosingSettings
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.depth_io import DEPTH_STEP, write_confidence, write_depth
+from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.input.frames import Frames
 from pipeline.loop_closing import close_loops as stage
-from pipeline.loop_closing.close_loops import model_sources, refine_poses, refined_keyframes
+from pipeline.loop_closing.close_loops import close_loops_stage, load_refined, model_sources
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge, moved, point_ties, united
 from pipeline.mapping.submap import Submap
@@ -58,7 +59,7 @@ def drifting_submap(count: int = COUNT, growth: float = GROWTH, seed: int = 0) -
     )
 
 
-def dense(workspace: Workspace, submap: Submap | None = None) -> DenseSubmap:
+def dense(workspace: Workspace, submap: Submap | None = None) -> CompletedSubmap:
     submap = submap or drifting_submap()
     for folder in (workspace.depth, workspace.confidence):
         folder.mkdir(exist_ok=True, parents=True)
@@ -66,10 +67,10 @@ def dense(workspace: Workspace, submap: Submap | None = None) -> DenseSubmap:
     for row in rows:
         write_depth(workspace.depth_path(int(submap.frames[row])), np.ones((64, 64), np.float32))
         write_confidence(workspace.confidence_path(int(submap.frames[row])), np.ones((64, 64)))
-    return DenseSubmap(submap, make_rectifier(CAMERA, 120), rows, workspace)
+    return CompletedSubmap(submap, make_rectifier(CAMERA, 120), rows, DiskKeyframes(workspace))
 
 
-def seen(part: DenseSubmap) -> SubmapFeatures:
+def seen(part: CompletedSubmap) -> SubmapFeatures:
     return SubmapFeatures(part, [KeyframeFeatures.none(int(row)) for row in part.rows], RAYS)
 
 
@@ -114,7 +115,7 @@ def seen_twice(monkeypatch):
     monkeypatch.setattr(stage, "find_features", lambda part, *_: seen(part))
     monkeypatch.setattr(stage, "loop_candidates", lambda *_: [])
     monkeypatch.setattr(stage, "verify_loops", lambda *_: true_links())
-    monkeypatch.setattr(stage, "adjust_loops", lambda _, closed, __: closed.part)
+    monkeypatch.setattr(stage, "adjust_loops", lambda _, closed: closed.part)
 
 
 def gap(submap: Submap) -> float:
@@ -182,7 +183,7 @@ def test_what_little_a_map_misses_its_loops_by_is_left_to_the_images(workspace):
     assert close_loops(seen(part), [*links, *false]).links == tuple(links)
 
 
-def rigid(part: DenseSubmap, link: LoopClosure) -> np.ndarray:
+def rigid(part: CompletedSubmap, link: LoopClosure) -> np.ndarray:
     first, second = (part.submap.world_from_camera[part.rows[k]] for k in (link.match.first, link.match.second))
     return np.linalg.inv(first) @ second
 
@@ -231,11 +232,11 @@ def test_uniting_keeps_who_saw_what(workspace):
 
 def test_the_stage_writes_what_it_did_and_resumes_from_it(workspace, frames, seen_twice):
     part = dense(workspace)
-    refined = refine_poses(frames, [part], CONFIG, workspace, SilentProgress())
+    refined = close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == [[0, 46], [4, 42], [2, 44]]
     assert gap(refined[0].submap) < gap(part.submap) / 5
-    again = refined_keyframes([part], workspace)
+    again = load_refined([part], workspace)
     np.testing.assert_array_equal(again[0].submap.world_from_camera, refined[0].submap.world_from_camera)
     np.testing.assert_array_equal(again[0].depth(46)[0], refined[0].depth(46)[0])
     folder, unit = model_sources(workspace)[0]
@@ -249,7 +250,7 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
 
     monkeypatch.setattr(stage, "close_loops", fail)
     part = dense(workspace)
-    assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
+    assert close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [part]
     assert workspace.result("refinement")["warnings"] == [
         "the loops of submap 0 were not closed: the pose graph has no solution"
     ]
@@ -259,7 +260,7 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
 def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice, monkeypatch):
     monkeypatch.setattr(stage, "adjust_loops", lambda *_: None)
     part = dense(workspace)
-    assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
+    assert close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [part]
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == []
     assert record["warnings"] == [f"the loops of submap 0 were not closed: {stage.UNHELD}"]
@@ -268,7 +269,7 @@ def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice,
 def test_without_the_stage_nothing_changes(workspace, frames):
     part = dense(workspace)
     off = CONFIG.model_copy(update={"loop_closing": LoopClosingSettings(enabled=False)})
-    assert refine_poses(frames, [part], off, workspace, SilentProgress()) == [part]
+    assert close_loops_stage(frames, [part], off.loop_closing, off.seed, workspace, SilentProgress()) == [part]
     assert not workspace.is_done("refinement")
 
 
@@ -282,10 +283,10 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     for name in ("loop_candidates", "merge_candidates"):
         monkeypatch.setattr(stage, name, lambda *_: [])
     monkeypatch.setattr(stage, "verify_loops", lambda one, other, *_: links if one is not other else [])
-    refined = refine_poses(frames, parts, CONFIG, workspace, SilentProgress())
+    refined = close_loops_stage(frames, parts, CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
     assert len(refined) == 1
     assert workspace.result("refinement")["submaps"][0]["members"] == [0, 1]
-    again = refined_keyframes(parts, workspace)
+    again = load_refined(parts, workspace)
     np.testing.assert_array_equal(again[0].submap.frames, refined[0].submap.frames)
     np.testing.assert_array_equal(again[0].rows, refined[0].rows)
     np.testing.assert_allclose(again[0].submap.centres[again[0].submap.frames >= 28], whole.centres[28:], atol=0.01)
@@ -296,7 +297,7 @@ def test_submaps_without_completed_keyframes_pass_through(workspace, frames, see
     """What depth could not complete must not end the run, alone or beside a submap that closes its loops."""
     part = dense(workspace)
     empty = replace(part, rows=part.rows[:0])
-    refined = refine_poses(frames, [part, empty], CONFIG, workspace, SilentProgress())
+    refined = close_loops_stage(frames, [part, empty], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
     assert [len(each) for each in refined] == [len(part), 0]
     assert refined[0].depth_scale is not None
     assert refined[1].depth_scale is None
@@ -309,5 +310,5 @@ def test_maps_that_must_stay_are_not_touched(workspace, frames, seen_twice, why)
     else:
         workspace.finish("structure", mapper="global", units=[2.0])
     part = dense(workspace)
-    assert refine_poses(frames, [part], CONFIG, workspace, SilentProgress()) == [part]
+    assert close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [part]
     assert not workspace.is_done("refinement")

@@ -13,7 +13,7 @@ from pipeline.loop_closing.keyframe_pose_graph import MIN_TIE, REACH, _tied
 def test_places_lie_near_enough_to_support_each_other(monkeypatch, count):
     monkeypatch.setattr(loops, "SparseDepthMaker", lambda *_: None)
     monkeypatch.setattr(loops, "RayTable", lambda *_: None)
-    monkeypatch.setattr(loops, "_lifted", lambda part, maker, rays, row, frames: row)
+    monkeypatch.setattr(loops, "_lifted", lambda part, maker, rays, row: row)
     workspace = SimpleNamespace(config=SimpleNamespace(sparse=None))
 
     class Part:
@@ -24,7 +24,7 @@ def test_places_lie_near_enough_to_support_each_other(monkeypatch, count):
             return count
 
     Part.workspace = workspace
-    found = loops.find_features(Part(), None, 60).features
+    found = loops.find_features(Part(), 60).features
     assert found[0] == 0
     assert np.diff(np.append(found, 3 * count)).max() / 3 < REACH
     assert len(found) <= 60 or count > 480

@@ -11,7 +11,8 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
-from pipeline.depth.completion_stage import DenseSubmap
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
 from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
@@ -45,7 +46,7 @@ def bent() -> np.ndarray:
 
 
 @cache
-def seen() -> tuple[DenseSubmap, list[KeyframeFeatures], Sim3Match]:
+def seen() -> tuple[CompletedSubmap, list[KeyframeFeatures], Sim3Match]:
     """The bent map's keyframes, each with the true pixels of what it sees; one link from the end to the start."""
     rng, true, nodes = np.random.default_rng(0), circle(COUNT), bent()
     cloud = rng.uniform([-6, -1.5, -6], [6, 1.5, 6], (1400, 3))
@@ -66,7 +67,9 @@ def seen() -> tuple[DenseSubmap, list[KeyframeFeatures], Sim3Match]:
     submap = Submap(
         np.arange(COUNT), poses, np.zeros((0, 3)), np.zeros(0), nothing.astype(np.int64), nothing, CAMERA.params
     )
-    part = DenseSubmap(submap, make_rectifier(CAMERA, 120), np.arange(COUNT), Workspace(Path("unused")))
+    part = CompletedSubmap(
+        submap, make_rectifier(CAMERA, 120), np.arange(COUNT), DiskKeyframes(Workspace(Path("unused")))
+    )
     rows = np.intersect1d(ids[0], ids[-1], return_indices=True)[1:]
     return part, places, Sim3Match(0, COUNT - 1, np.eye(4), np.column_stack(rows))
 
@@ -174,7 +177,7 @@ def test_links_between_places_are_those_of_keyframes(monkeypatch):
     some = SubmapFeatures(part, [places[0], places[20], places[-1]], RayTable(CAMERA))
     loop = LoopClosure(replace(link, second=2), np.eye(7))
     closed = Closed(part, 1, 1, (loop,), ((0, COUNT - 1),))
-    adjusted = adjust_loops(some, closed, None)
+    adjusted = adjust_loops(some, closed)
     expected = adjust_nodes(part, places, [link], nodes_of(part, part))[1]
     np.testing.assert_allclose(nodes_of(part, adjusted), expected, atol=1e-9)
 

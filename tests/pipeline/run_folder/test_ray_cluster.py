@@ -49,7 +49,7 @@ def test_chunks_on_a_local_cluster_are_those_of_processes(tmp_path):
     for name, run in (("ray", ray_run("local")), ("here", local_run(2))):
         (tmp_path / name).mkdir()
         workspace, frames = stored(tmp_path / name, IMAGES[:30])
-        jobs = jobs_of(frames.index, CAMERA, [range(18), range(8, 30)], Config(), workspace)
+        jobs = jobs_of(frames.index, CAMERA, [range(18), range(8, 30)], Config().front_end_settings, workspace)
         maps, seams = track_chunks(jobs, RAYS, run, SilentProgress())
         assert seams.chunks == 2
         assert len(list(scratch(workspace).glob("*.npz"))) == 2
@@ -62,6 +62,6 @@ def test_chunks_on_a_local_cluster_are_those_of_processes(tmp_path):
 def test_a_chunk_that_fails_on_the_cluster_is_one_sentence(tmp_path):
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'haustra[cluster]'")
     workspace, frames = stored(tmp_path, IMAGES[:5])
-    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], Config(), workspace)
+    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], Config().front_end_settings, workspace)
     with pytest.raises(HaustraError, match=r"chunk 0 failed: .*missing or damaged"):
         track_chunks([job], RAYS, ray_run("local"), SilentProgress())

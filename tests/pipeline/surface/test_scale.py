@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.config import Config
 from pipeline.mapping.submap import Submap
-from pipeline.surface.scale import find_scale
+from pipeline.surface.scale import ScaleSource, find_scale
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -53,7 +52,7 @@ def submap_of(poses):
 
 def test_the_lumen_sets_millimetres():
     vertices, faces, poses = bent_tube(radius=0.8, bend=9.0)
-    scale = find_scale(Config(lumen_mm=48.0), submap_of(poses), SurfaceMesh.from_triangles(vertices, faces))
+    scale = find_scale(ScaleSource(lumen_mm=48.0), submap_of(poses), SurfaceMesh.from_triangles(vertices, faces))
     assert scale.unit == "mm"
     assert scale.factor == pytest.approx(30.0, rel=0.02)
 
@@ -63,10 +62,10 @@ def test_scale_files(tmp_path):
     mesh = SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]])
     path = tmp_path / "scale.yaml"
     path.write_text("mm_per_unit: 2.5")
-    assert find_scale(Config(scale_file=str(path)), submap_of(poses), mesh).factor == 2.5
+    assert find_scale(ScaleSource(file=path), submap_of(poses), mesh).factor == 2.5
     path.write_text("frame_a: 0\nframe_b: 7\ndistance_mm: 12.0")
     true = np.linalg.norm(poses[7, :3, 3] - poses[0, :3, 3])
-    assert find_scale(Config(scale_file=str(path)), submap_of(poses), mesh).factor == pytest.approx(12 / true)
+    assert find_scale(ScaleSource(file=path), submap_of(poses), mesh).factor == pytest.approx(12 / true)
     for text, words in (
         ("frame_a: 0\nframe_b: 99\ndistance_mm: 12.0", "frame 99 of the scale file"),
         ("mm_per_unit: -1", "positive numbers"),
@@ -77,9 +76,9 @@ def test_scale_files(tmp_path):
     ):
         path.write_text(text)
         with pytest.raises(HaustraError, match=words):
-            find_scale(Config(scale_file=str(path)), submap_of(poses), mesh)
+            find_scale(ScaleSource(file=path), submap_of(poses), mesh)
 
 
 def test_no_scale_stays_scene():
-    scale = find_scale(Config(), submap_of(np.eye(4)[None]), SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]))
+    scale = find_scale(ScaleSource(), submap_of(np.eye(4)[None]), SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]))
     assert (scale.factor, scale.unit) == (1.0, "scene")

@@ -154,7 +154,7 @@ def test_votes_are_those_of_matrices(fold: bool) -> None:
 
 
 class Keyframes:
-    """As much of a `DenseSubmap` as the check looks at."""
+    """As much of a `CompletedSubmap` as the check looks at."""
 
     def __init__(self, frames: list[DepthView]) -> None:
         self.frames, self.rows = frames, np.arange(len(frames))

@@ -14,10 +14,11 @@ from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import transform_points
 from pipeline.config import Config, OdometrySettings, load_config
-from pipeline.frontend.odometry import chunks, front_end
+from pipeline.frontend.odometry import chunks, finish_maps
 from pipeline.frontend.odometry.chunk_stitching import first_from_second
 from pipeline.frontend.odometry.chunks import cut, jobs_of, local_run, scratch, sew, track_chunks
 from pipeline.frontend.odometry.front_end import track_frames
+from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.map_io import load_maps, save_maps
 from pipeline.mapping.submap_merging import Merged
@@ -27,6 +28,7 @@ from tests.helpers import textured_tube
 from tests.helpers.processes import alive
 from tests.helpers.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
 
+SETTINGS = Config().front_end_settings
 COUNT = 44
 TRUE = np.stack([camera_at(k) for k in range(COUNT)])
 IMAGES = [render(pose) for pose in TRUE]
@@ -124,12 +126,13 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     true = np.stack([camera_at(k) for k in range(72)])
     images = IMAGES + [render(pose) for pose in true[COUNT:]]
     workspace, frames = stored(tmp_path, images)
-    result = track_frames(frames, Config(odometry=OdometrySettings(chunks=3)), workspace, SilentProgress())
+    settings = Config(odometry=OdometrySettings(chunks=3)).front_end_settings
+    result = track_frames(frames, settings, workspace, SilentProgress())
     assert result.seams == chunks.Seams(2, 1), "three would be too short"
     (submap,) = result.submaps
     assert submap.frames.tolist() == list(range(72))
     assert trajectory_errors(submap.world_from_camera, true).ate_rmse < 0.1
-    jobs = jobs_of(frames.index, CAMERA, cut(72, 3), Config(), workspace)
+    jobs = jobs_of(frames.index, CAMERA, cut(72, 3), SETTINGS, workspace)
 
     def refuse(waiting):
         raise AssertionError("all chunks are there")
@@ -168,10 +171,10 @@ def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
     """Each frame has one depth map, and no submap is left without frames."""
     monkeypatch.setattr(chunks, "OVERLAP", 12)
     monkeypatch.setattr(chunks, "first_from_second", lambda *_: None)
-    monkeypatch.setattr(front_end, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
+    monkeypatch.setattr(finish_maps, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
     workspace, frames = stored(tmp_path, IMAGES + [render(camera_at(k)) for k in range(COUNT, 72)])
     config = Config(front_end="odometry", odometry=OdometrySettings(chunks=2))
-    submaps = solve_structure(frames, config, workspace, SilentProgress())
+    submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
     assert len(submaps) == 2
     assert min(len(submap.frames) for submap in submaps) >= 3
     assert sorted(np.concatenate([submap.frames for submap in submaps])) == list(range(72))
@@ -183,7 +186,7 @@ def test_settings_that_contradict_one_another_are_refused():
         load_config(None, odometry={"ray": "local"})
     for setting in ({"chunks": 2}, {"keyframe_motion": 0.05}):
         with pytest.raises(HaustraError, match="take odometry or auto"):
-            load_config(None, front_end="sfm", odometry=setting)
+            check_front_end("sfm", load_config(None, odometry=setting).front_end_settings)
     asked = [load_config(None, odometry={"chunks": 2, "ray": ray}) for ray in (None, "local")]
     assert asked[0].is_same_work(asked[1]), "a run may go on elsewhere"
     assert not asked[0].is_same_work(load_config(None, odometry={"chunks": 3}))
@@ -193,7 +196,7 @@ def test_settings_that_contradict_one_another_are_refused():
 
 def test_the_others_end_where_one_chunk_fails(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:20])
-    jobs = jobs_of(np.append(frames.index, 100), CAMERA, [range(20, 21), range(20)], Config(), workspace)
+    jobs = jobs_of(np.append(frames.index, 100), CAMERA, [range(20, 21), range(20)], SETTINGS, workspace)
     with pytest.raises(HaustraError, match="chunk 0 failed"):
         track_chunks(jobs, RAYS, local_run(2), SilentProgress())
     assert (scratch(workspace) / "1.json").exists()
@@ -201,7 +204,7 @@ def test_the_others_end_where_one_chunk_fails(tmp_path):
 
 def test_an_interrupt_ends_every_process_and_what_is_done_stays(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:20])
-    jobs = jobs_of(frames.index, CAMERA, [range(20), range(20)], Config(), workspace)
+    jobs = jobs_of(frames.index, CAMERA, [range(20), range(20)], SETTINGS, workspace)
     running = local_run(1)(jobs)
     while not (scratch(workspace) / "0.json").exists():
         scratch(workspace).mkdir(exist_ok=True)
@@ -214,7 +217,7 @@ def test_an_interrupt_ends_every_process_and_what_is_done_stays(tmp_path):
 
 def test_a_chunk_that_fails_names_its_log(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:5])
-    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], Config(), workspace)  # frames that are not there
+    (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], SETTINGS, workspace)  # frames that are not there
     with pytest.raises(HaustraError, match=r"chunk 0 failed .*0\.log"):
         track_chunks([job], RAYS, local_run(1), SilentProgress())
     assert "missing" in (scratch(workspace) / "0.log").read_text()

@@ -189,10 +189,10 @@ def test_matches_are_those_of_a_search_by_distance(seed):
 def test_the_structure_stage_gives_the_same_kind_of_submap_as_colmap(clip, tmp_path):
     workspace, frames = stored(tmp_path, clip[0][:30])
     config = Config(front_end="odometry")
-    (submap,) = solve_structure(frames, config, workspace, SilentProgress())
+    (submap,) = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
     assert np.median(submap.depths()) == pytest.approx(1.0)
     assert workspace.result("structure")["mapper"] == "odometry"
-    again = solve_structure(frames, config, workspace, SilentProgress())
+    again = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
     np.testing.assert_array_equal(again[0].points, submap.points)
 
 
@@ -201,7 +201,7 @@ def test_the_model_on_disk_is_one_that_colmap_reads(clip, tmp_path):
     import sys
 
     workspace, frames = stored(tmp_path, clip[0][:24])
-    (submap,) = solve_structure(frames, Config(front_end="odometry"), workspace, SilentProgress())
+    (submap,) = solve_structure(frames, "odometry", Config().front_end_settings, workspace, SilentProgress())
     code = (
         "import cv2, sys, pycolmap; m = pycolmap.Reconstruction(sys.argv[1]); i = m.find_image_with_name('000010.jpg');"
         "print(m.num_reg_images(), m.num_points3D(), m.compute_mean_reprojection_error(), *i.projection_center())"
@@ -219,4 +219,4 @@ def test_the_model_on_disk_is_one_that_colmap_reads(clip, tmp_path):
 def test_a_camera_that_does_not_move_is_one_sentence(clip, tmp_path):
     workspace, frames = stored(tmp_path, [clip[0][0]] * 5)
     with pytest.raises(HaustraError, match="does not move"):
-        solve_structure(frames, Config(front_end="odometry"), workspace, SilentProgress())
+        solve_structure(frames, "odometry", Config().front_end_settings, workspace, SilentProgress())

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
-from pipeline.frontend.odometry import front_end
+from pipeline.frontend.odometry import self_calibration
 from pipeline.frontend.odometry.self_calibration import MAX_FOCAL_SIGMA, MIN_VIEWS, Lens, refine_lens, thinned
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
@@ -167,11 +167,15 @@ def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkey
             return Lens(camera, (9.0,), False)
         return Lens(replace(camera, params=(focal, *camera.params[1:])), (0.1 * len(seen),), True)
 
-    monkeypatch.setattr(front_end, "refine_lens", refine)
-    monkeypatch.setattr(front_end, "_with_lens", lambda maps, camera, *_: [camera.params[0]])
-    monkeypatch.setattr(front_end, "_submaps", lambda maps, params, kind=None: [replace(whole, camera_params=params)])
+    monkeypatch.setattr(self_calibration, "refine_lens", refine)
+    monkeypatch.setattr(self_calibration, "_with_lens", lambda maps, camera, *_: [camera.params[0]])
+    monkeypatch.setattr(
+        self_calibration, "submaps_of", lambda maps, params, kind=None: [replace(whole, camera_params=params)]
+    )
     workspace = SimpleNamespace(log=None)
-    camera, sigma, held = front_end._better_lens(maps, [GUESS.params[0]], GUESS, 0, None, workspace, SilentProgress())
+    camera, sigma, held = self_calibration.refine_intrinsics(
+        maps, [GUESS.params[0]], GUESS, 0, None, workspace, SilentProgress()
+    )
     assert len(seen) == asked
     assert all(of_map == of_camera for of_map, of_camera in seen)
     assert camera.params[0] == last == held[0]
@@ -188,8 +192,8 @@ def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkey
     ],
 )
 def test_a_lens_shifts_nothing_against_itself_and_pixels_by_its_focal_length_against_another(camera):
-    assert front_end.lens_shift(camera, camera) < 2e-4
+    assert self_calibration.lens_shift(camera, camera) < 2e-4
     longer = replace(camera, params=(1.01 * camera.params[0], *camera.params[1:]))
     # A pixel at radius r moves by r / 100, or by less where the lens compresses; the whole picture's RMS radius is 0.41
     # widths, and that of what has a ray is less.
-    assert 0.0015 < front_end.lens_shift(camera, longer) < 0.0042
+    assert 0.0015 < self_calibration.lens_shift(camera, longer) < 0.0042

@@ -97,8 +97,8 @@ def test_keyframe_motion_reaches_the_tracker_in_one_go_and_in_chunks(tmp_path):
     for motion in (OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION):
         config = Config(odometry=OdometrySettings(keyframe_motion=motion))
         with SiftCache(frame_reader(workspace)) as features:
-            (whole,), _ = front_end._tracked(frames, config, features, workspace, SilentProgress())
-        (job,) = jobs_of(frames.index, CAMERA, [range(50)], config, workspace)
+            (whole,), _ = front_end._tracked(frames, config.front_end_settings, features, workspace, SilentProgress())
+        (job,) = jobs_of(frames.index, CAMERA, [range(50)], config.front_end_settings, workspace)
         job["output"] = str(tmp_path / "chunks" / "0.npz")
         track(job)
         (chunk,) = load_maps(Path(job["output"]), RayTable(CAMERA))
@@ -131,7 +131,7 @@ def test_libraries_keep_to_one_thread_while_frames_are_tracked_and_get_theirs_ba
         cv2.setNumThreads(3)
         with threadpool_limits(2, "blas"):
             with pytest.raises(InterruptedError):
-                solve_structure(frames, Config(front_end="odometry"), workspace, SilentProgress())
+                solve_structure(frames, "odometry", Config().front_end_settings, workspace, SilentProgress())
             assert threads() == (3, 2)
     finally:
         cv2.setNumThreads(before)

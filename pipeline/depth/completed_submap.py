@@ -1,0 +1,64 @@
+"""A submap with the completed depth of its keyframes, read from where they are kept one at a time."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from pipeline.depth.keyframe_store import KeyframeStore
+from pipeline.depth.rectification import Rectifier
+from pipeline.mapping.submap import Submap
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A completed frame as fusion takes it: pinhole image, z-depth in scene units (0 = none), confidence, pose."""
+
+    index: int
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    world_from_camera: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CompletedSubmap:
+    """The keyframes of one submap, read from disk one at a time."""
+
+    submap: Submap
+    rectifier: Rectifier
+    rows: NDArray[np.int64]  # of the keyframes in the submap
+    store: KeyframeStore
+    depth_scale: NDArray[np.float64] | None = None  # (N,) for every frame of the submap: factor on its stored depth
+
+    @property
+    def camera(self) -> Camera:
+        return self.rectifier.camera
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Keyframe]:
+        for row in self.rows:
+            yield self.keyframe(int(row))
+
+    def keyframe(self, row: int) -> Keyframe:
+        return Keyframe(int(self.submap.frames[row]), self.rgb(row), *self.depth(row))
+
+    def rgb(self, row: int) -> NDArray[np.uint8]:
+        """The rectified picture (H,W,3) of a frame."""
+        return self.rectifier.image(self.store.rgb(int(self.submap.frames[row])))
+
+    def mask(self, row: int) -> NDArray[np.uint8]:
+        """The rectified mask (H,W) of a frame, nonzero where features may lie."""
+        return self.rectifier.mask(self.store.mask(int(self.submap.frames[row])))
+
+    def depth(self, row: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+        """Depth, confidence and pose of a keyframe, without its image."""
+        index = int(self.submap.frames[row])
+        depth = self.store.depth(index)
+        if self.depth_scale is not None:
+            depth *= np.float32(self.depth_scale[row])
+        return depth, self.store.confidence(index), self.submap.world_from_camera[row]

@@ -1,0 +1,49 @@
+"""Where the pictures and the completed depth of keyframes are kept, by the number of the frame in the source."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import HaustraError
+from pipeline.depth.depth_io import read_confidence, read_depth
+from pipeline.input.frames import read_image
+from pipeline.run_folder.workspace import Workspace
+
+
+class KeyframeStore(Protocol):
+    """rgb (H,W,3) uint8 and mask (H,W) uint8 as stored, with the lens's distortion; depth (H,W) float32 z-depth in
+    scene units, 0 = none, and confidence (H,W) float32 in [0,1], both rectified."""
+
+    def rgb(self, frame: int) -> NDArray[np.uint8]: ...
+
+    def mask(self, frame: int) -> NDArray[np.uint8]: ...
+
+    def depth(self, frame: int) -> NDArray[np.float32]: ...
+
+    def confidence(self, frame: int) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True)
+class DiskKeyframes:
+    """Keyframes of a run folder. What is missing or damaged raises `HaustraError`."""
+
+    workspace: Workspace
+
+    def rgb(self, frame: int) -> NDArray[np.uint8]:
+        return read_image(self.workspace.image_path(frame))
+
+    def mask(self, frame: int) -> NDArray[np.uint8]:
+        path = self.workspace.mask_path(frame)
+        mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if mask is None:
+            raise HaustraError(f"{path} is missing or damaged; start the run anew with --overwrite")
+        return mask
+
+    def depth(self, frame: int) -> NDArray[np.float32]:
+        return read_depth(self.workspace.depth_path(frame))
+
+    def confidence(self, frame: int) -> NDArray[np.float32]:
+        return read_confidence(self.workspace.confidence_path(frame))
