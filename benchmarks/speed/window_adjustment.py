@@ -120,7 +120,7 @@ def _ceres_problem(
     lens = pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=camera.params)
     lens.camera_id = 1
     model.add_camera_with_trivial_rig(lens)
-    pixels = window.seen * camera.focal + camera.centre
+    pixels = window.xy * camera.focal + camera.centre
     row_in_image = np.arange(len(window.camera)) - np.searchsorted(window.camera, window.camera)
     for number, (rotation, translation) in enumerate(zip(window.rotation, window.translation, strict=True)):
         image = pycolmap.Image(f"{number}", pixels[window.camera == number], 1, number + 1)
@@ -176,7 +176,7 @@ def _gtsam_problem(window: Bundle, camera: Camera) -> tuple[gtsam.NonlinearFacto
         gtsam.noiseModel.mEstimator.Cauchy.Create(LOSS_PX), gtsam.noiseModel.Unit.Create(2)
     )
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    pixels = window.seen * camera.focal + camera.centre
+    pixels = window.xy * camera.focal + camera.centre
     for pixel, number, point in zip(pixels, window.camera.tolist(), window.point.tolist(), strict=True):
         graph.add(gtsam.GenericProjectionFactorCal3_S2(pixel, noise, X(number), L(point), lens))
     for number, (rotation, translation) in enumerate(zip(window.rotation, window.translation, strict=True)):

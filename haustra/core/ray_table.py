@@ -1,8 +1,8 @@
-"""Pixels of any camera model as points of the plane z = 1, so that the geometry knows no lens.
+"""Pixels of any lens model as points of the plane z = 1, so that the geometry behind it knows no lens.
 
-A residual is measured where the noise is, in pixels: to first order about an observation it is `gain @ (n - n_seen)`
-with `gain` = d pixel / d n at the observation. For a pinhole that is exact. Both maps are tabulated once per camera, on
-the corners of the pixels, and read by bilinear interpolation; nothing is solved per frame.
+A residual is measured where the noise is, in pixels: to first order about an observation it is `jacobian @ (xy -
+xy_observed)` with `jacobian` = d pixel / d xy there. For a pinhole that is exact. Rays and jacobians are tabulated once
+per camera, on the corners of the pixels, and read by bilinear interpolation; nothing is solved per frame.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ class RayTable:
         """The mask (H,W) without the pixels that have no ray here: past the widest angle or outside the lens model."""
         return np.where(self.usable > 0, mask, 0).astype(np.uint8)
 
-    def look_up(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def unproject(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(N,2) pixels, COLMAP's convention -> (N,2) on the plane z = 1 and (N,2,2) gain, pixels per unit there."""
         limit = np.array([self.camera.width, self.camera.height]) - 1e-6
         inside = np.clip(np.asarray(pixels, np.float64), 0, limit)
@@ -55,7 +55,7 @@ class RayTable:
             pixels[front] = self.camera.project(np.asarray(points[front], np.float64))
         return pixels
 
-    def seen_at(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def project_valid(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(N,3) camera points -> (N,2) pixels; NaN also where the pixel's own ray leads elsewhere.
 
         A polynomial lens turns back on itself far outside its picture: what comes back into it was never there.
@@ -63,7 +63,7 @@ class RayTable:
         pixels = self.project(points)
         known = np.isfinite(pixels).all(axis=1)
         plane = points[known, :2] / points[known, 2:]
-        off = np.linalg.norm(self.look_up(pixels[known])[0] - plane, axis=1)
+        off = np.linalg.norm(self.unproject(pixels[known])[0] - plane, axis=1)
         lost = ~(off <= ROUND_TRIP * (1 + np.linalg.norm(plane, axis=1)))
         pixels[np.flatnonzero(known)[lost]] = np.nan
         return pixels
@@ -98,10 +98,10 @@ def unproject(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.f
         off = pixels[left] - camera.project(_on_plane(plane[left]))
         far = np.abs(off).max(axis=1) > SETTLED_PX
         left, off = left[far], off[far]
-        gain = _gain(camera, plane[left])
-        singular = np.abs(np.linalg.det(gain)) < 1e-6
-        gain[singular] = np.eye(2) * camera.focal[0]
-        step = np.linalg.solve(gain, off[:, :, None])[:, :, 0]
+        jacobian = _gain(camera, plane[left])
+        singular = np.abs(np.linalg.det(jacobian)) < 1e-6
+        jacobian[singular] = np.eye(2) * camera.focal[0]
+        step = np.linalg.solve(jacobian, off[:, :, None])[:, :, 0]
         plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
     misfit = np.linalg.norm(pixels - camera.project(_on_plane(plane)), axis=1)
     return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < WIDEST)

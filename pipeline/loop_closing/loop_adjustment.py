@@ -178,8 +178,8 @@ def _at(bundle: Bundle, depth: Array, rows: NDArray[np.int64]) -> tuple[Bundle, 
         bundle,
         camera=bundle.camera[rows],
         point=bundle.point[rows],
-        seen=bundle.seen[rows],
-        gain=bundle.gain[rows],
+        xy=bundle.xy[rows],
+        jacobian=bundle.jacobian[rows],
     )
     return kept, depth[rows]
 

@@ -111,7 +111,7 @@ def _match_pair(
     """
     here, there = (features[number] for number in pair)
     first, second = (local_map.keyframes[number].pose for number in pair)
-    expected = local_map.rays.seen_at(in_camera(second, here.world_points(first)))
+    expected = local_map.rays.project_valid(in_camera(second, here.world_points(first)))
     rows = match_near(expected, there.pixels, roots(pair[0]), roots(pair[1]), elsewhere[pair[0]], _radius(local_map))
     before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]
     way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)

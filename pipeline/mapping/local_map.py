@@ -70,18 +70,18 @@ class Tracks:
 
 @dataclass
 class Keyframe:
-    """camera_from_world pose (4,4); ids (N,), pixels (N,2), seen (N,2) and gain (N,2,2) of the tracks in it."""
+    """camera_from_world pose (4,4); ids (N,), pixels (N,2), xy (N,2) and jacobian (N,2,2) of the tracks in it."""
 
     frame: int
     pose: Array
     ids: NDArray[np.int64]
     pixels: Array
-    seen: Array
-    gain: Array
+    xy: Array
+    jacobian: Array
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
-        self.ids, self.pixels, self.seen = self.ids[mask], self.pixels[mask], self.seen[mask]
-        self.gain = self.gain[mask]
+        self.ids, self.pixels, self.xy = self.ids[mask], self.pixels[mask], self.xy[mask]
+        self.jacobian = self.jacobian[mask]
 
 
 @dataclass(frozen=True)
@@ -119,23 +119,26 @@ class LocalMap:
 
     def add_keyframe(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
         pixels = np.asarray(pixels, np.float64)
-        seen, gain = self.rays.look_up(pixels)
-        self.keyframes.append(Keyframe(frame, pose, ids.copy(), pixels, seen, gain))
+        xy, jacobian = self.rays.unproject(pixels)
+        self.keyframes.append(Keyframe(frame, pose, ids.copy(), pixels, xy, jacobian))
 
     def extend(self, number: int, ids: NDArray[np.int64], pixels: Array) -> None:
         """More tracks that keyframe `number` sees."""
         keyframe = self.keyframes[number]
         pixels = np.asarray(pixels, np.float64)
-        seen, gain = self.rays.look_up(pixels)
+        xy, jacobian = self.rays.unproject(pixels)
         keyframe.ids = np.concatenate([keyframe.ids, ids])
         keyframe.pixels = np.concatenate([keyframe.pixels, pixels])
-        keyframe.seen, keyframe.gain = np.concatenate([keyframe.seen, seen]), np.concatenate([keyframe.gain, gain])
+        keyframe.xy, keyframe.jacobian = (
+            np.concatenate([keyframe.xy, xy]),
+            np.concatenate([keyframe.jacobian, jacobian]),
+        )
 
     def recalibrate(self, rays: RayTable) -> None:
         """Another lens: what the keyframes saw, in new rays. Poses and points must then be adjusted."""
         self.rays = rays
         for keyframe in self.keyframes:
-            keyframe.seen, keyframe.gain = rays.look_up(keyframe.pixels)
+            keyframe.xy, keyframe.jacobian = rays.unproject(keyframe.pixels)
 
     def insert_tracks(self, points: Array, kind: TrackKind) -> NDArray[np.int64]:
         """Numbers (N,) of new tracks with points (N,3), after all others."""
@@ -187,9 +190,9 @@ class LocalMap:
             return
         fresh, point = np.unique(ids[order], return_inverse=True)
         poses = np.stack([k.pose for k in recent])[row[order]]
-        seen = np.concatenate([k.seen for k in recent])[order]
-        gain = np.concatenate([k.gain for k in recent])[order]
-        found, error, angle = triangulate(poses[:, :3, :3], poses[:, :3, 3], point, len(fresh), seen, gain)
+        xy = np.concatenate([k.xy for k in recent])[order]
+        jacobian = np.concatenate([k.jacobian for k in recent])[order]
+        found, error, angle = triangulate(poses[:, :3, :3], poses[:, :3, 3], point, len(fresh), xy, jacobian)
         good = (error < MAX_BIRTH_ERROR_PX) & (angle > min_angle)
         tracks.points[fresh[good]] = found[good]
         tracks.known[fresh[good]] = True

@@ -199,8 +199,8 @@ def _bundle(
         local_map.tracks.points[tracks],
         np.repeat(np.arange(len(cameras)), [int(m.sum()) for m in masks]),
         point,
-        np.concatenate([k.seen[m] for k, m in zip(cameras, masks, strict=True)]),
-        np.concatenate([k.gain[m] for k, m in zip(cameras, masks, strict=True)]),
+        np.concatenate([k.xy[m] for k, m in zip(cameras, masks, strict=True)]),
+        np.concatenate([k.jacobian[m] for k, m in zip(cameras, masks, strict=True)]),
         fixed,
     )
     return bundle, tracks

@@ -56,7 +56,7 @@ class MapFeatures:
         """camera_from_world (4,4) of the keyframe that features `number` belong to."""
         return self.map.keyframes[self.features[number].keyframe].pose
 
-    def seen(self, number: int, rows: NDArray[np.int64]) -> Correspondences:
+    def correspondences(self, number: int, rows: NDArray[np.int64]) -> Correspondences:
         """Some of the features in the map's world."""
         return correspondences(self.features[number], rows, self.map.rays, self.pose(number))
 
@@ -116,7 +116,9 @@ def _verified(maps: Maps, i: int, j: int, rng: np.random.Generator) -> Sim3Match
 
 def _sides(match: Sim3Match, maps: Maps) -> tuple[Correspondences, Correspondences]:
     """The inliers of a match in either world."""
-    return maps[0].seen(match.first, match.rows[:, 0]), maps[1].seen(match.second, match.rows[:, 1])
+    return maps[0].correspondences(match.first, match.rows[:, 0]), maps[1].correspondences(
+        match.second, match.rows[:, 1]
+    )
 
 
 def _agreeing(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
@@ -164,7 +166,7 @@ def _pairs_around(matches: list[Sim3Match], maps: Maps) -> list[_Candidate]:
 
 def _candidate(i: int, j: int, maps: Maps) -> _Candidate:
     rows = candidate_rows(maps[0].features[i], maps[1].features[j])
-    return _Candidate(i, j, rows, (maps[0].seen(i, rows[:, 0]), maps[1].seen(j, rows[:, 1])))
+    return _Candidate(i, j, rows, (maps[0].correspondences(i, rows[:, 0]), maps[1].correspondences(j, rows[:, 1])))
 
 
 def _support(similarity: Array, asked: list[_Candidate], maps: Maps) -> list[Sim3Match]:

@@ -126,7 +126,7 @@ def _see_again(
     rows = match_descriptors(descriptors, other.rootsift)
     if len(rows) == 0:
         return
-    seen, gain = whole.rays.look_up(other.pixels[rows[:, 1]])
+    xy, jacobian = whole.rays.unproject(other.pixels[rows[:, 1]])
     pose, points = whole.keyframes[other.keyframe].pose, whole.tracks.points[ids[rows[:, 0]]]
-    near = reprojection_errors(pose, points, seen, gain) < MAX_NEIGHBOUR_PX
+    near = reprojection_errors(pose, points, xy, jacobian) < MAX_NEIGHBOUR_PX
     whole.extend(other.keyframe, ids[rows[near, 0]], other.pixels[rows[near, 1]])

@@ -79,11 +79,11 @@ def _refine(
     for first in range(0, len(poses), CHUNK):
         part = slice(*np.searchsorted(row, [first, first + CHUNK]))
         block = poses[first : first + CHUNK]
-        seen, gain = local_map.rays.look_up(pixels[part])
+        xy, jacobian = local_map.rays.unproject(pixels[part])
         points, mine = local_map.tracks.points[ids[part]], row[part] - first
-        rotation, shift = refine_poses(block[:, :3, :3], block[:, :3, 3], mine, points, seen, gain, LOSS_PX)
+        rotation, shift = refine_poses(block[:, :3, :3], block[:, :3, 3], mine, points, xy, jacobian, LOSS_PX)
         poses[first : first + CHUNK] = [compose(r, t) for r, t in zip(rotation, shift, strict=True)]
         local = np.einsum("mij,mj->mi", rotation[mine], points) + shift[mine]
-        off = np.linalg.norm(reprojections(local, seen, gain), axis=1)
+        off = np.linalg.norm(reprojections(local, xy, jacobian), axis=1)
         errors[part] = np.where(local[:, 2] > 1e-9, off, np.inf)
     return poses, errors

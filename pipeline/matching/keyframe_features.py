@@ -73,8 +73,8 @@ def lift_features(
     if extrapolate:
         inverse_depth[outside] = 1 / depth[cKDTree(pixels).query(found.pixels[outside])[1]]
     good = np.isfinite(inverse_depth)
-    seen, _ = rays.look_up(found.pixels[good])
-    points = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) / inverse_depth[good, None]
+    xy, _ = rays.unproject(found.pixels[good])
+    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) / inverse_depth[good, None]
     return KeyframeFeatures(
         keyframe, found.pixels[good], found.descriptors[good], points, found.sizes[good], outside[good]
     )

@@ -49,10 +49,10 @@ def correspondences(
     features: KeyframeFeatures, rows: Rows, rays: RayTable, camera_from_world: Array | None = None
 ) -> Correspondences:
     """Features `rows` (K,) with their points in a world; without one in the camera's own axes."""
-    seen, gain = rays.look_up(features.pixels[rows])
+    xy, jacobian = rays.unproject(features.pixels[rows])
     if camera_from_world is None:
-        return Correspondences(features.points[rows], np.eye(4), seen, gain)
-    return Correspondences(features.world_points(camera_from_world)[rows], camera_from_world, seen, gain)
+        return Correspondences(features.points[rows], np.eye(4), xy, jacobian)
+    return Correspondences(features.world_points(camera_from_world)[rows], camera_from_world, xy, jacobian)
 
 
 def verify_match(

@@ -21,25 +21,26 @@ BATCH = 64  # samples judged at once
 
 @dataclass(frozen=True)
 class Correspondences:
-    """One map's view of the shared points: points (N,3) in its world, camera_from_world pose, seen (N,2), gain."""
+    """One map's view of the shared points: points (N,3) in its world, camera_from_world pose, xy (N,2), gain."""
 
     points: Array
     pose: Array
-    seen: Array
-    gain: Array
+    xy: Array
+    jacobian: Array
 
     def at(self, rows: NDArray) -> "Correspondences":
-        return replace(self, points=self.points[rows], seen=self.seen[rows], gain=self.gain[rows])
+        return replace(self, points=self.points[rows], xy=self.xy[rows], jacobian=self.jacobian[rows])
 
 
 @dataclass(frozen=True)
 class StackedCorrespondences:
-    """Several sides one after another, to be asked at once: points (M,3), seen (M,2), gain (M,2,2), the side (M,) that
-    each belongs to, and of each side the pose, rotation (S,3,3) and shift (S,3), and where it begins, starts (S,)."""
+    """Correspondences of several cameras one after another: points (M,3), xy (M,2), jacobian (M,2,2), the number of the
+    camera (M,) that each belongs to; of each, camera_from_world as rotation (S,3,3) and shift (S,3), and where its
+    points begin, starts (S,)."""
 
     points: Array
-    seen: Array
-    gain: Array
+    xy: Array
+    jacobian: Array
     side: NDArray[np.int64]
     rotation: Array
     shift: Array
@@ -51,8 +52,8 @@ class StackedCorrespondences:
         poses = np.stack([side.pose for side in sides])
         return StackedCorrespondences(
             np.concatenate([side.points for side in sides]),
-            np.concatenate([side.seen for side in sides]),
-            np.concatenate([side.gain for side in sides]),
+            np.concatenate([side.xy for side in sides]),
+            np.concatenate([side.jacobian for side in sides]),
             np.repeat(np.arange(len(sides)), counts),
             np.ascontiguousarray(poses[:, :3, :3]),
             np.ascontiguousarray(poses[:, :3, 3]),
@@ -64,7 +65,7 @@ class StackedCorrespondences:
         if points.shape != self.points.shape:
             raise ValueError(f"{self.points.shape} was seen, not {points.shape}")  # the kernel checks no index
         return moved_residuals(
-            np.ascontiguousarray(transform), points, self.rotation, self.shift, self.side, self.seen, self.gain
+            np.ascontiguousarray(transform), points, self.rotation, self.shift, self.side, self.xy, self.jacobian
         )
 
     def errors(self, transform: Array, points: Array) -> Array:
@@ -79,8 +80,8 @@ def similarity_errors(second_from_first: Array, first: Correspondences, second: 
     ahead = transform_points(second_from_first, first.points)
     back = transform_points(np.linalg.inv(second_from_first), second.points)
     return np.maximum(
-        reprojection_errors(second.pose, ahead, second.seen, second.gain),
-        reprojection_errors(first.pose, back, first.seen, first.gain),
+        reprojection_errors(second.pose, ahead, second.xy, second.jacobian),
+        reprojection_errors(first.pose, back, first.xy, first.jacobian),
     )
 
 
@@ -166,17 +167,17 @@ def _errors_of_each(transforms: Array, first: Correspondences, second: Correspon
     """(K,N) `similarity_errors` of K transforms (K,4,4)."""
     ahead, back = second.pose @ transforms, first.pose @ np.linalg.inv(transforms)
     return np.maximum(
-        _reprojected(ahead, first.points, second.seen, second.gain),
-        _reprojected(back, second.points, first.seen, first.gain),
+        _reprojected(ahead, first.points, second.xy, second.jacobian),
+        _reprojected(back, second.points, first.xy, first.jacobian),
     )
 
 
-def _reprojected(camera_from_world: Array, points: Array, seen: Array, gain: Array) -> Array:
+def _reprojected(camera_from_world: Array, points: Array, xy: Array, jacobian: Array) -> Array:
     """(K,N) pixels by which points (N,3) miss their places under each of (K,4,4), affine; infinite behind it."""
     local = points @ np.swapaxes(camera_from_world[:, :3, :3], 1, 2) + camera_from_world[:, None, :3, 3]
     front = local[:, :, 2] > 1e-9
-    off = local[:, :, :2] / np.where(front, local[:, :, 2], 1.0)[:, :, None] - seen
-    return np.where(front, np.linalg.norm(np.einsum("nij,knj->kni", gain, off), axis=2), np.inf)
+    off = local[:, :, :2] / np.where(front, local[:, :, 2], 1.0)[:, :, None] - xy
+    return np.where(front, np.linalg.norm(np.einsum("nij,knj->kni", jacobian, off), axis=2), np.inf)
 
 
 def verified_similarity(

@@ -22,8 +22,8 @@ TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustmen
 class Bundle:
     """Cameras (C), points (P) and observations (M), sorted by camera.
 
-    rotation (C,3,3), translation (C,3): camera_from_world. points (P,3). camera, point: (M,) rows. seen (M,2) on the
-    plane z = 1, gain (M,2,2) pixels per unit there. fixed (C,) cameras that stay.
+    rotation (C,3,3), translation (C,3): camera_from_world. points (P,3). camera, point: (M,) rows. xy (M,2) on the
+    plane z = 1, jacobian (M,2,2) pixels per unit there. fixed (C,) cameras that stay.
     """
 
     rotation: Array
@@ -31,19 +31,19 @@ class Bundle:
     points: Array
     camera: NDArray[np.int64]
     point: NDArray[np.int64]
-    seen: Array
-    gain: Array
+    xy: Array
+    jacobian: Array
     fixed: NDArray[np.bool_]
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64], Array, Array]:
         """All but `fixed`, as the kernels take them."""
-        return self.rotation, self.translation, self.points, self.camera, self.point, self.seen, self.gain
+        return self.rotation, self.translation, self.points, self.camera, self.point, self.xy, self.jacobian
 
     def residuals(self) -> Array:
         """(M,2) pixels."""
         local = np.einsum("mij,mj->mi", self.rotation[self.camera], self.points[self.point])
-        return reprojections(local + self.translation[self.camera], self.seen, self.gain)
+        return reprojections(local + self.translation[self.camera], self.xy, self.jacobian)
 
     def errors(self) -> Array:
         """(M,) length of each residual, pixels; infinite behind the camera."""
@@ -74,9 +74,9 @@ def adjust(
         candidate = replace(bundle, rotation=rotation, translation=translation, points=bundle.points + step[1])
         lowered = _cost(candidate, loss_px)
         if lowered < cost:
-            gain, bundle, cost = (cost - lowered) / cost, candidate, lowered
+            decrease, bundle, cost = (cost - lowered) / cost, candidate, lowered
             damping, system = max(damping / 10, LEAST_DAMPING), None
-            if gain < tolerance:
+            if decrease < tolerance:
                 break
         else:
             damping *= 10
@@ -85,10 +85,10 @@ def adjust(
     return bundle
 
 
-def reprojections(local: Array, seen: Array, gain: Array) -> Array:
+def reprojections(local: Array, xy: Array, jacobian: Array) -> Array:
     """(M,2) pixels that points in camera axes (M,3) miss their observations by."""
     depth = np.maximum(local[:, 2:], MIN_DEPTH)
-    return np.einsum("mij,mj->mi", gain, local[:, :2] / depth - seen)
+    return np.einsum("mij,mj->mi", jacobian, local[:, :2] / depth - xy)
 
 
 def _cost(bundle: Bundle, loss_px: float) -> float:
@@ -97,10 +97,10 @@ def _cost(bundle: Bundle, loss_px: float) -> float:
 
 def _contiguous(bundle: Bundle) -> Bundle:
     """The same numbers as the kernels take them: other layouts would be compiled for themselves."""
-    floats = (bundle.rotation, bundle.translation, bundle.points, bundle.seen, bundle.gain)
-    rotation, translation, points, seen, gain = (np.ascontiguousarray(a, np.float64) for a in floats)
+    floats = (bundle.rotation, bundle.translation, bundle.points, bundle.xy, bundle.jacobian)
+    rotation, translation, points, xy, jacobian = (np.ascontiguousarray(a, np.float64) for a in floats)
     camera, point = (np.ascontiguousarray(a, np.int64) for a in (bundle.camera, bundle.point))
-    return Bundle(rotation, translation, points, camera, point, seen, gain, np.ascontiguousarray(bundle.fixed))
+    return Bundle(rotation, translation, points, camera, point, xy, jacobian, np.ascontiguousarray(bundle.fixed))
 
 
 @dataclass(frozen=True)

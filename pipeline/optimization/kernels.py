@@ -1,7 +1,7 @@
 """The loops over observations, compiled: what NumPy would do in a dozen passes. Bundle adjustment's, and joining's.
 
 C cameras (rotation (C,3,3), translation (C,3), camera_from_world), P points (P,3), M observations: `camera` and `point`
-(M,) rows, `seen` (M,2) on the plane z = 1, `gain` (M,2,2) pixels per unit there. The loss is Cauchy's, in pixels.
+(M,) rows, `xy` (M,2) on the plane z = 1, `jacobian` (M,2,2) pixels per unit there. The loss is Cauchy's, in pixels.
 """
 
 from typing import Any
@@ -19,24 +19,24 @@ MIN_DEPTH = 1e-9  # points behind a camera are moved here: a large residual inst
 
 @compiled
 def _residual(
-    rotation: Array, translation: Array, point: Array, seen: Array, gain: Array, local: Array, residual: Array
+    rotation: Array, translation: Array, point: Array, xy: Array, jacobian: Array, local: Array, residual: Array
 ) -> None:
     """One observation: the point in camera axes (3,), and by how many pixels (2,) it misses what was seen."""
     for i in range(3):
         local[i] = rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2] + translation[i]
     depth = max(local[2], MIN_DEPTH)
-    x, y = local[0] / depth - seen[0], local[1] / depth - seen[1]
-    residual[0] = gain[0, 0] * x + gain[0, 1] * y
-    residual[1] = gain[1, 0] * x + gain[1, 1] * y
+    x, y = local[0] / depth - xy[0], local[1] / depth - xy[1]
+    residual[0] = jacobian[0, 0] * x + jacobian[0, 1] * y
+    residual[1] = jacobian[1, 0] * x + jacobian[1, 1] * y
 
 
 @compiled
-def _jacobian(local: Array, gain: Array, by_pose: Array) -> None:
+def _jacobian(local: Array, jacobian: Array, by_pose: Array) -> None:
     """(2,6) of a residual by the pose's tangent, rotation first; its last three columns are those by the point in the
     camera's axes."""
     inverse_depth = 1.0 / max(local[2], MIN_DEPTH)
     for i in range(2):
-        a, b = gain[i, 0] * inverse_depth, gain[i, 1] * inverse_depth
+        a, b = jacobian[i, 0] * inverse_depth, jacobian[i, 1] * inverse_depth
         c = -(a * local[0] + b * local[1]) * inverse_depth
         by_pose[i, 0] = local[1] * c - local[2] * b
         by_pose[i, 1] = local[2] * a - local[0] * c
@@ -62,21 +62,28 @@ def _weight(residual: Array, loss: float) -> float:
 
 @compiled
 def robust_cost(
-    rotation: Array, translation: Array, points: Array, camera: Rows, point: Rows, seen: Array, gain: Array, loss: float
+    rotation: Array,
+    translation: Array,
+    points: Array,
+    camera: Rows,
+    point: Rows,
+    xy: Array,
+    jacobian: Array,
+    loss: float,
 ) -> float:
     """Sum of Cauchy's loss over all observations, square pixels."""
     local, residual = np.empty(3), np.empty(2)
     total = 0.0
     for m in range(len(camera)):
         c = camera[m]
-        _residual(rotation[c], translation[c], points[point[m]], seen[m], gain[m], local, residual)
+        _residual(rotation[c], translation[c], points[point[m]], xy[m], jacobian[m], local, residual)
         total += np.log1p((residual[0] ** 2 + residual[1] ** 2) / loss**2)
     return loss**2 * total
 
 
 @compiled
 def moved_residuals(
-    transform: Array, points: Array, rotation: Array, translation: Array, camera: Rows, seen: Array, gain: Array
+    transform: Array, points: Array, rotation: Array, translation: Array, camera: Rows, xy: Array, jacobian: Array
 ) -> Array:
     """(M,3): by how many pixels points (M,3), moved by an affine `transform` (4,4), miss what was seen; their depth."""
     result = np.empty((len(points), 3))
@@ -87,7 +94,7 @@ def moved_residuals(
             for j in range(3):
                 moved[i] += transform[i, j] * points[m, j]
         c = camera[m]
-        _residual(rotation[c], translation[c], moved, seen[m], gain[m], local, residual)
+        _residual(rotation[c], translation[c], moved, xy[m], jacobian[m], local, residual)
         result[m, 0], result[m, 1], result[m, 2] = residual[0], residual[1], local[2]
     return result
 
@@ -99,8 +106,8 @@ def normal_equations(
     points: Array,
     camera: Rows,
     point: Rows,
-    seen: Array,
-    gain: Array,
+    xy: Array,
+    jacobian: Array,
     fixed: NDArray[np.bool_],
     loss: float,
 ) -> tuple[Array, Array, Array, Array, Array]:
@@ -116,8 +123,8 @@ def normal_equations(
     for m in range(count):
         c, p = camera[m], point[m]
         turn = rotation[c]
-        _residual(turn, translation[c], points[p], seen[m], gain[m], local, residual)
-        _jacobian(local, gain[m], by_pose)
+        _residual(turn, translation[c], points[p], xy[m], jacobian[m], local, residual)
+        _jacobian(local, jacobian[m], by_pose)
         weight = _weight(residual, loss)
         for i in range(2):
             for k in range(3):
@@ -139,15 +146,15 @@ def normal_equations(
 
 @compiled
 def pose_equations(
-    rotation: Array, translation: Array, points: Array, camera: Rows, seen: Array, gain: Array, loss: float
+    rotation: Array, translation: Array, points: Array, camera: Rows, xy: Array, jacobian: Array, loss: float
 ) -> tuple[Array, Array]:
     """Blocks (C,6,6) and right-hand sides (C,6) of the poses alone; points (M,3), one for each observation."""
     blocks, side = np.zeros((len(rotation), 6, 6)), np.zeros((len(rotation), 6))
     local, residual, by_pose = np.empty(3), np.empty(2), np.empty((2, 6))
     for m in range(len(camera)):
         c = camera[m]
-        _residual(rotation[c], translation[c], points[m], seen[m], gain[m], local, residual)
-        _jacobian(local, gain[m], by_pose)
+        _residual(rotation[c], translation[c], points[m], xy[m], jacobian[m], local, residual)
+        _jacobian(local, jacobian[m], by_pose)
         _add_camera(by_pose, residual, _weight(residual, loss), c, blocks, side)
     return blocks, side
 

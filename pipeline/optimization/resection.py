@@ -16,8 +16,8 @@ def refine_poses(
     translation: Array,
     camera: NDArray[np.int64],
     points: Array,
-    seen: Array,
-    gain: Array,
+    xy: Array,
+    jacobian: Array,
     loss_px: float,
     iterations: int = 8,
 ) -> tuple[Array, Array]:
@@ -25,11 +25,11 @@ def refine_poses(
 
     Gauss-Newton with Cauchy's weights; points stay. A camera without observations keeps its pose.
     """
-    floats = (rotation, translation, points, seen, gain)
-    rotation, translation, points, seen, gain = (np.ascontiguousarray(a, np.float64) for a in floats)
+    floats = (rotation, translation, points, xy, jacobian)
+    rotation, translation, points, xy, jacobian = (np.ascontiguousarray(a, np.float64) for a in floats)
     camera = np.ascontiguousarray(camera, np.int64)
     for _ in range(iterations):
-        normal, side = pose_equations(rotation, translation, points, camera, seen, gain, loss_px)
+        normal, side = pose_equations(rotation, translation, points, camera, xy, jacobian, loss_px)
         diagonal = np.einsum("cii->ci", normal)
         diagonal += 1e-6 * diagonal + 1e-9
         step = np.linalg.solve(normal, side[:, :, None])[:, :, 0]
@@ -40,24 +40,26 @@ def refine_poses(
     return rotation, translation
 
 
-def refine_pose(pose: Array, points: Array, seen: Array, gain: Array, loss_px: float, iterations: int = 8) -> Array:
+def refine_pose(pose: Array, points: Array, xy: Array, jacobian: Array, loss_px: float, iterations: int = 8) -> Array:
     """The 4x4 `camera_from_world` refined from `pose`."""
     row = np.zeros(len(points), dtype=np.int64)
     rotation, translation = refine_poses(
-        pose[None, :3, :3], pose[None, :3, 3], row, points, seen, gain, loss_px, iterations
+        pose[None, :3, :3], pose[None, :3, 3], row, points, xy, jacobian, loss_px, iterations
     )
     return compose(rotation[0], translation[0])
 
 
-def reprojection_errors(pose: Array, points: Array, seen: Array, gain: Array) -> Array:
+def reprojection_errors(pose: Array, points: Array, xy: Array, jacobian: Array) -> Array:
     """(N,) pixels; infinite behind the camera."""
     local = points @ pose[:3, :3].T + pose[:3, 3]
     front = local[:, 2] > 1e-9
-    off = np.einsum("nij,nj->ni", gain, local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - seen)
+    off = np.einsum("nij,nj->ni", jacobian, local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - xy)
     return np.where(front, np.linalg.norm(off, axis=1), np.inf)
 
 
-def robust_pose(points: Array, seen: Array, gain: Array, max_error_px: float, rng: np.random.Generator) -> Array | None:
+def robust_pose(
+    points: Array, xy: Array, jacobian: Array, max_error_px: float, rng: np.random.Generator
+) -> Array | None:
     """Pose from points (N,3) and their places (N,2) on the plane z = 1, whatever half of them are wrong.
 
     Samples of four give a pose by P3P (Gao; the fourth point picks the root), most inliers win, all inliers refine it.
@@ -72,23 +74,23 @@ def robust_pose(points: Array, seen: Array, gain: Array, max_error_px: float, rn
         done += 1
         sample = rng.choice(len(points), 4, replace=False)
         found, turn, shift = cv2.solvePnP(
-            np.ascontiguousarray(points[sample]), np.ascontiguousarray(seen[sample]), np.eye(3), None,
+            np.ascontiguousarray(points[sample]), np.ascontiguousarray(xy[sample]), np.eye(3), None,
             flags=cv2.SOLVEPNP_P3P,
         )  # fmt: skip
         if not found:
             continue
         pose = compose(cv2.Rodrigues(turn)[0], shift.ravel())
-        agreeing = int((reprojection_errors(pose, points, seen, gain) < max_error_px).sum())
+        agreeing = int((reprojection_errors(pose, points, xy, jacobian) < max_error_px).sum())
         if agreeing > most:
             best, most = pose, agreeing
             rounds = min(RANSAC_ROUNDS, rounds_needed((most / len(points)) ** 4))
     if best is None or most < MIN_POINTS:
         return None
     for _ in range(2):
-        inlier = reprojection_errors(best, points, seen, gain) < max_error_px
+        inlier = reprojection_errors(best, points, xy, jacobian) < max_error_px
         if inlier.sum() < MIN_POINTS:
             return None
-        best = refine_pose(best, points[inlier], seen[inlier], gain[inlier], max_error_px / 2)
+        best = refine_pose(best, points[inlier], xy[inlier], jacobian[inlier], max_error_px / 2)
     return best
 
 

@@ -10,14 +10,14 @@ REFINEMENTS = 3
 
 
 def triangulate(
-    rotation: Array, translation: Array, point: NDArray[np.int64], count: int, seen: Array, gain: Array
+    rotation: Array, translation: Array, point: NDArray[np.int64], count: int, xy: Array, jacobian: Array
 ) -> tuple[Array, Array, Array]:
     """Points (count,3), largest reprojection error (count,) in pixels, and widest angle to the first ray, radians.
 
     rotation (M,3,3) and translation (M,3) are of the camera of each observation; `point` ascends and names every point
     at least once. An error is infinite where a point comes out behind a camera.
     """
-    rays = np.concatenate([seen, np.ones((len(seen), 1))], axis=1)
+    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rays = np.einsum("mji,mj->mi", rotation, rays)
     centres = -np.einsum("mji,mj->mi", rotation, translation)
@@ -26,10 +26,10 @@ def triangulate(
     normal = np.add.reduceat(square, starts) + 1e-9 * np.eye(3)
     side = np.add.reduceat(np.einsum("mij,mj->mi", square, centres), starts)
     points = np.linalg.solve(normal, side[:, :, None])[:, :, 0]
-    points = _refined(points, rotation, translation, point, starts, seen, gain)
+    points = _refined(points, rotation, translation, point, starts, xy, jacobian)
     local = np.einsum("mij,mj->mi", rotation, points[point]) + translation
     front = local[:, 2] > 1e-9
-    off = np.einsum("mij,mj->mi", gain, local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - seen)
+    off = np.einsum("mij,mj->mi", jacobian, local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - xy)
     error = np.where(front, np.linalg.norm(off, axis=1), np.inf)
     cosine = np.einsum("mi,mi->m", rays, rays[starts][point])
     angle = np.arccos(np.clip(np.minimum.reduceat(cosine, starts), -1, 1))
@@ -42,15 +42,15 @@ def _refined(
     translation: Array,
     point: NDArray[np.int64],
     starts: NDArray[np.int64],
-    seen: Array,
-    gain: Array,
+    xy: Array,
+    jacobian: Array,
 ) -> Array:
     """Gauss-Newton on the reprojection error of each point; a step to behind a camera is left out."""
     for _ in range(REFINEMENTS):
         local = np.einsum("mij,mj->mi", rotation, points[point]) + translation
         behind = np.minimum.reduceat(local[:, 2], starts) < 1e-9
-        residual = np.einsum("mij,mj->mi", gain, local[:, :2] / np.maximum(local[:, 2:], MIN_DEPTH) - seen)
-        by_point = _by_local(local, gain) @ rotation
+        residual = np.einsum("mij,mj->mi", jacobian, local[:, :2] / np.maximum(local[:, 2:], MIN_DEPTH) - xy)
+        by_point = _by_local(local, jacobian) @ rotation
         normal = np.add.reduceat(np.swapaxes(by_point, 1, 2) @ by_point, starts)
         diagonal = np.einsum("pii->pi", normal)
         diagonal += 1e-6 * diagonal + 1e-12
@@ -60,10 +60,10 @@ def _refined(
     return points
 
 
-def _by_local(local: Array, gain: Array) -> Array:
+def _by_local(local: Array, jacobian: Array) -> Array:
     """(M,2,3) of the residuals by the points in their camera's axes."""
     inverse_depth = 1 / np.maximum(local[:, 2], MIN_DEPTH)
     projection = np.zeros((len(local), 2, 3))
     projection[:, 0, 0] = projection[:, 1, 1] = inverse_depth
     projection[:, :, 2] = -local[:, :2] * inverse_depth[:, None] ** 2
-    return gain @ projection
+    return jacobian @ projection

@@ -101,7 +101,7 @@ def measure_believed(frames: Frames, part: CompletedSubmap, surface: Surface) ->
 
 def seen_picture(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
     """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
-    return Picture(rays.seen_at, rays.masked(content) > 0)
+    return Picture(rays.project_valid, rays.masked(content) > 0)
 
 
 def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:
@@ -112,7 +112,7 @@ def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> fl
     degrees around the axis. Raises `NotATube` where the picture ends at its axis.
     """
     row, column = np.nonzero(rays.masked(content))
-    x, y = rays.look_up(np.stack([column, row], axis=1) + 0.5)[0].T
+    x, y = rays.unproject(np.stack([column, row], axis=1) + 0.5)[0].T
     sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
     outermost = np.zeros(SECTORS)
     np.maximum.at(outermost, sector, np.degrees(np.arctan(np.hypot(x, y))))

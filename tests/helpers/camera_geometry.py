@@ -29,7 +29,7 @@ def on_plane(camera_from_world, points):
     return local[:, :2] / local[:, 2:], local[:, 2]
 
 
-def gains(count):
+def jacobians(count):
     return np.tile(FOCAL * np.eye(2), (count, 1, 1))
 
 
@@ -37,4 +37,4 @@ def sight(camera_from_world, points, rng=None, noise_px=0.0):
     seen = on_plane(camera_from_world, points)[0]
     if rng is not None:
         seen = seen + rng.normal(0, noise_px / FOCAL, seen.shape)
-    return Sight(seen, gains(len(seen)))
+    return Sight(seen, jacobians(len(seen)))

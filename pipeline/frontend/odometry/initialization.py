@@ -91,7 +91,7 @@ class Start:
 
     def _sight(self, waiting: Waiting, common: NDArray[np.int64]) -> Sight:
         rows = np.searchsorted(waiting.ids, common)  # track numbers ascend
-        return Sight(*self.rays.look_up(waiting.pixels[rows]))
+        return Sight(*self.rays.unproject(waiting.pixels[rows]))
 
     def _brightness(self, common: NDArray[np.int64], rgb: NDArray[np.uint8]) -> Array:
         last = self.waiting[-1]
@@ -155,12 +155,12 @@ class Start:
         if mine.sum() < MIN_POSED:
             return None
         points = made.tracks.points[waiting.ids[mine]]
-        seen, gain = self.rays.look_up(waiting.pixels[mine])
-        pose = refine_pose(guess, points, seen, gain, LOSS_PX, iterations=15)
-        share = (reprojection_errors(pose, points, seen, gain) < MAX_ERROR_PX).mean()
+        xy, jacobian = self.rays.unproject(waiting.pixels[mine])
+        pose = refine_pose(guess, points, xy, jacobian, LOSS_PX, iterations=15)
+        share = (reprojection_errors(pose, points, xy, jacobian) < MAX_ERROR_PX).mean()
         if share < 0.5:
-            other = robust_pose(points, seen, gain, MAX_ERROR_PX, self.rng)
-            if other is None or (reprojection_errors(other, points, seen, gain) < MAX_ERROR_PX).mean() < 0.5:
+            other = robust_pose(points, xy, jacobian, MAX_ERROR_PX, self.rng)
+            if other is None or (reprojection_errors(other, points, xy, jacobian) < MAX_ERROR_PX).mean() < 0.5:
                 return None
             pose = other
         return pose

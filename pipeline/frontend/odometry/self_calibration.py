@@ -91,7 +91,7 @@ def lens_shift(old: Camera, new: Camera) -> float:
     if len(rows) == 0:
         return float("inf")
     pixels = np.stack([columns, rows], axis=1)[:: max(1, len(rows) // 5000)] + 0.5
-    seen, _ = rays.look_up(pixels)
+    seen, _ = rays.unproject(pixels)
     off = new.project(np.concatenate([seen, np.ones((len(seen), 1))], axis=1)) - pixels
     return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
 

@@ -99,20 +99,20 @@ class Tracker:
         if len(mapped) < max(MIN_INLIERS, MIN_FOUND_SHARE * known.sum()):
             return None
         points = self.map.tracks.points[tracks.ids[mapped]]
-        seen, gain = self.map.rays.look_up(tracks.now[mapped])
-        pose = refine_pose(predicted, points, seen, gain, 2 * LOSS_PX)
-        errors = reprojection_errors(pose, points, seen, gain)
+        xy, jacobian = self.map.rays.unproject(tracks.now[mapped])
+        pose = refine_pose(predicted, points, xy, jacobian, 2 * LOSS_PX)
+        errors = reprojection_errors(pose, points, xy, jacobian)
         if (errors < INLIER_PX).mean() < SURE_SHARE:
-            other = robust_pose(points, seen, gain, INLIER_PX, self.rng)
+            other = robust_pose(points, xy, jacobian, INLIER_PX, self.rng)
             if other is not None:
-                others = reprojection_errors(other, points, seen, gain)
+                others = reprojection_errors(other, points, xy, jacobian)
                 if (others < INLIER_PX).sum() > (errors < INLIER_PX).sum():
                     pose, errors = other, others
         inlier = errors < INLIER_PX
         if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
             return None
-        pose = refine_pose(pose, points[inlier], seen[inlier], gain[inlier], LOSS_PX, iterations=4)
-        return pose, mapped, reprojection_errors(pose, points, seen, gain) < INLIER_PX
+        pose = refine_pose(pose, points[inlier], xy[inlier], jacobian[inlier], LOSS_PX, iterations=4)
+        return pose, mapped, reprojection_errors(pose, points, xy, jacobian) < INLIER_PX
 
     def _guess(self, known: NDArray[np.bool_], predicted: Array) -> Pixels:
         """(N,2) where each track should be. A track without a point borrows the depth of the nearest one that has."""
@@ -123,8 +123,8 @@ class Tracker:
         if not known.all():
             depth = in_camera(last.pose, points[known])[:, 2]
             _, nearest = cKDTree(tracks.places[known]).query(tracks.places[~known])
-            seen, _ = self.map.rays.look_up(tracks.places[~known])
-            local = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) * depth[nearest][:, None]
+            xy, _ = self.map.rays.unproject(tracks.places[~known])
+            local = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * depth[nearest][:, None]
             points[~known] = in_camera(inverse(last.pose), local)
         return self.map.rays.project(in_camera(predicted, points)).astype(np.float32)
 

@@ -35,10 +35,10 @@ MIN_VOTERS = 15
 
 @dataclass(frozen=True)
 class Sight:
-    """The same tracks in one view: seen (N,2) on the plane z = 1, gain (N,2,2) pixels per unit."""
+    """The same tracks in one view: xy (N,2) on the plane z = 1, jacobian (N,2,2) pixels per unit."""
 
-    seen: Array
-    gain: Array
+    xy: Array
+    jacobian: Array
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Hypothesis:
 
 def parallax_px(first: Sight, second: Sight, focal_px: float) -> float:
     """Median way of the tracks that no rotation explains, in pixels at the image's centre."""
-    rays = [np.concatenate([s.seen, np.ones((len(s.seen), 1))], axis=1) for s in (first, second)]
+    rays = [np.concatenate([s.xy, np.ones((len(s.xy), 1))], axis=1) for s in (first, second)]
     a, b = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in rays)
     weight = np.ones(len(a))
     for _ in range(4):
@@ -88,7 +88,7 @@ def start_pose(
 
     brightness: (N,) of the tracks in the second view, or None.
     """
-    if len(first.seen) < MIN_POINTS:
+    if len(first.xy) < MIN_POINTS:
         return None
     judged = [judge(pose, first, second, third, brightness) for pose in propose(first, second, focal_px, rng)]
     judged = [h for h in judged if h.inlier.sum() >= MIN_POINTS]
@@ -108,8 +108,8 @@ def propose(first: Sight, second: Sight, focal_px: float, rng: np.random.Generat
     """Poses (4x4, second_from_first, |t| = 1) worth a closer look, those with most points in front first."""
     poses: list[Array] = []
     for limit in DRAW_PX:
-        poses += _from_essential(first.seen, second.seen, limit / focal_px, rng)
-    poses += _from_homography(first.seen, second.seen, focal_px, rng)
+        poses += _from_essential(first.xy, second.xy, limit / focal_px, rng)
+    poses += _from_homography(first.xy, second.xy, focal_px, rng)
     counted = sorted(((_fitting(pose, first, second), k) for k, pose in enumerate(poses)), reverse=True)
     chosen: list[Array] = []
     for count, k in counted:
@@ -125,8 +125,8 @@ def judge(pose: Array, first: Sight, second: Sight, third: Sight, brightness: Ar
     if inlier.sum() < MIN_POINTS:
         return Hypothesis(pose, points, np.zeros(len(points), dtype=bool), 0.0, 0.0, 0.0)
     halfway = _interpolated(pose)
-    middle = refine_pose(halfway, points[inlier], third.seen[inlier], third.gain[inlier], MAX_ERROR_PX, iterations=15)
-    error = np.maximum(error, reprojection_errors(middle, points, third.seen, third.gain))
+    middle = refine_pose(halfway, points[inlier], third.xy[inlier], third.jacobian[inlier], MAX_ERROR_PX, iterations=15)
+    error = np.maximum(error, reprojection_errors(middle, points, third.xy, third.jacobian))
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
     support = float(np.where(inlier, 1 - np.minimum(error / MAX_ERROR_PX, 1) ** 2, 0).mean())
     light = 0.0
@@ -147,8 +147,8 @@ def _refined(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Ar
         bundle = Bundle(
             poses[:, :3, :3], poses[:, :3, 3], points[take],
             np.repeat([0, 1], count), np.tile(np.arange(count), 2),
-            np.concatenate([first.seen[take], second.seen[take]]),
-            np.concatenate([first.gain[take], second.gain[take]]),
+            np.concatenate([first.xy[take], second.xy[take]]),
+            np.concatenate([first.jacobian[take], second.jacobian[take]]),
             np.array([True, False]),
         )  # fmt: skip
         result = adjust(bundle, REFINEMENTS, MAX_ERROR_PX)
@@ -159,11 +159,11 @@ def _refined(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Ar
 
 
 def _triangulated(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array]:
-    count = len(first.seen)
+    count = len(first.xy)
     poses = np.tile(np.stack([np.eye(4), pose]), (count, 1, 1))
-    seen = np.stack([first.seen, second.seen], axis=1).reshape(-1, 2)
-    gain = np.stack([first.gain, second.gain], axis=1).reshape(-1, 2, 2)
-    return triangulate(poses[:, :3, :3], poses[:, :3, 3], np.repeat(np.arange(count), 2), count, seen, gain)
+    xy = np.stack([first.xy, second.xy], axis=1).reshape(-1, 2)
+    jacobian = np.stack([first.jacobian, second.jacobian], axis=1).reshape(-1, 2, 2)
+    return triangulate(poses[:, :3, :3], poses[:, :3, 3], np.repeat(np.arange(count), 2), count, xy, jacobian)
 
 
 def _fitting(pose: Array, first: Sight, second: Sight) -> int:

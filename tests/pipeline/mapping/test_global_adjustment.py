@@ -91,7 +91,7 @@ def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen)
 def missed(local_map):
     """(M,2) pixels by which all points miss their observations."""
     off = [
-        reprojections(in_camera(k.pose, local_map.tracks.points[k.ids]), k.seen, k.gain) for k in local_map.keyframes
+        reprojections(in_camera(k.pose, local_map.tracks.points[k.ids]), k.xy, k.jacobian) for k in local_map.keyframes
     ]
     return np.concatenate(off)
 

@@ -22,7 +22,7 @@ from pipeline.matching.sift_cache import SiftCache
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.matching.sim3_ransac import similarity_errors
 from pipeline.optimization.resection import reprojection_errors, robust_pose
-from tests.helpers.camera_geometry import PINHOLE, gains, on_plane, pose, tube
+from tests.helpers.camera_geometry import PINHOLE, jacobians, on_plane, pose, tube
 
 RAYS = RayTable(PINHOLE)
 
@@ -52,9 +52,9 @@ def test_deep_shadow_is_not_folded_up_to_grey():
 def test_noise_alone_has_no_pose():
     rng = np.random.default_rng(0)
     points, seen = tube(60, rng), rng.uniform(-1, 1, (60, 2))
-    found = robust_pose(points, seen, gains(60), 1.0, rng)
+    found = robust_pose(points, seen, jacobians(60), 1.0, rng)
     if found is not None:  # six points that agree by chance are no more than that
-        assert (reprojection_errors(found, points, seen, gains(60)) < 1).mean() < 0.2
+        assert (reprojection_errors(found, points, seen, jacobians(60)) < 1).mean() < 0.2
 
 
 def a_map(centres, ids=None, points=None, seed=0):
@@ -185,7 +185,10 @@ def test_matches_that_agree_are_found_as_one_by_one():
     maps[1].features[4] = replace(moved, points=moved.points + 15, pixels=moved.pixels + 60)
 
     def explains(one, other):
-        sides = maps[0].seen(other.first, other.rows[:, 0]), maps[1].seen(other.second, other.rows[:, 1])
+        sides = (
+            maps[0].correspondences(other.first, other.rows[:, 0]),
+            maps[1].correspondences(other.second, other.rows[:, 1]),
+        )
         errors = similarity_errors(submap_matching.second_from_first(one, maps), *sides)
         return (errors < submap_matching.MAX_SAME_PX).mean() >= submap_matching.SAME_SHARE
 

@@ -24,7 +24,7 @@ from pipeline.matching.sim3_ransac import (
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_poses, reprojection_errors, robust_pose
 from pipeline.optimization.triangulation import triangulate
-from tests.helpers.camera_geometry import FOCAL, PINHOLE, gains, on_plane, pose, sight, tube
+from tests.helpers.camera_geometry import FOCAL, PINHOLE, jacobians, on_plane, pose, sight, tube
 
 LENSES = [
     PINHOLE,
@@ -46,7 +46,7 @@ def test_a_ray_projects_to_the_pixel_it_was_read_from(camera):
     pixels = rng.uniform(2, [camera.width - 2, camera.height - 2], (500, 2))
     usable = rays.usable[tuple(np.floor(pixels).astype(int).T[::-1])] > 0
     assert usable.mean() > 0.9
-    plane, gain = rays.look_up(pixels[usable])
+    plane, gain = rays.unproject(pixels[usable])
     back = camera.project(np.concatenate([plane, np.ones((len(plane), 1))], axis=1))
     np.testing.assert_allclose(back, pixels[usable], atol=0.02)
     if camera.model == "OPENCV":
@@ -71,15 +71,15 @@ def made_bundle(rng, cameras=6, count=120, noise_px=0.0):
     fixed = np.arange(cameras) < 2
     truth = Bundle(
         poses[:, :3, :3], poses[:, :3, 3], points, np.array(rows), np.array(columns), np.concatenate(seen),
-        gains(len(rows)), fixed,
+        jacobians(len(rows)), fixed,
     )  # fmt: skip
     rotation, shift = poses[:, :3, :3].copy(), poses[:, :3, 3].copy()
     turn = Rotation.from_rotvec(rng.normal(0, 0.02, (cameras, 3))).as_matrix()
     rotation[~fixed] = (turn @ rotation)[~fixed]
     shift[~fixed] += rng.normal(0, 0.4, (cameras, 3))[~fixed]
     wrong = Bundle(
-        rotation, shift, points + rng.normal(0, 0.8, points.shape), truth.camera, truth.point, truth.seen,
-        truth.gain, fixed,
+        rotation, shift, points + rng.normal(0, 0.8, points.shape), truth.camera, truth.point, truth.xy,
+        truth.jacobian, fixed,
     )  # fmt: skip
     return truth, wrong
 
@@ -106,7 +106,7 @@ def test_bundle_adjustment_finds_the_minimum_that_scipy_finds():
         rotation[2], shift[2] = turn @ rotation[2], x[3:6]
         points = x[6:].reshape(-1, 3)
         local = np.einsum("mij,mj->mi", rotation[wrong.camera], points[wrong.point]) + shift[wrong.camera]
-        off = FOCAL * (local[:, :2] / local[:, 2:] - wrong.seen)
+        off = FOCAL * (local[:, :2] / local[:, 2:] - wrong.xy)
         squared = (off**2).sum(axis=1)
         return (off * np.sqrt(np.log1p(squared / loss**2) * loss**2 / np.maximum(squared, 1e-18))[:, None]).ravel()
 
@@ -121,11 +121,11 @@ def test_bundle_adjustment_finds_the_minimum_that_scipy_finds():
 def test_bundle_adjustment_never_raises_the_cost_and_shrugs_off_outliers():
     rng = np.random.default_rng(3)
     truth, wrong = made_bundle(rng, noise_px=0.3)
-    spoilt = wrong.seen.copy()
+    spoilt = wrong.xy.copy()
     chosen = rng.choice(len(spoilt), len(spoilt) // 20, replace=False)
     spoilt[chosen] += rng.uniform(-0.3, 0.3, (len(chosen), 2))
     problem = Bundle(
-        wrong.rotation, wrong.translation, wrong.points, wrong.camera, wrong.point, spoilt, wrong.gain, wrong.fixed
+        wrong.rotation, wrong.translation, wrong.points, wrong.camera, wrong.point, spoilt, wrong.jacobian, wrong.fixed
     )
 
     def cost(bundle):
@@ -146,12 +146,12 @@ def test_a_pose_is_found_among_forty_percent_outliers(seed):
     seen = on_plane(true, points)[0] + rng.normal(0, 0.4 / FOCAL, (150, 2))
     wrong = rng.choice(150, 60, replace=False)
     seen[wrong] = rng.uniform(-1, 1, (60, 2))
-    found = robust_pose(points, seen, gains(150), 2.0, rng)
+    found = robust_pose(points, seen, jacobians(150), 2.0, rng)
     assert found is not None
     assert np.degrees(angle_between(found, true)) < 0.3
     assert np.linalg.norm(inverse(found)[:3, 3] - inverse(true)[:3, 3]) < 0.15
     right = np.setdiff1d(np.arange(150), wrong)
-    assert (reprojection_errors(found, points, seen, gains(150))[right] < 2).mean() > 0.98
+    assert (reprojection_errors(found, points, seen, jacobians(150))[right] < 2).mean() > 0.98
 
 
 def test_many_poses_refined_at_once_are_those_refined_one_by_one():
@@ -163,7 +163,7 @@ def test_many_poses_refined_at_once_are_those_refined_one_by_one():
     start = poses.copy()
     start[:, :3, 3] += rng.normal(0, 0.3, (5, 3))
     rotation, shift = refine_poses(
-        start[:, :3, :3], start[:, :3, 3], camera, np.tile(points, (5, 1)), seen, gains(200), 2.0, iterations=20
+        start[:, :3, :3], start[:, :3, 3], camera, np.tile(points, (5, 1)), seen, jacobians(200), 2.0, iterations=20
     )
     np.testing.assert_allclose(rotation, poses[:, :3, :3], atol=1e-7)
     np.testing.assert_allclose(shift, poses[:, :3, 3], atol=1e-5)
@@ -177,7 +177,7 @@ def test_triangulation_is_exact_and_reports_angles():
     point = np.repeat(np.arange(30), 3)
     stacked = np.stack(poses)[row]
     seen = np.stack([on_plane(poses[k], points[[p]])[0][0] for k, p in zip(row, point, strict=True)])
-    found, error, angle = triangulate(stacked[:, :3, :3], stacked[:, :3, 3], point, 30, seen, gains(90))
+    found, error, angle = triangulate(stacked[:, :3, :3], stacked[:, :3, 3], point, 30, seen, jacobians(90))
     np.testing.assert_allclose(found, points, atol=1e-5)
     assert error.max() < 1e-5
     first, last = (points - [x, 0, 0] for x in (0.0, 3.0))
@@ -261,8 +261,8 @@ def test_similarity_is_found_whatever_it_is(scale, turn, shift, seed, outliers):
     second_pose[:3, :3], second_pose[:3, 3] = rotation, scale * first_pose[:3, 3] - rotation @ similarity[:3, 3]
     wrong = rng.choice(60, int(outliers * 60), replace=False)
     moved[wrong] = moved[rng.permutation(wrong)] + rng.normal(0, 10 * scale, (len(wrong), 3))
-    first = Correspondences(points, first_pose, on_plane(first_pose, points)[0], gains(60))
-    second = Correspondences(moved, second_pose, on_plane(second_pose, moved)[0], gains(60))
+    first = Correspondences(points, first_pose, on_plane(first_pose, points)[0], jacobians(60))
+    second = Correspondences(moved, second_pose, on_plane(second_pose, moved)[0], jacobians(60))
     found = robust_similarity(first, second, rng)
     assert found is not None
     right = np.setdiff1d(np.arange(60), wrong)
@@ -280,7 +280,7 @@ def random_sides(count, rng):
     sides = []
     for _ in range(2):
         points, camera = rng.normal(0, 20, (count, 3)), pose(rng.uniform(-30, 30, 3), rng.normal(0, 5, 3))
-        sides.append(Correspondences(points, camera, rng.normal(0, 0.5, (count, 2)), gains(count)))
+        sides.append(Correspondences(points, camera, rng.normal(0, 0.5, (count, 2)), jacobians(count)))
     return sides
 
 
@@ -305,7 +305,7 @@ def test_many_sides_are_judged_as_each_alone():
     sides, transform = [random_sides(count, rng)[0] for count in (5, 30, 9)], random_similarity(rng)
     stack = StackedCorrespondences.of(sides)
     together = stack.errors(transform, stack.points)
-    alone = [reprojection_errors(s.pose, transform_points(transform, s.points), s.seen, s.gain) for s in sides]
+    alone = [reprojection_errors(s.pose, transform_points(transform, s.points), s.xy, s.jacobian) for s in sides]
     assert stack.starts.tolist() == [0, 5, 35]
     assert 0 < np.isinf(together).mean() < 1
     np.testing.assert_allclose(together, np.concatenate(alone), rtol=1e-9)
@@ -323,13 +323,13 @@ def test_what_a_lens_folds_back_is_not_seen():
     rays = RayTable(Camera("OPENCV", 320, 256, (200.0, 200.0, 160.0, 128.0, -0.2, 0.0, 0.0, 0.0)))
     angle = np.radians(np.arange(0, 76))
     points = 5 * np.column_stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)])
-    pixels = rays.seen_at(points)
+    pixels = rays.project_valid(points)
     inside = np.isfinite(pixels).all(axis=1) & (pixels[:, 0] < 320)
     folded = rays.project(points)[:, 0] < 320
     assert folded[60:66].any()
     assert inside[:40].all()
     assert not inside[55:].any()
-    back = rays.look_up(pixels[inside])[0]
+    back = rays.unproject(pixels[inside])[0]
     np.testing.assert_allclose(back, points[inside, :2] / points[inside, 2:], atol=2e-3)
 
 
@@ -338,8 +338,8 @@ def test_one_generator_gives_one_similarity():
     points = tube(60, rng)
     moved = 2 * points + rng.normal(0, 1.0, points.shape)
     camera = np.eye(4)
-    first = Correspondences(points, camera, on_plane(camera, points)[0], gains(60))
-    second = Correspondences(moved, camera, on_plane(camera, moved)[0], gains(60))
+    first = Correspondences(points, camera, on_plane(camera, points)[0], jacobians(60))
+    second = Correspondences(moved, camera, on_plane(camera, moved)[0], jacobians(60))
     found = [robust_similarity(first, second, np.random.default_rng(seed), 20) for seed in (6, 6, *range(10))]
     assert all(one is not None for one in found)
     np.testing.assert_array_equal(found[0][0], found[1][0])

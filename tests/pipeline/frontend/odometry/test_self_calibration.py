@@ -136,7 +136,7 @@ def test_recalibration_moves_rays_and_not_pixels():
     local_map.add_keyframe(0, np.eye(4), np.arange(30), pixels)
     local_map.recalibrate(second)
     np.testing.assert_array_equal(local_map.keyframes[0].pixels, pixels)
-    back = TRUE.project(np.concatenate([local_map.keyframes[0].seen, np.ones((30, 1))], axis=1))
+    back = TRUE.project(np.concatenate([local_map.keyframes[0].xy, np.ones((30, 1))], axis=1))
     assert np.abs(back - pixels).max() < 0.05
 
 
