@@ -75,15 +75,15 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
         raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
     finished = open_run(run)
     metrics = finished.metrics
-    seconds, poses = finished.trajectory()
-    true_seconds, true_poses, points = _load_truth(truth)
+    seconds, world_from_camera = finished.trajectory()
+    true_seconds, true_world_from_camera, points = _load_truth(truth)
     if len(true_seconds) < 3:
         raise HaustraError(f"{truth} has {len(true_seconds)} poses; three are needed")
     # Half the truth's frame spacing: closer than any other frame.
     mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * float(np.median(np.diff(true_seconds))))
     if len(mine) < 3:
         raise HaustraError(f"only {len(mine)} frames of {run} have a true pose in {truth}; three are needed")
-    estimated, true = poses[mine], true_poses[theirs]
+    estimated, true = world_from_camera[mine], true_world_from_camera[theirs]
     sim3 = trajectory_errors(estimated, true, "sim3", "mm")
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None

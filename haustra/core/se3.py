@@ -20,17 +20,17 @@ def moved(rotation: Array, translation: Array, tangent: Array) -> tuple[Array, A
     return turn @ rotation, np.einsum("nij,nj->ni", turn, translation) + tangent[:, 3:]
 
 
-def inverse(pose: Array) -> Array:
+def inverse(transform: Array) -> Array:
     """The rigid 4x4 inverse; exact where `np.linalg.inv` would let rounding creep into the rotation."""
     result = np.eye(4)
-    result[:3, :3] = pose[:3, :3].T
-    result[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    result[:3, :3] = transform[:3, :3].T
+    result[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
     return result
 
 
-def scaled(pose: Array, factor: float) -> Array:
+def scaled(transform: Array, factor: float) -> Array:
     """The pose (4,4) in a world whose unit is smaller by `factor`."""
-    result = pose.copy()
+    result = transform.copy()
     result[:3, 3] *= factor
     return result
 
@@ -38,10 +38,10 @@ def scaled(pose: Array, factor: float) -> Array:
 def compose(rotation: Array, translation: Array) -> Array:
     """(3,3) and (3,) -> 4x4, with the rotation brought back to the nearest true one."""
     u, _, vt = np.linalg.svd(rotation)
-    pose = np.eye(4)
-    pose[:3, :3] = u @ vt
-    pose[:3, 3] = translation
-    return pose
+    transform = np.eye(4)
+    transform[:3, :3] = u @ vt
+    transform[:3, 3] = translation
+    return transform
 
 
 def in_camera(camera_from_world: Array, points: Array) -> Array:

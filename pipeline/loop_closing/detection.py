@@ -71,11 +71,11 @@ def features_of_all(known: SubmapFeatures) -> SubmapFeatures:
 
 def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
     """Pairs of keyframes that no sparse point ties: those whose poses say that they overlap, and the most alike."""
-    poses = seen.part.submap.world_from_camera[seen.rows]
-    turn = np.arccos(np.clip(poses[:, :3, 2] @ poses[:, :3, 2].T, -1, 1))
-    apart = np.linalg.norm(poses[:, None, :3, 3] - poses[None, :, :3, 3], axis=2)
+    world_from_camera = seen.part.submap.world_from_camera[seen.rows]
+    turn = np.arccos(np.clip(world_from_camera[:, :3, 2] @ world_from_camera[:, :3, 2].T, -1, 1))
+    apart = np.linalg.norm(world_from_camera[:, None, :3, 3] - world_from_camera[None, :, :3, 3], axis=2)
     similarity = similarities(seen.features, seen.features, seed)
-    number = np.arange(len(poses))
+    number = np.arange(len(world_from_camera))
     open_ = (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(seen.part, seen.rows) <= MAX_SHARED)
     near = open_ & (apart < REACH) & (turn < MAX_TURN)
     expected = retrieve_within(np.where(near, similarity, -np.inf), PER_KEYFRAME)
@@ -127,10 +127,10 @@ def _contradict(parts: Parts, rows: tuple[int, int], first_from_second: NDArray[
     rigid = first_from_second.copy()
     rigid[:3, :3] /= scale
     views = []
-    for part, row, factor, pose in zip(parts, rows, (1.0, scale), (np.eye(4), rigid), strict=True):
+    for part, row, factor, world_from_camera in zip(parts, rows, (1.0, scale), (np.eye(4), rigid), strict=True):
         depth, confidence, _ = part.depth(row)
         believed = np.where(confidence < MIN_CONFIDENCE, np.float32(0), depth * np.float32(factor))
-        views.append(DepthView(believed, part.camera.matrix, pose))
+        views.append(DepthView(believed, part.camera.matrix, world_from_camera))
     for one, other in (views, views[::-1]):
         votes = agreement(one, [other], TOLERANCE, stride=4)
         if votes.voters == 0 or votes.contradicted_share > MAX_CONTRADICTED:

@@ -42,18 +42,18 @@ class Closed:
 def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> Closed:
     """Move the submap by those of its own links that can be believed; it comes back as it is if there are none."""
     part = seen.part
-    poses = part.submap.world_from_camera[part.rows]
+    world_from_camera = part.submap.world_from_camera[part.rows]
     loops = _edges(seen, seen, links)
-    company = supported(loops, poses, poses, REACH)
+    company = supported(loops, world_from_camera, world_from_camera, REACH)
     good, theirs = list(compress(loops, company)), list(compress(links, company))
-    off = np.array([misfit(poses, loop) for loop in good])
+    off = np.array([misfit(world_from_camera, loop) for loop in good])
     missed = float(np.median(off)) if good else 0.0
     if missed < SETTLED:
         return Closed(part, len(links), len(good), (), ())
     if missed < FULFILLED:
         near = tuple(compress(theirs, off < FULFILLED))
         return Closed(part, len(links), len(good), near, _frames_of(seen, near))
-    solution = solve_pose_graph(poses, point_ties(part), good)
+    solution = solve_pose_graph(world_from_camera, point_ties(part), good)
     believed = tuple(compress(theirs, solution.kept))
     if not believed:
         return Closed(part, len(links), len(good), (), ())
@@ -147,8 +147,8 @@ def moved(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array
     change = world_from_node @ np.linalg.inv(submap.world_from_camera[rows])
     of_frame = _spread(change, rows, len(submap.frames))
     scale = scale_of(of_frame)
-    poses = of_frame @ submap.world_from_camera
-    poses[:, :3, :3] /= scale[:, None, None]
+    world_from_camera = of_frame @ submap.world_from_camera
+    world_from_camera[:, :3, :3] /= scale[:, None, None]
     frame, point = submap.observations.T
     distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)
     order = np.lexsort((distance, point))
@@ -157,7 +157,9 @@ def moved(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array
     guide[first[0]] = frame[order][first[1]]
     points = np.einsum("nij,nj->ni", of_frame[guide, :3, :3], submap.points) + of_frame[guide, :3, 3]
     before = np.ones(len(scale)) if part.depth_scale is None else part.depth_scale
-    return replace(part, submap=replace(submap, world_from_camera=poses, points=points), depth_scale=before * scale)
+    return replace(
+        part, submap=replace(submap, world_from_camera=world_from_camera, points=points), depth_scale=before * scale
+    )
 
 
 def nodes_of(before: CompletedSubmap, after: CompletedSubmap) -> Array:

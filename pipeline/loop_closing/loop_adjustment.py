@@ -75,18 +75,18 @@ def adjust_nodes(
         return None
     tracks, number = found
     scale = scale_of(world_from_node)
-    poses = world_from_node.copy()
-    poses[:, :3, :3] /= scale[:, None, None]
+    world_from_camera = world_from_node.copy()
+    world_from_camera[:, :3, :3] /= scale[:, None, None]
     camera = np.full(len(places), -1)
     camera[number] = np.arange(len(number))
     held = np.flatnonzero(camera[tracks.place] >= 0)
     held = held[np.argsort(tracks.place[held], kind="stable")]
     place, feature = tracks.place[held], tracks.feature[held]
-    rotation = np.swapaxes(poses[number, :3, :3], 1, 2)
+    rotation = np.swapaxes(world_from_camera[number, :3, :3], 1, 2)
     local = _all(places, place, feature)
     bundle = Bundle(
         rotation,
-        -np.einsum("nij,nj->ni", rotation, poses[number, :3, 3]),
+        -np.einsum("nij,nj->ni", rotation, world_from_camera[number, :3, 3]),
         tracks.points,
         camera[place],
         tracks.track[held],
@@ -155,8 +155,8 @@ def _followed(part: CompletedSubmap, here: KeyframeFeatures, there: KeyframeFeat
     pairs = match_descriptors(here.rootsift, there.rootsift)
     if len(pairs) == 0:
         return pairs
-    pose = part.submap.world_from_camera[here.keyframe]
-    world = here.points[pairs[:, 0]] @ pose[:3, :3].T + pose[:3, 3]
+    world_from_camera = part.submap.world_from_camera[here.keyframe]
+    world = here.points[pairs[:, 0]] @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     local = part.submap.points_in_camera(there.keyframe, world)
     front = local[:, 2] > 1e-6
     local[:, 2] = np.where(front, local[:, 2], 1.0)

@@ -36,14 +36,17 @@ def adjust_to_features(local_map: LocalMap, find: FindFeatures, advance: Advance
     """
     local_map.forget_features()
     matched = match_features(local_map, find, advance)
-    poses = [keyframe.pose for keyframe in local_map.keyframes]
-    world = [f.world_points(pose) for f, pose in zip(matched.features, poses, strict=True)]
+    cameras_from_world = [keyframe.camera_from_world for keyframe in local_map.keyframes]
+    world = [
+        f.world_points(camera_from_world)
+        for f, camera_from_world in zip(matched.features, cameras_from_world, strict=True)
+    ]
     for widest in (widest_narrow(local_map.rays.camera.width), np.inf):
         if _adjusted(local_map, matched, world, widest, advance):
             return widest
         local_map.forget_features()
-        for keyframe, pose in zip(local_map.keyframes, poses, strict=True):
-            keyframe.pose = pose
+        for keyframe, camera_from_world in zip(local_map.keyframes, cameras_from_world, strict=True):
+            keyframe.camera_from_world = camera_from_world
     return None
 
 
@@ -63,7 +66,7 @@ def _adjusted(
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
     if not _is_held(local_map, moving, TYPICAL):
         return False
-    old, before = [keyframe.pose for keyframe in local_map.keyframes], local_map.tracks.points.copy()
+    old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
     if not _is_held(local_map, moving, TYPICAL / 2):
         return False
@@ -103,11 +106,11 @@ def _scales(local_map: LocalMap, old: list[Array], before: Array, sure: NDArray[
     old: the keyframes' poses before the adjustment; before (T,3): the points then; sure (T,): features to ask.
     """
     scale = np.full(len(old), np.nan)
-    for number, (keyframe, pose) in enumerate(zip(local_map.keyframes, old, strict=True)):
+    for number, (keyframe, camera_from_world) in enumerate(zip(local_map.keyframes, old, strict=True)):
         ids = keyframe.ids[(local_map.tracks.known & sure)[keyframe.ids]]
         if len(ids) >= MIN_SEEN:
-            now = in_camera(keyframe.pose, local_map.tracks.points[ids])
-            scale[number] = growth(in_camera(pose, before[ids]), now)
+            now = in_camera(keyframe.camera_from_world, local_map.tracks.points[ids])
+            scale[number] = growth(in_camera(camera_from_world, before[ids]), now)
     return scale
 
 
@@ -117,13 +120,15 @@ def _propagate(local_map: LocalMap, old: list[Array], scale: Array, moving: NDAr
 
     scale (K,): growth of each keyframe's surroundings, NaN where unknown; moving (T,): tracks that took part.
     """
-    fixed, now = np.flatnonzero(np.isfinite(scale)), [keyframe.pose for keyframe in local_map.keyframes]
+    fixed, now = np.flatnonzero(np.isfinite(scale)), [keyframe.camera_from_world for keyframe in local_map.keyframes]
     tracks, points = local_map.tracks, local_map.tracks.points.copy()
     for number in range(len(old) - 1, -1, -1):
         keyframe, guide = local_map.keyframes[number], int(fixed[np.abs(fixed - number).argmin()])
         scale[number] = scale[guide]
-        keyframe.pose = scaled(old[number] @ inverse(old[guide]), scale[guide]) @ now[guide]
+        keyframe.camera_from_world = scaled(old[number] @ inverse(old[guide]), scale[guide]) @ now[guide]
         seen = keyframe.ids[(tracks.known & ~moving)[keyframe.ids]]
-        points[seen] = in_camera(inverse(keyframe.pose), scale[number] * in_camera(old[number], tracks.points[seen]))
+        points[seen] = in_camera(
+            inverse(keyframe.camera_from_world), scale[number] * in_camera(old[number], tracks.points[seen])
+        )
     tracks.points = points
     local_map.posed = [posed.scaled(scale[posed.keyframe]) for posed in local_map.posed]

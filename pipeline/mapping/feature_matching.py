@@ -110,7 +110,7 @@ def _match_pair(
     the picture where the wall should move is dirt, a reflection or text that was burned in.
     """
     here, there = (features[number] for number in pair)
-    first, second = (local_map.keyframes[number].pose for number in pair)
+    first, second = (local_map.keyframes[number].camera_from_world for number in pair)
     expected = local_map.rays.project_valid(in_camera(second, here.world_points(first)))
     rows = match_near(expected, there.pixels, roots(pair[0]), roots(pair[1]), elsewhere[pair[0]], _radius(local_map))
     before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]

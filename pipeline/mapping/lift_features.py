@@ -23,7 +23,7 @@ def features_of_keyframe(
     points, pixels = local_map.known_points(keyframe)
     if len(points) < MIN_FEATURES:
         return KeyframeFeatures.none(number)
-    depth = in_camera(keyframe.pose, points)[:, 2]
+    depth = in_camera(keyframe.camera_from_world, points)[:, 2]
     front = depth > 0
     enough = extrapolate and int(front.sum()) >= MIN_FEATURES
     return lift_features(number, find(keyframe.frame), local_map.rays, pixels[front], depth[front], enough)

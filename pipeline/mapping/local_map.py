@@ -70,10 +70,10 @@ class Tracks:
 
 @dataclass
 class Keyframe:
-    """camera_from_world pose (4,4); ids (N,), pixels (N,2), xy (N,2) and jacobian (N,2,2) of the tracks in it."""
+    """camera_from_world (4,4); ids (N,), pixels (N,2), xy (N,2) and jacobian (N,2,2) of the tracks in it."""
 
     frame: int
-    pose: Array
+    camera_from_world: Array
     ids: NDArray[np.int64]
     pixels: Array
     xy: Array
@@ -117,10 +117,10 @@ class LocalMap:
         """One more than the highest track number that any keyframe holds."""
         return max((int(k.ids.max()) + 1 for k in self.keyframes if len(k.ids)), default=0)
 
-    def add_keyframe(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
+    def add_keyframe(self, frame: int, camera_from_world: Array, ids: NDArray[np.int64], pixels: Array) -> None:
         pixels = np.asarray(pixels, np.float64)
         xy, jacobian = self.rays.unproject(pixels)
-        self.keyframes.append(Keyframe(frame, pose, ids.copy(), pixels, xy, jacobian))
+        self.keyframes.append(Keyframe(frame, camera_from_world, ids.copy(), pixels, xy, jacobian))
 
     def extend(self, number: int, ids: NDArray[np.int64], pixels: Array) -> None:
         """More tracks that keyframe `number` sees."""
@@ -158,14 +158,14 @@ class LocalMap:
         for keyframe in self.keyframes:
             keyframe.keep(keyframe.ids < first)
 
-    def add_posed(self, frame: int, pose: Array, ids: NDArray[np.int64], pixels: Array) -> None:
-        relative = pose @ inverse(self.keyframes[-1].pose)
+    def add_posed(self, frame: int, camera_from_world: Array, ids: NDArray[np.int64], pixels: Array) -> None:
+        relative = camera_from_world @ inverse(self.keyframes[-1].camera_from_world)
         self.posed.append(
             PosedFrame(frame, len(self.keyframes) - 1, relative, ids.astype(np.int32), pixels.astype(np.float32))
         )
 
-    def pose_of(self, posed: PosedFrame) -> Array:
-        return posed.from_keyframe @ self.keyframes[posed.keyframe].pose
+    def camera_from_world_of(self, posed: PosedFrame) -> Array:
+        return posed.from_keyframe @ self.keyframes[posed.keyframe].camera_from_world
 
     def known_points(self, keyframe: Keyframe) -> tuple[Array, Array]:
         """World points (N,3) of the keyframe's tracks that have one, and where it saw them, pixels (N,2)."""
@@ -175,7 +175,7 @@ class LocalMap:
     def median_depth(self, keyframe: Keyframe) -> float:
         """Of the keyframe's points; 1 if it has none."""
         points, _ = self.known_points(keyframe)
-        return float(np.median(in_camera(keyframe.pose, points)[:, 2])) if len(points) else 1.0
+        return float(np.median(in_camera(keyframe.camera_from_world, points)[:, 2])) if len(points) else 1.0
 
     def triangulate_new(self, window: int = WINDOW, min_angle: float = MIN_ANGLE) -> None:
         """Points for the tracks that the latest keyframes see from far enough apart."""
@@ -189,10 +189,12 @@ class LocalMap:
         if len(order) == 0:
             return
         fresh, point = np.unique(ids[order], return_inverse=True)
-        poses = np.stack([k.pose for k in recent])[row[order]]
+        cameras_from_world = np.stack([k.camera_from_world for k in recent])[row[order]]
         xy = np.concatenate([k.xy for k in recent])[order]
         jacobian = np.concatenate([k.jacobian for k in recent])[order]
-        found, error, angle = triangulate(poses[:, :3, :3], poses[:, :3, 3], point, len(fresh), xy, jacobian)
+        found, error, angle = triangulate(
+            cameras_from_world[:, :3, :3], cameras_from_world[:, :3, 3], point, len(fresh), xy, jacobian
+        )
         good = (error < MAX_BIRTH_ERROR_PX) & (angle > min_angle)
         tracks.points[fresh[good]] = found[good]
         tracks.known[fresh[good]] = True
@@ -209,12 +211,12 @@ class LocalMap:
 
         among (T,): tracks that are moved; frames between keyframes then stay, since they saw others.
         """
-        now, tracks = self.keyframes[guide].pose, self.tracks
+        now, tracks = self.keyframes[guide].camera_from_world, self.tracks
         ahead = np.zeros(len(tracks), dtype=bool)
         for keyframe in self.keyframes[first:]:
-            pose = scaled(keyframe.pose @ inverse(old), scale) @ now
+            camera_from_world = scaled(keyframe.camera_from_world @ inverse(old), scale) @ now
             # Brought back to a rotation: `old` is one of these poses the next time, and rounding would grow threefold.
-            keyframe.pose = compose(pose[:3, :3], pose[:3, 3])
+            keyframe.camera_from_world = compose(camera_from_world[:3, :3], camera_from_world[:3, 3])
             ahead[keyframe.ids] = True
         for keyframe in self.keyframes[:first]:
             ahead[keyframe.ids] = False

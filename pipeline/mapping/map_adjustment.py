@@ -60,7 +60,7 @@ def adjust_window(
         return
     result = adjust(bundle, iterations, loss_px, tolerance, damping)
     for number, keyframe in enumerate(free, start=len(held)):
-        keyframe.pose = compose(result.rotation[number], result.translation[number])
+        keyframe.camera_from_world = compose(result.rotation[number], result.translation[number])
     local_map.tracks.points[tracks] = result.points
     _cull(local_map, result, tracks, held + free, max_error_px)
 
@@ -146,16 +146,19 @@ def _straighten(local_map: LocalMap, advance: Advance, among: Mask | None) -> No
     for end in range(PIECE, len(local_map.keyframes), PIECE // 2):
         piece = range(end - PIECE // 2, end)
         advance(end, len(local_map.keyframes), "straightening")
-        poses = [local_map.keyframes[number].pose for number in piece]
+        cameras_from_world = [local_map.keyframes[number].camera_from_world for number in piece]
         before = local_map.tracks.points.copy()
         for loss_px, _ in SETTLING:
             _final(local_map, PIECE, end, loss_px, np.inf, HELD, among)
-        grown = [_growth_of(local_map, number, pose, before, among) for number, pose in zip(piece, poses, strict=True)]
+        grown = [
+            _growth_of(local_map, number, camera_from_world, before, among)
+            for number, camera_from_world in zip(piece, cameras_from_world, strict=True)
+        ]
         held = np.flatnonzero(np.isfinite(grown))[-GUIDES:]
         if len(held) == 0:  # nothing says how it moved: what lies ahead stays
             continue
         scale = float(np.median([grown[k] for k in held]))
-        local_map.carry(end, piece[held[-1]], poses[held[-1]], scale, among)
+        local_map.carry(end, piece[held[-1]], cameras_from_world[held[-1]], scale, among)
 
 
 def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array, among: Mask | None) -> float:
@@ -165,7 +168,7 @@ def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array, amon
     mine = keyframe.ids[_usable(local_map, among)[keyframe.ids]]
     if len(mine) < MIN_HELD:
         return float("nan")
-    found = growth(in_camera(old, before[mine]), in_camera(keyframe.pose, local_map.tracks.points[mine]))
+    found = growth(in_camera(old, before[mine]), in_camera(keyframe.camera_from_world, local_map.tracks.points[mine]))
     return found if 1 / MOST_GROWTH < found < MOST_GROWTH else float("nan")
 
 
@@ -192,10 +195,10 @@ def _bundle(
     tracks, point = np.unique(ids, return_inverse=True)
     fixed = np.zeros(len(cameras), dtype=bool)
     fixed[: max(1, len(held))] = True
-    poses = np.stack([k.pose for k in cameras])
+    cameras_from_world = np.stack([k.camera_from_world for k in cameras])
     bundle = Bundle(
-        poses[:, :3, :3],
-        poses[:, :3, 3],
+        cameras_from_world[:, :3, :3],
+        cameras_from_world[:, :3, 3],
         local_map.tracks.points[tracks],
         np.repeat(np.arange(len(cameras)), [int(m.sum()) for m in masks]),
         point,

@@ -35,7 +35,7 @@ def _arrays(local_map: LocalMap) -> dict[str, NDArray]:
         "known": local_map.tracks.known[:used],
         "barred": local_map.tracks.barred[:used],
         "keyframe_frames": np.array([k.frame for k in keyframes], np.int64),
-        "keyframe_poses": np.array([k.pose for k in keyframes]).reshape(-1, 4, 4),
+        "keyframe_poses": np.array([k.camera_from_world for k in keyframes]).reshape(-1, 4, 4),
         "keyframe_counts": np.array([len(k.ids) for k in keyframes], np.int64),
         "keyframe_ids": np.concatenate([np.zeros(0, np.int64), *(k.ids for k in keyframes)]),
         "keyframe_pixels": np.concatenate([np.zeros((0, 2)), *(k.pixels for k in keyframes)]),

@@ -112,9 +112,9 @@ class Submap:
 
     def scaled(self, factor: float) -> "Submap":
         """The same submap in another unit."""
-        poses = self.world_from_camera.copy()
-        poses[:, :3, 3] *= factor
-        return replace(self, world_from_camera=poses, points=self.points * factor)
+        world_from_camera = self.world_from_camera.copy()
+        world_from_camera[:, :3, 3] *= factor
+        return replace(self, world_from_camera=world_from_camera, points=self.points * factor)
 
 
 def refined_camera(camera: Camera, submap: Submap) -> Camera:

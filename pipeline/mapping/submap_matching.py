@@ -52,13 +52,13 @@ class MapFeatures:
     map: LocalMap
     features: list[KeyframeFeatures]
 
-    def pose(self, number: int) -> Array:
+    def camera_from_world(self, number: int) -> Array:
         """camera_from_world (4,4) of the keyframe that features `number` belong to."""
-        return self.map.keyframes[self.features[number].keyframe].pose
+        return self.map.keyframes[self.features[number].keyframe].camera_from_world
 
     def correspondences(self, number: int, rows: NDArray[np.int64]) -> Correspondences:
         """Some of the features in the map's world."""
-        return correspondences(self.features[number], rows, self.map.rays, self.pose(number))
+        return correspondences(self.features[number], rows, self.map.rays, self.camera_from_world(number))
 
 
 Maps = tuple[MapFeatures, MapFeatures]
@@ -96,7 +96,7 @@ def joint_similarity(matches: list[Sim3Match], maps: Maps) -> Array:
 def second_from_first(match: Sim3Match, maps: Maps) -> Array:
     """The similarity (4,4) of the two worlds that one match measures."""
     cameras = np.linalg.inv(match.first_from_second)
-    return inverse(maps[1].pose(match.second)) @ cameras @ maps[0].pose(match.first)
+    return inverse(maps[1].camera_from_world(match.second)) @ cameras @ maps[0].camera_from_world(match.first)
 
 
 def best_matches(matches: list[Sim3Match]) -> list[Sim3Match]:
@@ -179,7 +179,9 @@ def _support(similarity: Array, asked: list[_Candidate], maps: Maps) -> list[Sim
         if is_well_conditioned(inlier, pixels, width, MIN_INLIER_SHARE) and _surfaces_agree(
             similarity, pair.first, pair.second, maps
         ):
-            cameras = maps[1].pose(pair.second) @ similarity @ inverse(maps[0].pose(pair.first))
+            cameras = (
+                maps[1].camera_from_world(pair.second) @ similarity @ inverse(maps[0].camera_from_world(pair.first))
+            )
             between = np.asarray(np.linalg.inv(cameras), np.float64)
             found.append(Sim3Match(pair.first, pair.second, between, pair.rows[inlier]))
     return found
@@ -191,7 +193,9 @@ def _around(row: int, reach: int, count: int) -> range:
 
 def _surfaces_agree(similarity: Array, i: int, j: int, maps: Maps) -> bool:
     """Whether most features of each keyframe that fall on the other's surface lie on it."""
-    here, there = (shown.features[k].world_points(shown.pose(k)) for shown, k in zip(maps, (i, j), strict=True))
+    here, there = (
+        shown.features[k].world_points(shown.camera_from_world(k)) for shown, k in zip(maps, (i, j), strict=True)
+    )
     ahead = _share_on(transform_points(similarity, here), maps[1], j)
     back = _share_on(transform_points(np.linalg.inv(similarity), there), maps[0], i)
     return min(ahead, back) >= SAME_SURFACE
@@ -200,7 +204,7 @@ def _surfaces_agree(similarity: Array, i: int, j: int, maps: Maps) -> bool:
 def _share_on(points: Array, shown: MapFeatures, number: int) -> float:
     """Share of points (N,3), of those in the hull of a keyframe's features, that are as far as the features around."""
     features = shown.features[number]
-    local = in_camera(shown.pose(number), points)
+    local = in_camera(shown.camera_from_world(number), points)
     local = local[local[:, 2] > 0]
     surface = interpolate_inverse_depth(shown.map.rays.project(local), features.triangles, features.points[:, 2])
     inside = np.isfinite(surface) & (surface > 0)
@@ -211,7 +215,7 @@ def _share_on(points: Array, shown: MapFeatures, number: int) -> float:
 def _are_apart(one: Sim3Match, other: Sim3Match, maps: Maps) -> bool:
     """Whether two matches have a baseline between them, in the first map and in the second."""
     for shown, here, there in zip(maps, (one.first, one.second), (other.first, other.second), strict=True):
-        centres = [inverse(shown.pose(number))[:3, 3] for number in (here, there)]
+        centres = [inverse(shown.camera_from_world(number))[:3, 3] for number in (here, there)]
         keyframe = shown.map.keyframes[shown.features[here].keyframe]
         if np.linalg.norm(centres[0] - centres[1]) < MIN_BASELINE * shown.map.median_depth(keyframe):
             return False

@@ -85,7 +85,10 @@ def merge_into(base: MapFeatures, other: MapFeatures, matches: list[Sim3Match]) 
         first_track, replace(added.tracks, points=transform_points(base_from_other, added.tracks.points))
     )
     for keyframe in added.keyframes:
-        keyframe.pose, keyframe.ids = transform_camera(base_from_other, keyframe.pose), keyframe.ids + first_track
+        keyframe.camera_from_world, keyframe.ids = (
+            transform_camera(base_from_other, keyframe.camera_from_world),
+            keyframe.ids + first_track,
+        )
         whole.keyframes.append(keyframe)
     for posed in added.posed:
         ids = (posed.ids + first_track).astype(np.int32)
@@ -103,7 +106,7 @@ def _join(
     """Matched points as tracks for the next adjustment: seen by both keyframes, and by neighbours of each in its own
     map, since a point with one ray from either side says nothing of the scale between them."""
     whole, numbers = grown.map, (match.first, match.second)
-    here, there = (whole.keyframes[of[k].keyframe].pose for of, k in zip(features, numbers, strict=True))
+    here, there = (whole.keyframes[of[k].keyframe].camera_from_world for of, k in zip(features, numbers, strict=True))
     world = features[0][match.first].world_points(here)[match.rows[:, 0]]
     front = in_camera(there, world)[:, 2] > 0
     begun = whole.tracks_in_use()
@@ -127,6 +130,6 @@ def _see_again(
     if len(rows) == 0:
         return
     xy, jacobian = whole.rays.unproject(other.pixels[rows[:, 1]])
-    pose, points = whole.keyframes[other.keyframe].pose, whole.tracks.points[ids[rows[:, 0]]]
-    near = reprojection_errors(pose, points, xy, jacobian) < MAX_NEIGHBOUR_PX
+    camera_from_world, points = whole.keyframes[other.keyframe].camera_from_world, whole.tracks.points[ids[rows[:, 0]]]
+    near = reprojection_errors(camera_from_world, points, xy, jacobian) < MAX_NEIGHBOUR_PX
     whole.extend(other.keyframe, ids[rows[near, 0]], other.pixels[rows[near, 1]])

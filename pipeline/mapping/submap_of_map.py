@@ -21,9 +21,9 @@ def to_submap(
     kind: TrackKind | None = None,
 ) -> Submap | None:
     """The submap; None if no frame sees enough. kind: of keyframes and tracks of this kind alone."""
-    frames, poses, counts, ids, pixels = _gather(local_map, kind)
+    frames, cameras_from_world, counts, ids, pixels = _gather(local_map, kind)
     row = np.repeat(np.arange(len(frames)), counts)
-    poses, error = _refine(local_map, poses, row, ids, pixels)
+    cameras_from_world, error = _refine(local_map, cameras_from_world, row, ids, pixels)
     good = error < MAX_ERROR_PX
     while True:  # frames with too few points, and points with too few frames, until neither is left
         views = np.bincount(ids[good], minlength=len(local_map.tracks))
@@ -39,7 +39,7 @@ def to_submap(
     summed = np.bincount(point, error[good], minlength=len(tracks))
     return Submap(
         frames[used],
-        np.stack([inverse(poses[k]) for k in used]),
+        np.stack([inverse(cameras_from_world[k]) for k in used]),
         np.asarray(local_map.tracks.points[tracks], np.float64),
         summed / np.bincount(point, minlength=len(tracks)),
         np.stack([frame, point], axis=1),
@@ -57,9 +57,9 @@ def _gather(
     found: dict[int, tuple[Array, NDArray, NDArray]] = {}
     usable = local_map.tracks.known if kind is None else local_map.tracks.known & local_map.tracks.is_kind(kind)
     for posed in local_map.posed if kind is None else ():
-        found[posed.frame] = (local_map.pose_of(posed), posed.ids, posed.pixels)
+        found[posed.frame] = (local_map.camera_from_world_of(posed), posed.ids, posed.pixels)
     for keyframe in local_map.keyframes:
-        found[keyframe.frame] = (keyframe.pose, keyframe.ids, keyframe.pixels)
+        found[keyframe.frame] = (keyframe.camera_from_world, keyframe.ids, keyframe.pixels)
     frames = np.array(sorted(found), dtype=np.int64)
     masks = [usable[found[f][1]] for f in frames]
     return (
@@ -72,18 +72,18 @@ def _gather(
 
 
 def _refine(
-    local_map: LocalMap, poses: Array, row: NDArray[np.int64], ids: NDArray[np.int64], pixels: NDArray
+    local_map: LocalMap, cameras_from_world: Array, row: NDArray[np.int64], ids: NDArray[np.int64], pixels: NDArray
 ) -> tuple[Array, Array]:
     """All poses fitted once more to the final points, and the error of each observation in pixels."""
-    poses, errors = poses.copy(), np.zeros(len(ids))
-    for first in range(0, len(poses), CHUNK):
+    cameras_from_world, errors = cameras_from_world.copy(), np.zeros(len(ids))
+    for first in range(0, len(cameras_from_world), CHUNK):
         part = slice(*np.searchsorted(row, [first, first + CHUNK]))
-        block = poses[first : first + CHUNK]
+        block = cameras_from_world[first : first + CHUNK]
         xy, jacobian = local_map.rays.unproject(pixels[part])
         points, mine = local_map.tracks.points[ids[part]], row[part] - first
         rotation, shift = refine_poses(block[:, :3, :3], block[:, :3, 3], mine, points, xy, jacobian, LOSS_PX)
-        poses[first : first + CHUNK] = [compose(r, t) for r, t in zip(rotation, shift, strict=True)]
+        cameras_from_world[first : first + CHUNK] = [compose(r, t) for r, t in zip(rotation, shift, strict=True)]
         local = np.einsum("mij,mj->mi", rotation[mine], points) + shift[mine]
         off = np.linalg.norm(reprojections(local, xy, jacobian), axis=1)
         errors[part] = np.where(local[:, 2] > 1e-9, off, np.inf)
-    return poses, errors
+    return cameras_from_world, errors

@@ -24,7 +24,7 @@ class Correspondences:
     """One map's view of the shared points: points (N,3) in its world, camera_from_world pose, xy (N,2), gain."""
 
     points: Array
-    pose: Array
+    camera_from_world: Array
     xy: Array
     jacobian: Array
 
@@ -49,14 +49,14 @@ class StackedCorrespondences:
     @staticmethod
     def of(sides: list[Correspondences]) -> "StackedCorrespondences":
         counts = [len(side.points) for side in sides]
-        poses = np.stack([side.pose for side in sides])
+        cameras_from_world = np.stack([side.camera_from_world for side in sides])
         return StackedCorrespondences(
             np.concatenate([side.points for side in sides]),
             np.concatenate([side.xy for side in sides]),
             np.concatenate([side.jacobian for side in sides]),
             np.repeat(np.arange(len(sides)), counts),
-            np.ascontiguousarray(poses[:, :3, :3]),
-            np.ascontiguousarray(poses[:, :3, 3]),
+            np.ascontiguousarray(cameras_from_world[:, :3, :3]),
+            np.ascontiguousarray(cameras_from_world[:, :3, 3]),
             np.cumsum([0, *counts[:-1]]),
         )
 
@@ -80,8 +80,8 @@ def similarity_errors(second_from_first: Array, first: Correspondences, second: 
     ahead = transform_points(second_from_first, first.points)
     back = transform_points(np.linalg.inv(second_from_first), second.points)
     return np.maximum(
-        reprojection_errors(second.pose, ahead, second.xy, second.jacobian),
-        reprojection_errors(first.pose, back, first.xy, first.jacobian),
+        reprojection_errors(second.camera_from_world, ahead, second.xy, second.jacobian),
+        reprojection_errors(first.camera_from_world, back, first.xy, first.jacobian),
     )
 
 
@@ -165,7 +165,7 @@ def _fits(source: Array, target: Array) -> Array:
 
 def _errors_of_each(transforms: Array, first: Correspondences, second: Correspondences) -> Array:
     """(K,N) `similarity_errors` of K transforms (K,4,4)."""
-    ahead, back = second.pose @ transforms, first.pose @ np.linalg.inv(transforms)
+    ahead, back = second.camera_from_world @ transforms, first.camera_from_world @ np.linalg.inv(transforms)
     return np.maximum(
         _reprojected(ahead, first.points, second.xy, second.jacobian),
         _reprojected(back, second.points, first.xy, first.jacobian),

@@ -40,18 +40,20 @@ def refine_poses(
     return rotation, translation
 
 
-def refine_pose(pose: Array, points: Array, xy: Array, jacobian: Array, loss_px: float, iterations: int = 8) -> Array:
-    """The 4x4 `camera_from_world` refined from `pose`."""
+def refine_pose(
+    camera_from_world: Array, points: Array, xy: Array, jacobian: Array, loss_px: float, iterations: int = 8
+) -> Array:
+    """The 4x4 `camera_from_world` refined from `camera_from_world`."""
     row = np.zeros(len(points), dtype=np.int64)
     rotation, translation = refine_poses(
-        pose[None, :3, :3], pose[None, :3, 3], row, points, xy, jacobian, loss_px, iterations
+        camera_from_world[None, :3, :3], camera_from_world[None, :3, 3], row, points, xy, jacobian, loss_px, iterations
     )
     return compose(rotation[0], translation[0])
 
 
-def reprojection_errors(pose: Array, points: Array, xy: Array, jacobian: Array) -> Array:
+def reprojection_errors(camera_from_world: Array, points: Array, xy: Array, jacobian: Array) -> Array:
     """(N,) pixels; infinite behind the camera."""
-    local = points @ pose[:3, :3].T + pose[:3, 3]
+    local = points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
     front = local[:, 2] > 1e-9
     off = np.einsum("nij,nj->ni", jacobian, local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - xy)
     return np.where(front, np.linalg.norm(off, axis=1), np.inf)
@@ -79,10 +81,10 @@ def robust_pose(
         )  # fmt: skip
         if not found:
             continue
-        pose = compose(cv2.Rodrigues(turn)[0], shift.ravel())
-        agreeing = int((reprojection_errors(pose, points, xy, jacobian) < max_error_px).sum())
+        camera_from_world = compose(cv2.Rodrigues(turn)[0], shift.ravel())
+        agreeing = int((reprojection_errors(camera_from_world, points, xy, jacobian) < max_error_px).sum())
         if agreeing > most:
-            best, most = pose, agreeing
+            best, most = camera_from_world, agreeing
             rounds = min(RANSAC_ROUNDS, rounds_needed((most / len(points)) ** 4))
     if best is None or most < MIN_POINTS:
         return None

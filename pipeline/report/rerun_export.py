@@ -87,8 +87,8 @@ def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: Com
     for row, index in enumerate(submap.frames.tolist()):
         recording.set_time(TIMELINE, duration=frames.seconds_of(index))
         recording.set_time("frame", sequence=index)
-        pose = submap.world_from_camera[row]
-        recording.log(camera, rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+        world_from_camera = submap.world_from_camera[row]
+        recording.log(camera, rerun.Transform3D(translation=world_from_camera[:3, 3], mat3x3=world_from_camera[:3, :3]))
         if row in keyframes:
             _log_keyframe(rerun, recording, camera, part, row, surface.scale.factor)
 

@@ -121,12 +121,12 @@ def _fuse(part: CompletedSubmap, settings: SurfaceSettings, label: str, progress
     lamp = _lamp(part, settings.seed) if settings.fusion.delight else None
     with progress.bar(label, len(part)) as advance:
         for place, keyframe in enumerate(part):
-            confidence, pose = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
+            confidence, world_from_camera = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
             if confidence is None:
                 left_out.append(keyframe.index)
             else:
                 rgb = lamp.delit(keyframe.rgb, keyframe.depth, part.camera.matrix) if lamp else keyframe.rgb
-                fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, pose)
+                fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, world_from_camera)
             advance(place + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, MIN_COMPONENT)

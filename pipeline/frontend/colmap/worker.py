@@ -207,11 +207,11 @@ def model_arrays(model: pycolmap.Reconstruction) -> dict[str, NDArray]:
     """
     images = sorted((i for i in model.images.values() if i.has_pose), key=lambda image: image.name)
     rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}
-    poses, observations, pixels = [], [], []
+    worlds_from_camera, observations, pixels = [], [], []
     for number, image in enumerate(images):
-        pose = np.eye(4)
-        pose[:3] = image.cam_from_world().inverse().matrix()
-        poses.append(pose)
+        world_from_camera = np.eye(4)
+        world_from_camera[:3] = image.cam_from_world().inverse().matrix()
+        worlds_from_camera.append(world_from_camera)
         for point in image.points2D:
             if point.has_point3D():
                 observations.append((number, rows[point.point3D_id]))
@@ -220,7 +220,7 @@ def model_arrays(model: pycolmap.Reconstruction) -> dict[str, NDArray]:
     camera = next(iter(model.cameras.values()))
     return {
         "names": np.array([image.name for image in images]),
-        "world_from_camera": np.array(poses).reshape(-1, 4, 4),
+        "world_from_camera": np.array(worlds_from_camera).reshape(-1, 4, 4),
         "points": np.array([p.xyz for p in points]).reshape(-1, 3),
         "error_px": np.array([p.error for p in points]),
         "observations": np.array(observations, dtype=np.int64).reshape(-1, 2),

@@ -27,7 +27,7 @@ MAX_SHIFT = 0.05  # and of its place, in its own median depths
 class Sighting:
     """A frame in a map: camera_from_world (4,4), tracks (N,), pixels (N,2), and whether it is a keyframe there."""
 
-    pose: Array
+    camera_from_world: Array
     ids: NDArray[np.int64]
     pixels: Array
     key: bool
@@ -36,10 +36,10 @@ class Sighting:
 def sightings(local_map: LocalMap) -> dict[int, Sighting]:
     """All frames of a map by their number."""
     found = {
-        p.frame: Sighting(local_map.pose_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False)
+        p.frame: Sighting(local_map.camera_from_world_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False)
         for p in local_map.posed
     }
-    return found | {k.frame: Sighting(k.pose, k.ids, k.pixels, True) for k in local_map.keyframes}
+    return found | {k.frame: Sighting(k.camera_from_world, k.ids, k.pixels, True) for k in local_map.keyframes}
 
 
 def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
@@ -50,9 +50,9 @@ def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
     if len(found) < MIN_SHARED:
         return None
     shared, (logs, depth) = list(found), np.log(np.array(list(found.values()))).T
-    poses = [np.stack([of[f].pose for f in shared]) for of in (here, there)]
-    turns = Rotation.from_matrix(np.swapaxes(poses[0][:, :3, :3], 1, 2) @ poses[1][:, :3, :3])
-    centres = [np.stack([inverse(pose)[:3, 3] for pose in of]) for of in poses]
+    cameras_from_world = [np.stack([of[f].camera_from_world for f in shared]) for of in (here, there)]
+    turns = Rotation.from_matrix(np.swapaxes(cameras_from_world[0][:, :3, :3], 1, 2) @ cameras_from_world[1][:, :3, :3])
+    centres = [np.stack([inverse(camera_from_world)[:3, 3] for camera_from_world in of]) for of in cameras_from_world]
     typical = turns[int(np.median([(turn.inv() * turns).magnitude() for turn in turns], axis=1).argmin())]
     scale = float(np.exp(np.median(logs)))
     shifts = centres[0] - scale * typical.apply(centres[1])
@@ -74,7 +74,7 @@ def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -
     seen = []
     for local_map, sighting in ((first, here), (second, there)):
         known = local_map.tracks.known[sighting.ids]
-        depth = in_camera(sighting.pose, local_map.tracks.points[sighting.ids[known]])[:, 2]
+        depth = in_camera(sighting.camera_from_world, local_map.tracks.points[sighting.ids[known]])[:, 2]
         seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
     if min(len(depth) for _, depth in seen) < MIN_FEATURES:
         return None
@@ -99,12 +99,12 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
         parts = [(s.ids + o, s.pixels) for s, o in ((mine, 0), (theirs, offset)) if s is not None]
         ids, pixels = (np.concatenate(of) for of in zip(*parts, strict=True))
         if mine is not None and (theirs is None or frame < middle):
-            pose = mine.pose
+            camera_from_world = mine.camera_from_world
         else:
             assert theirs is not None
-            pose = transform_camera(first_from_second, theirs.pose)
+            camera_from_world = transform_camera(first_from_second, theirs.camera_from_world)
         if not result.keyframes or any(s is not None and s.key for s in (mine, theirs)):
-            result.add_keyframe(frame, pose, ids, pixels)
+            result.add_keyframe(frame, camera_from_world, ids, pixels)
         else:
-            result.add_posed(frame, pose, ids, pixels)
+            result.add_posed(frame, camera_from_world, ids, pixels)
     return result

@@ -107,43 +107,43 @@ class Start:
         tracks = common[hypothesis.inlier]
         made.tracks.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
         made.tracks.known[tracks] = True
-        last_pose = hypothesis.pose.copy()
+        last_pose = hypothesis.second_from_first.copy()
         last_pose[:3, 3] *= scale
         end = len(self.waiting) - 1
-        poses = {number: np.eye(4), end: last_pose}
+        cameras_from_world = {number: np.eye(4), end: last_pose}
         chosen = np.unique(np.linspace(number, end, BETWEEN + 2).round().astype(int))
         guess: Array = np.eye(4)
         for k in chosen[1:-1]:
             found = self._pose(made, self.waiting[k], guess)
             if found is not None:
-                poses[int(k)] = guess = found
-        for k in sorted(poses):
+                cameras_from_world[int(k)] = guess = found
+        for k in sorted(cameras_from_world):
             waiting = self.waiting[k]
-            made.add_keyframe(waiting.frame, poses[k], waiting.ids, waiting.pixels)
+            made.add_keyframe(waiting.frame, cameras_from_world[k], waiting.ids, waiting.pixels)
         for _ in range(2):
             made.triangulate_new()
             adjust_window(made, iterations=15)
-        self._pose_rest(made, sorted(poses))
+        self._pose_rest(made, sorted(cameras_from_world))
         return made
 
     def _pose_rest(self, made: LocalMap, keyframes: list[int]) -> None:
         """Pose the frames between the keyframes, then those before the first, from near to far."""
         number_of = dict(zip(keyframes, range(len(keyframes)), strict=True))
         order = [*range(keyframes[0], len(self.waiting)), *range(keyframes[0] - 1, -1, -1)]
-        posed, owner, guess = [], 0, made.keyframes[0].pose
+        posed, owner, guess = [], 0, made.keyframes[0].camera_from_world
         for k in order:
             if k in number_of:
                 owner = number_of[k]
-                guess = made.keyframes[owner].pose
+                guess = made.keyframes[owner].camera_from_world
                 continue
             if k == keyframes[0] - 1:
-                owner, guess = 0, made.keyframes[0].pose
+                owner, guess = 0, made.keyframes[0].camera_from_world
             waiting = self.waiting[k]
-            pose = self._pose(made, waiting, guess)
-            if pose is None:
+            camera_from_world = self._pose(made, waiting, guess)
+            if camera_from_world is None:
                 continue
-            guess = pose
-            relative = pose @ inverse(made.keyframes[owner].pose)
+            guess = camera_from_world
+            relative = camera_from_world @ inverse(made.keyframes[owner].camera_from_world)
             mine = made.tracks.known[waiting.ids]
             posed.append(
                 PosedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
@@ -156,11 +156,11 @@ class Start:
             return None
         points = made.tracks.points[waiting.ids[mine]]
         xy, jacobian = self.rays.unproject(waiting.pixels[mine])
-        pose = refine_pose(guess, points, xy, jacobian, LOSS_PX, iterations=15)
-        share = (reprojection_errors(pose, points, xy, jacobian) < MAX_ERROR_PX).mean()
+        camera_from_world = refine_pose(guess, points, xy, jacobian, LOSS_PX, iterations=15)
+        share = (reprojection_errors(camera_from_world, points, xy, jacobian) < MAX_ERROR_PX).mean()
         if share < 0.5:
             other = robust_pose(points, xy, jacobian, MAX_ERROR_PX, self.rng)
             if other is None or (reprojection_errors(other, points, xy, jacobian) < MAX_ERROR_PX).mean() < 0.5:
                 return None
-            pose = other
-        return pose
+            camera_from_world = other
+        return camera_from_world

@@ -48,7 +48,7 @@ class Tracker:
         stride: int = 1,
     ) -> None:
         self.map, self.tracks, self.rng, self.keyframe_motion = local_map, tracks, rng, keyframe_motion
-        self.pose = local_map.keyframes[-1].pose
+        self.camera_from_world = local_map.keyframes[-1].camera_from_world
         self.frame = frame
         self.velocity = self._initial_velocity(stride)
         self.adjust_after = ADJUST_AFTER if local_map.rays.camera.trusted else ADJUST_AFTER_GUESS
@@ -62,14 +62,14 @@ class Tracker:
         found = self._resect(view, predicted)
         if found is None:
             return "lost"
-        pose, mapped, inlier = found
-        if not self._is_plausible(pose, steps):
+        camera_from_world, mapped, inlier = found
+        if not self._is_plausible(camera_from_world, steps):
             return "lost"
         if steps <= MAX_GAP:
-            self.velocity = _fraction(pose @ inverse(self.pose), 1 / steps)
+            self.velocity = _fraction(camera_from_world @ inverse(self.camera_from_world), 1 / steps)
         else:
             self.velocity = np.eye(4)
-        self.pose, self.frame = pose, frame
+        self.camera_from_world, self.frame = camera_from_world, frame
         self.unadjusted += steps
         tracks = self.tracks
         good = tracks.found.copy()
@@ -77,14 +77,14 @@ class Tracker:
         rows = mapped[inlier]
         tracks.found = good
         if not self._needs_keyframe(view.image.shape[1]):
-            self.map.add_posed(frame, pose, tracks.ids[rows], tracks.now[rows])
+            self.map.add_posed(frame, camera_from_world, tracks.ids[rows], tracks.now[rows])
             return "tracked"
         self._vote(rgb, rows)
         self._make_keyframe(frame, view)
         return "keyframe"
 
     def _predict(self, steps: int) -> Array:
-        predicted = self.pose
+        predicted = self.camera_from_world
         if steps <= MAX_GAP:
             for _ in range(steps):
                 predicted = self.velocity @ predicted
@@ -100,19 +100,21 @@ class Tracker:
             return None
         points = self.map.tracks.points[tracks.ids[mapped]]
         xy, jacobian = self.map.rays.unproject(tracks.now[mapped])
-        pose = refine_pose(predicted, points, xy, jacobian, 2 * LOSS_PX)
-        errors = reprojection_errors(pose, points, xy, jacobian)
+        camera_from_world = refine_pose(predicted, points, xy, jacobian, 2 * LOSS_PX)
+        errors = reprojection_errors(camera_from_world, points, xy, jacobian)
         if (errors < INLIER_PX).mean() < SURE_SHARE:
             other = robust_pose(points, xy, jacobian, INLIER_PX, self.rng)
             if other is not None:
                 others = reprojection_errors(other, points, xy, jacobian)
                 if (others < INLIER_PX).sum() > (errors < INLIER_PX).sum():
-                    pose, errors = other, others
+                    camera_from_world, errors = other, others
         inlier = errors < INLIER_PX
         if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
             return None
-        pose = refine_pose(pose, points[inlier], xy[inlier], jacobian[inlier], LOSS_PX, iterations=4)
-        return pose, mapped, reprojection_errors(pose, points, xy, jacobian) < INLIER_PX
+        camera_from_world = refine_pose(
+            camera_from_world, points[inlier], xy[inlier], jacobian[inlier], LOSS_PX, iterations=4
+        )
+        return camera_from_world, mapped, reprojection_errors(camera_from_world, points, xy, jacobian) < INLIER_PX
 
     def _guess(self, known: NDArray[np.bool_], predicted: Array) -> Pixels:
         """(N,2) where each track should be. A track without a point borrows the depth of the nearest one that has."""
@@ -121,19 +123,22 @@ class Tracker:
             return np.full(tracks.now.shape, np.nan, dtype=np.float32)
         points = self.map.tracks.points[tracks.ids]
         if not known.all():
-            depth = in_camera(last.pose, points[known])[:, 2]
+            depth = in_camera(last.camera_from_world, points[known])[:, 2]
             _, nearest = cKDTree(tracks.places[known]).query(tracks.places[~known])
             xy, _ = self.map.rays.unproject(tracks.places[~known])
             local = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * depth[nearest][:, None]
-            points[~known] = in_camera(inverse(last.pose), local)
+            points[~known] = in_camera(inverse(last.camera_from_world), local)
         return self.map.rays.project(in_camera(predicted, points)).astype(np.float32)
 
-    def _is_plausible(self, pose: Array, steps: int) -> bool:
+    def _is_plausible(self, camera_from_world: Array, steps: int) -> bool:
         """An endoscope does not jump: a pose far from the last one is a false fit."""
-        step = float(np.linalg.norm(inverse(pose)[:3, 3] - inverse(self.pose)[:3, 3]))
+        step = float(np.linalg.norm(inverse(camera_from_world)[:3, 3] - inverse(self.camera_from_world)[:3, 3]))
         limit = min(steps, MAX_GAP)
         depth = self.map.median_depth(self.map.keyframes[-1])
-        return step < MAX_STEP * limit * depth and angle_between(pose, self.pose) < MAX_TURN * limit
+        return (
+            step < MAX_STEP * limit * depth
+            and angle_between(camera_from_world, self.camera_from_world) < MAX_TURN * limit
+        )
 
     def _needs_keyframe(self, width: int) -> bool:
         tracks = self.tracks
@@ -142,13 +147,13 @@ class Tracker:
     def _make_keyframe(self, frame: int, view: View) -> None:
         """The frame enters the map, which is adjusted around it if that is due, and tracking goes on from its image."""
         tracks = self.tracks
-        self.map.add_keyframe(frame, self.pose, tracks.ids[tracks.found], tracks.now[tracks.found])
+        self.map.add_keyframe(frame, self.camera_from_world, tracks.ids[tracks.found], tracks.now[tracks.found])
         self.map.triangulate_new()
         if self.unadjusted >= self.adjust_after or len(self.map.keyframes) <= WINDOW:
             adjust_window(self.map)
             self.unadjusted = 0
         self.map.forget_unused()
-        self.pose = self.map.keyframes[-1].pose
+        self.camera_from_world = self.map.keyframes[-1].camera_from_world
         self._anchor(view)
 
     def _anchor(self, view: View) -> None:
@@ -171,7 +176,9 @@ class Tracker:
             return
         pixels = self.tracks.now[rows]
         x, y = np.floor(pixels).astype(int).T
-        distance = np.linalg.norm(in_camera(self.pose, self.map.tracks.points[self.tracks.ids[rows]]), axis=1)
+        distance = np.linalg.norm(
+            in_camera(self.camera_from_world, self.map.tracks.points[self.tracks.ids[rows]]), axis=1
+        )
         self.light.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
 
     def _initial_velocity(self, stride: int) -> Array:
@@ -180,7 +187,7 @@ class Tracker:
             return np.eye(4)
         before, last = self.map.keyframes[-2:]
         steps = max(1, round((last.frame - before.frame) / stride))
-        return _fraction(last.pose @ inverse(before.pose), 1 / steps)
+        return _fraction(last.camera_from_world @ inverse(before.camera_from_world), 1 / steps)
 
 
 def _fraction(motion: Array, share: float) -> Array:

@@ -45,13 +45,13 @@ class Sight:
 class Hypothesis:
     """Pose of the second camera, and what speaks for it.
 
-    pose: second_from_first, |t| = 1. points (N,3) in the first camera. inlier (N,) in all views. angle_deg: median.
+    second_from_first: |t| = 1. points (N,3) in the first camera. inlier (N,) in all views. angle_deg: median.
     support: mean over the tracks of 1 - (error / limit)^2, none below 0: it tells a good fit from a tolerable one,
     where with little parallax a count cannot. light: rank correlation of distance and brightness over the inliers,
     0 if not asked.
     """
 
-    pose: Array
+    second_from_first: Array
     points: Array
     inlier: NDArray[np.bool_]
     support: float
@@ -90,7 +90,10 @@ def start_pose(
     """
     if len(first.xy) < MIN_POINTS:
         return None
-    judged = [judge(pose, first, second, third, brightness) for pose in propose(first, second, focal_px, rng)]
+    judged = [
+        judge(second_from_first, first, second, third, brightness)
+        for second_from_first in propose(first, second, focal_px, rng)
+    ]
     judged = [h for h in judged if h.inlier.sum() >= MIN_POINTS]
     lit = [h for h in judged if h.light <= DARK_NEAR]
     if not lit:
@@ -98,7 +101,11 @@ def start_pose(
     best, most = (max(group, key=lambda h: h.support) for group in (lit, judged))
     if best.share < MIN_SHARE or best.angle_deg < MIN_ANGLE_DEG or best.support < CLEARLY_WORSE * most.support:
         return None
-    rivals = [h for h in lit if not _is_same(h.pose, best.pose) and h.support > CLEARLY_WORSE * best.support]
+    rivals = [
+        h
+        for h in lit
+        if not _is_same(h.second_from_first, best.second_from_first) and h.support > CLEARLY_WORSE * best.support
+    ]
     if any(h.light < best.light + CLEARLY_DARKER for h in rivals):
         return None
     return best
@@ -106,68 +113,77 @@ def start_pose(
 
 def propose(first: Sight, second: Sight, focal_px: float, rng: np.random.Generator) -> list[Array]:
     """Poses (4x4, second_from_first, |t| = 1) worth a closer look, those with most points in front first."""
-    poses: list[Array] = []
+    cameras_from_first: list[Array] = []
     for limit in DRAW_PX:
-        poses += _from_essential(first.xy, second.xy, limit / focal_px, rng)
-    poses += _from_homography(first.xy, second.xy, focal_px, rng)
-    counted = sorted(((_fitting(pose, first, second), k) for k, pose in enumerate(poses)), reverse=True)
+        cameras_from_first += _from_essential(first.xy, second.xy, limit / focal_px, rng)
+    cameras_from_first += _from_homography(first.xy, second.xy, focal_px, rng)
+    counted = sorted(
+        ((_fitting(second_from_first, first, second), k) for k, second_from_first in enumerate(cameras_from_first)),
+        reverse=True,
+    )
     chosen: list[Array] = []
     for count, k in counted:
-        if len(chosen) < FINALISTS and count >= MIN_POINTS and not any(_is_same(poses[k], c) for c in chosen):
-            chosen.append(poses[k])
+        if (
+            len(chosen) < FINALISTS
+            and count >= MIN_POINTS
+            and not any(_is_same(cameras_from_first[k], c) for c in chosen)
+        ):
+            chosen.append(cameras_from_first[k])
     return chosen
 
 
-def judge(pose: Array, first: Sight, second: Sight, third: Sight, brightness: Array | None) -> Hypothesis:
+def judge(second_from_first: Array, first: Sight, second: Sight, third: Sight, brightness: Array | None) -> Hypothesis:
     """Refine a pose and its points on two views, then ask the third view and the lamp."""
-    pose, points, error, angle = _refined(pose, first, second)
+    second_from_first, points, error, angle = _refined(second_from_first, first, second)
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
     if inlier.sum() < MIN_POINTS:
-        return Hypothesis(pose, points, np.zeros(len(points), dtype=bool), 0.0, 0.0, 0.0)
-    halfway = _interpolated(pose)
+        return Hypothesis(second_from_first, points, np.zeros(len(points), dtype=bool), 0.0, 0.0, 0.0)
+    halfway = _interpolated(second_from_first)
     middle = refine_pose(halfway, points[inlier], third.xy[inlier], third.jacobian[inlier], MAX_ERROR_PX, iterations=15)
     error = np.maximum(error, reprojection_errors(middle, points, third.xy, third.jacobian))
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
     support = float(np.where(inlier, 1 - np.minimum(error / MAX_ERROR_PX, 1) ** 2, 0).mean())
     light = 0.0
     if brightness is not None and inlier.sum() >= MIN_VOTERS:
-        distance = np.linalg.norm(points[inlier] @ pose[:3, :3].T + pose[:3, 3], axis=1)
+        distance = np.linalg.norm(points[inlier] @ second_from_first[:3, :3].T + second_from_first[:3, 3], axis=1)
         light = float(np.nan_to_num(spearmanr(distance, brightness[inlier]).statistic))
     angle_deg = float(np.degrees(np.median(angle[inlier]))) if inlier.any() else 0.0
-    return Hypothesis(pose, points, inlier, support, angle_deg, light)
+    return Hypothesis(second_from_first, points, inlier, support, angle_deg, light)
 
 
-def _refined(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array, Array]:
+def _refined(second_from_first: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array, Array]:
     """Pose with |t| = 1, points, worst error and ray angle of each, after adjusting both to the two views."""
-    points, error, _ = _triangulated(pose, first, second)
+    points, error, _ = _triangulated(second_from_first, first, second)
     take = np.flatnonzero(error < 3 * MAX_ERROR_PX)
     if len(take) >= MIN_POINTS:
         count = len(take)
-        poses = np.stack([np.eye(4), pose])
+        cameras_from_first = np.stack([np.eye(4), second_from_first])
         bundle = Bundle(
-            poses[:, :3, :3], poses[:, :3, 3], points[take],
+            cameras_from_first[:, :3, :3], cameras_from_first[:, :3, 3], points[take],
             np.repeat([0, 1], count), np.tile(np.arange(count), 2),
             np.concatenate([first.xy[take], second.xy[take]]),
             np.concatenate([first.jacobian[take], second.jacobian[take]]),
             np.array([True, False]),
         )  # fmt: skip
         result = adjust(bundle, REFINEMENTS, MAX_ERROR_PX)
-        pose = compose(result.rotation[1], result.translation[1])
-        pose[:3, 3] /= max(float(np.linalg.norm(pose[:3, 3])), 1e-12)
-    points, error, angle = _triangulated(pose, first, second)
-    return pose, points, error, angle
+        second_from_first = compose(result.rotation[1], result.translation[1])
+        second_from_first[:3, 3] /= max(float(np.linalg.norm(second_from_first[:3, 3])), 1e-12)
+    points, error, angle = _triangulated(second_from_first, first, second)
+    return second_from_first, points, error, angle
 
 
-def _triangulated(pose: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array]:
+def _triangulated(second_from_first: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array]:
     count = len(first.xy)
-    poses = np.tile(np.stack([np.eye(4), pose]), (count, 1, 1))
+    cameras_from_first = np.tile(np.stack([np.eye(4), second_from_first]), (count, 1, 1))
     xy = np.stack([first.xy, second.xy], axis=1).reshape(-1, 2)
     jacobian = np.stack([first.jacobian, second.jacobian], axis=1).reshape(-1, 2, 2)
-    return triangulate(poses[:, :3, :3], poses[:, :3, 3], np.repeat(np.arange(count), 2), count, xy, jacobian)
+    return triangulate(
+        cameras_from_first[:, :3, :3], cameras_from_first[:, :3, 3], np.repeat(np.arange(count), 2), count, xy, jacobian
+    )
 
 
-def _fitting(pose: Array, first: Sight, second: Sight) -> int:
-    return int((_triangulated(pose, first, second)[1] < MAX_ERROR_PX).sum())
+def _fitting(second_from_first: Array, first: Sight, second: Sight) -> int:
+    return int((_triangulated(second_from_first, first, second)[1] < MAX_ERROR_PX).sum())
 
 
 def _from_essential(first: Array, second: Array, limit: float, rng: np.random.Generator) -> list[Array]:
@@ -197,10 +213,10 @@ def _consensus(threshold: float, rng: np.random.Generator) -> cv2.UsacParams:
     return params
 
 
-def _interpolated(pose: Array) -> Array:
+def _interpolated(second_from_first: Array) -> Array:
     half = np.eye(4)
-    half[:3, :3] = Rotation.from_rotvec(0.5 * Rotation.from_matrix(pose[:3, :3]).as_rotvec()).as_matrix()
-    half[:3, 3] = 0.5 * pose[:3, 3]
+    half[:3, :3] = Rotation.from_rotvec(0.5 * Rotation.from_matrix(second_from_first[:3, :3]).as_rotvec()).as_matrix()
+    half[:3, 3] = 0.5 * second_from_first[:3, 3]
     return half
 
 

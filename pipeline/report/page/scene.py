@@ -79,10 +79,10 @@ def _submap(
     submap, unit = part.submap.scaled(surface.scale.factor), in_words(surface.scale.unit)
     coarse = decimated(surface.mesh, limits.triangles)
     rows = np.arange(0, len(submap.frames), max(1, -(-len(submap.frames) // limits.path_points)))
-    poses = submap.world_from_camera
+    world_from_camera = submap.world_from_camera
     points = np.concatenate([coarse.vertices, submap.centres])
     low, high = points.min(axis=0), points.max(axis=0)
-    axes = _axes(coarse.vertices if len(coarse.faces) else submap.centres, poses)
+    axes = _axes(coarse.vertices if len(coarse.faces) else submap.centres, world_from_camera)
     seen = points @ axes.T  # as the first view shows them
     (fx, fy), (width, height) = part.camera.focal, (part.camera.width, part.camera.height)
     return {
@@ -107,7 +107,7 @@ def _submap(
             "places": _floats(submap.centres[part.rows]),
             "frames": submap.frames[part.rows].tolist(),
         },
-        "shown": [{"keyframe": place, "pose": _pose(poses[row])} for place, row in shown],
+        "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown],
         "missed": _missed(judgement, unit, limits.patch_triangles),
     }
 
@@ -155,12 +155,12 @@ def clock_words(region: dict[str, Any]) -> str:
     return "all round" if region["clock"] is None else f"{region['clock']:.1f} o'clock"
 
 
-def _axes(points: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _axes(points: NDArray[np.float64], world_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows: along the object's longest axis the way the camera went, up as the picture has it, and towards the eye."""
     along = np.linalg.eigh(np.cov(points.T))[1][:, -1] if len(points) > 1 else np.array([1.0, 0, 0])
-    if along @ (poses[-1, :3, 3] - poses[0, :3, 3]) < 0:
+    if along @ (world_from_camera[-1, :3, 3] - world_from_camera[0, :3, 3]) < 0:
         along = -along
-    up = -poses[:, :3, 1].mean(axis=0)
+    up = -world_from_camera[:, :3, 1].mean(axis=0)
     up -= (up @ along) * along
     if np.linalg.norm(up) < 1e-6:
         up = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 else [0, 1.0, 0])

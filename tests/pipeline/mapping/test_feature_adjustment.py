@@ -49,9 +49,9 @@ def bent(local_map, growth):
 
     result = copy.deepcopy(local_map)
     for keyframe in result.keyframes:
-        outward = inverse(keyframe.pose)
+        outward = inverse(keyframe.camera_from_world)
         outward[:3, 3] = place(outward[None, :3, 3])[0]
-        keyframe.pose = inverse(outward)
+        keyframe.camera_from_world = inverse(outward)
     result.tracks.points = place(result.tracks.points)
     return result
 
@@ -61,7 +61,7 @@ def frames_of(local_map):
 
 
 def poses_of(local_map):
-    return np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
+    return np.stack([inverse(keyframe.camera_from_world) for keyframe in local_map.keyframes])
 
 
 def features_seen(local_map):
@@ -115,7 +115,7 @@ def test_wall_beyond_the_followed_corners_gets_points_too(finished):
     assert adjust_to_features(local_map, SiftCache(read))
     # Guesses are too deep out there; frames between keyframes must not grow by them: 0.02 off, by them 0.07.
     frames = np.array(frames_of(local_map) + [posed.frame for posed in local_map.posed])
-    between = np.stack([inverse(local_map.pose_of(posed)) for posed in local_map.posed])
+    between = np.stack([inverse(local_map.camera_from_world_of(posed)) for posed in local_map.posed])
     assert trajectory_errors(np.concatenate([poses_of(local_map), between]), TRUE[frames]).ate_rmse < 0.035
     submap = to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE)
     point = submap.observations[:, 1]
@@ -159,13 +159,13 @@ def test_where_narrow_features_are_too_few_the_wide_ones_help(finished):
 
 def test_too_few_features_move_nothing(finished):
     local_map = copy.deepcopy(finished)
-    poses = [keyframe.pose.copy() for keyframe in local_map.keyframes]
+    poses = [keyframe.camera_from_world.copy() for keyframe in local_map.keyframes]
     points = local_map.tracks.points.copy()
     assert not adjust_to_features(
         local_map, SiftCache(lambda frame: (cv2.GaussianBlur(IMAGES[frame], (0, 0), 6), MASK))
     )
     np.testing.assert_array_equal(local_map.tracks.points, points)
-    np.testing.assert_array_equal([keyframe.pose for keyframe in local_map.keyframes], poses)
+    np.testing.assert_array_equal([keyframe.camera_from_world for keyframe in local_map.keyframes], poses)
 
 
 def test_a_keyframe_without_features_follows_its_neighbour(finished):
@@ -178,7 +178,7 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
     assert adjust_to_features(
         local_map, SiftCache(lambda number: (IMAGES[number], hidden if number == frame else MASK))
     )
-    poses = np.stack([inverse(keyframe.pose) for keyframe in local_map.keyframes])
+    poses = np.stack([inverse(keyframe.camera_from_world) for keyframe in local_map.keyframes])
     true = TRUE[[keyframe.frame for keyframe in local_map.keyframes]]
     aligned = umeyama(poses[:, :3, 3], true[:, :3, 3], with_scale=True)
     off = np.linalg.norm(poses[:, :3, 3] @ aligned[:3, :3].T + aligned[:3, 3] - true[:, :3, 3], axis=1)
@@ -203,7 +203,7 @@ def test_two_runs_agree_to_the_bit(finished):
     assert adjust_to_features(second, SiftCache(read))
     np.testing.assert_array_equal(first.tracks.points, second.tracks.points)
     for one, other in zip(first.keyframes, second.keyframes, strict=True):
-        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(one.camera_from_world, other.camera_from_world)
         np.testing.assert_array_equal(one.ids, other.ids)
 
 
@@ -213,7 +213,7 @@ def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
     corners = local_map.tracks.is_kind(TrackKind.KLT)
     for keyframe in local_map.keyframes:
         mine = local_map.tracks.known[keyframe.ids] & corners[keyframe.ids]
-        local = in_camera(keyframe.pose, local_map.tracks.points[keyframe.ids[mine]])
+        local = in_camera(keyframe.camera_from_world, local_map.tracks.points[keyframe.ids[mine]])
         off = np.linalg.norm(CAMERA.project(local) - keyframe.pixels[mine], axis=1)
         assert np.median(off) < 0.5
         assert off.max() < 2.01

@@ -43,21 +43,21 @@ def drifted(true, factor):
     first keyframe that saw it."""
     made = copy.deepcopy(true)
     unit = factor ** (np.arange(COUNT) / COUNT)
-    world = np.stack([inverse(k.pose) for k in true.keyframes])
+    world = np.stack([inverse(k.camera_from_world) for k in true.keyframes])
     centres = np.cumsum(np.diff(world[:, :3, 3], axis=0, prepend=0) * unit[:, None], axis=0)
     for number in range(COUNT - 1, -1, -1):
         keyframe = made.keyframes[number]
         moved = world[number].copy()
         moved[:3, 3] = centres[number]
-        local = unit[number] * in_camera(true.keyframes[number].pose, true.tracks.points[keyframe.ids])
-        keyframe.pose = inverse(moved)
+        local = unit[number] * in_camera(true.keyframes[number].camera_from_world, true.tracks.points[keyframe.ids])
+        keyframe.camera_from_world = inverse(moved)
         made.tracks.points[keyframe.ids] = in_camera(moved, local)
     return made
 
 
 def error(local_map, true):
     """Path error over the length of the path."""
-    found, right = (np.stack([inverse(k.pose) for k in m.keyframes]) for m in (local_map, true))
+    found, right = (np.stack([inverse(k.camera_from_world) for k in m.keyframes]) for m in (local_map, true))
     return trajectory_errors(found, right).ate_rmse / (STEP * COUNT)
 
 
@@ -84,14 +84,15 @@ def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen)
     crooked = drifted(true, 3.0)
     adjust_all(crooked, changed=True)
     blind = np.isin(np.arange(COUNT), (29, 44, 59))
-    found, right = (np.stack([inverse(k.pose) for k in m.keyframes])[~blind] for m in (crooked, true))
+    found, right = (np.stack([inverse(k.camera_from_world) for k in m.keyframes])[~blind] for m in (crooked, true))
     assert trajectory_errors(found, right).ate_rmse < 0.002 * STEP * COUNT
 
 
 def missed(local_map):
     """(M,2) pixels by which all points miss their observations."""
     off = [
-        reprojections(in_camera(k.pose, local_map.tracks.points[k.ids]), k.xy, k.jacobian) for k in local_map.keyframes
+        reprojections(in_camera(k.camera_from_world, local_map.tracks.points[k.ids]), k.xy, k.jacobian)
+        for k in local_map.keyframes
     ]
     return np.concatenate(off)
 
@@ -104,11 +105,11 @@ def test_what_is_carried_along_sees_the_same(scale):
     turn = pose([0.5, -0.3, 0.2], [0.1, 0.2, -0.1])
     for _ in range(TIMES):
         last = local_map.keyframes[1]
-        old, last.pose = last.pose, turn @ last.pose
+        old, last.camera_from_world = last.camera_from_world, turn @ last.camera_from_world
         local_map.carry(2, 1, old, scale)
     far = local_map.keyframes[110]
-    np.testing.assert_allclose(far.pose[:3, :3] @ far.pose[:3, :3].T, np.eye(3), atol=1e-12)
-    before, after = (in_camera(m.keyframes[110].pose, m.tracks.points[far.ids]) for m in (true, local_map))
+    np.testing.assert_allclose(far.camera_from_world[:3, :3] @ far.camera_from_world[:3, :3].T, np.eye(3), atol=1e-12)
+    before, after = (in_camera(m.keyframes[110].camera_from_world, m.tracks.points[far.ids]) for m in (true, local_map))
     assert len(far.ids) > 100
     np.testing.assert_allclose(after, scale**TIMES * before, rtol=1e-7, atol=1e-7 * scale**TIMES)
 
@@ -120,23 +121,25 @@ def test_frames_between_keyframes_are_carried_too():
         keyframe = true.keyframes[number]
         relative = pose([0, 0, 0], [0, 0, STEP / 2])
         local_map.posed.append(PosedFrame(1000 + number, number, relative, keyframe.ids, keyframe.pixels))
-    before = [local_map.pose_of(posed) for posed in local_map.posed]
-    old = local_map.keyframes[79].pose
-    local_map.keyframes[79].pose = pose([1, 2, 3], [1, 0, 0]) @ old
+    before = [local_map.camera_from_world_of(posed) for posed in local_map.posed]
+    old = local_map.keyframes[79].camera_from_world
+    local_map.keyframes[79].camera_from_world = pose([1, 2, 3], [1, 0, 0]) @ old
     local_map.carry(80, 79, old, 1.2)
-    np.testing.assert_array_equal(local_map.pose_of(local_map.posed[0]), before[0])
+    np.testing.assert_array_equal(local_map.camera_from_world_of(local_map.posed[0]), before[0])
     ids = np.setdiff1d(true.keyframes[110].ids, np.concatenate([k.ids for k in true.keyframes[:80]]))
-    seen = in_camera(local_map.pose_of(local_map.posed[1]), local_map.tracks.points[ids])
+    seen = in_camera(local_map.camera_from_world_of(local_map.posed[1]), local_map.tracks.points[ids])
     np.testing.assert_allclose(seen, 1.2 * in_camera(before[1], true.tracks.points[ids]), atol=1e-9)
 
 
 def test_carrying_moves_nothing_that_earlier_keyframes_see():
     true = film(np.random.default_rng(2), 0.0)
     local_map = copy.deepcopy(true)
-    old = local_map.keyframes[79].pose
-    local_map.keyframes[79].pose = pose([0, 0, 3], [1, 0, 0]) @ old
+    old = local_map.keyframes[79].camera_from_world
+    local_map.keyframes[79].camera_from_world = pose([0, 0, 3], [1, 0, 0]) @ old
     local_map.carry(80, 79, old, 1.2)
     earlier = np.unique(np.concatenate([k.ids for k in true.keyframes[:80]]))
     np.testing.assert_array_equal(local_map.tracks.points[earlier], true.tracks.points[earlier])
-    np.testing.assert_array_equal([k.pose for k in local_map.keyframes[:79]], [k.pose for k in true.keyframes[:79]])
+    np.testing.assert_array_equal(
+        [k.camera_from_world for k in local_map.keyframes[:79]], [k.camera_from_world for k in true.keyframes[:79]]
+    )
     assert np.abs(missed(local_map)).max() > 1, "what both see must be adjusted"

@@ -76,12 +76,12 @@ def test_a_window_is_held_by_those_that_share_its_points_wherever_they_are():
     made = a_map(centres, [half, other, other, half, half, half])
     held = sharing(made, made.keyframes[3:5], made.keyframes[:3] + made.keyframes[5:], 6)
     assert [keyframe.frame for keyframe in held] == [0, 5]
-    before = [keyframe.pose.copy() for keyframe in made.keyframes]
+    before = [keyframe.camera_from_world.copy() for keyframe in made.keyframes]
     for number in (3, 4):
-        made.keyframes[number].pose = pose([0.5, 0, 0], [0.1, 0, centres[number][2]])
+        made.keyframes[number].camera_from_world = pose([0.5, 0, 0], [0.1, 0, centres[number][2]])
     adjust_window(made, 2, 30, end=5)
     for keyframe, right in zip(made.keyframes, before, strict=True):
-        np.testing.assert_allclose(keyframe.pose, right, atol=1e-3)
+        np.testing.assert_allclose(keyframe.camera_from_world, right, atol=1e-3)
 
 
 @pytest.mark.parametrize("stride", [1, 5])
@@ -96,7 +96,7 @@ def test_the_first_prediction_knows_the_stride(stride):
 
 def features_of(local_map, number, rows, codes):
     keyframe: Keyframe = local_map.keyframes[number]
-    points = in_camera(keyframe.pose, local_map.tracks.points[keyframe.ids[rows]])
+    points = in_camera(keyframe.camera_from_world, local_map.tracks.points[keyframe.ids[rows]])
     return KeyframeFeatures(
         number, keyframe.pixels[rows], codes[rows], points, np.full(len(points), 3.0), np.zeros(len(points), bool)
     )

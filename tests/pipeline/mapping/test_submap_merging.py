@@ -58,7 +58,7 @@ def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
 
 def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch):
     maps, held, find, _ = there_and_back
-    poses = [[k.pose.copy() for k in m.keyframes] for m in maps]
+    poses = [[k.camera_from_world.copy() for k in m.keyframes] for m in maps]
     together = Merged(copy.deepcopy(maps[0]), (0, 1))
     monkeypatch.setattr(finish_maps, "merge_maps", lambda *_: [together])
     for outcome in (None, np.inf):
@@ -66,7 +66,7 @@ def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch)
         kept, joins = finish_maps.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
         assert joins == 0
         for local_map, before in zip(kept, poses, strict=True):
-            np.testing.assert_array_equal([k.pose for k in local_map.keyframes], before)
+            np.testing.assert_array_equal([k.camera_from_world for k in local_map.keyframes], before)
             features = local_map.tracks.is_kind(TrackKind.FEATURE)
             assert any(features[k.ids].any() for k in local_map.keyframes), "with their features"
     monkeypatch.setattr(finish_maps, "adjust_to_features", lambda *_: held[0])

@@ -211,8 +211,8 @@ def starts_right(kind, seed):
     found = start_pose(first, second, third, brightness, FOCAL, np.random.default_rng(seed))
     if found is None:
         return False
-    assert np.degrees(angle_between(found.pose, poses[2])) < 1.0
-    assert direction_error_deg(found.pose, poses[2]) < 8
+    assert np.degrees(angle_between(found.camera_from_world, poses[2])) < 1.0
+    assert direction_error_deg(found.camera_from_world, poses[2]) < 8
     assert found.light < -0.5
     return True
 
@@ -305,7 +305,9 @@ def test_many_sides_are_judged_as_each_alone():
     sides, transform = [random_sides(count, rng)[0] for count in (5, 30, 9)], random_similarity(rng)
     stack = StackedCorrespondences.of(sides)
     together = stack.errors(transform, stack.points)
-    alone = [reprojection_errors(s.pose, transform_points(transform, s.points), s.xy, s.jacobian) for s in sides]
+    alone = [
+        reprojection_errors(s.camera_from_world, transform_points(transform, s.points), s.xy, s.jacobian) for s in sides
+    ]
     assert stack.starts.tolist() == [0, 5, 35]
     assert 0 < np.isinf(together).mean() < 1
     np.testing.assert_allclose(together, np.concatenate(alone), rtol=1e-9)

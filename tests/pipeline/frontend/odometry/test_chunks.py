@@ -51,10 +51,10 @@ def elsewhere(local_map, scale):
     world_from_old[:3, 3] = [5, -3, 40]
     rotation = world_from_old[:3, :3] / scale
     for keyframe in local_map.keyframes:
-        pose = keyframe.pose.copy()
+        pose = keyframe.camera_from_world.copy()
         pose[:3, :3] = pose[:3, :3] @ rotation.T
         pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ world_from_old[:3, 3]
-        keyframe.pose = pose
+        keyframe.camera_from_world = pose
     local_map.tracks.points = transform_points(world_from_old, local_map.tracks.points)
     local_map.posed = [posed.scaled(scale) for posed in local_map.posed]
     return local_map
@@ -117,7 +117,7 @@ def test_maps_that_do_not_agree_stay_apart(monkeypatch):
     monkeypatch.undo()
     bent = tracked(14, COUNT)
     for posed in bent.keyframes:
-        posed.pose[:3, 3] *= 1 + 0.05 * (posed.frame - 14)
+        posed.camera_from_world[:3, 3] *= 1 + 0.05 * (posed.frame - 14)
     assert first_from_second(first, bent) is None
 
 
