@@ -107,7 +107,7 @@ def _scales(local_map: LocalMap, old: list[Array], before: Array, sure: NDArray[
     """
     scale = np.full(len(old), np.nan)
     for number, (keyframe, camera_from_world) in enumerate(zip(local_map.keyframes, old, strict=True)):
-        ids = keyframe.ids[(local_map.tracks.known & sure)[keyframe.ids]]
+        ids = keyframe.ids[(local_map.tracks.has_point & sure)[keyframe.ids]]
         if len(ids) >= MIN_SEEN:
             now = in_camera(keyframe.camera_from_world, local_map.tracks.points[ids])
             scale[number] = growth(in_camera(camera_from_world, before[ids]), now)
@@ -126,7 +126,7 @@ def _propagate(local_map: LocalMap, old: list[Array], scale: Array, moving: NDAr
         keyframe, guide = local_map.keyframes[number], int(fixed[np.abs(fixed - number).argmin()])
         scale[number] = scale[guide]
         keyframe.camera_from_world = scaled(old[number] @ inverse(old[guide]), scale[guide]) @ now[guide]
-        seen = keyframe.ids[(tracks.known & ~moving)[keyframe.ids]]
+        seen = keyframe.ids[(tracks.has_point & ~moving)[keyframe.ids]]
         points[seen] = in_camera(
             inverse(keyframe.camera_from_world), scale[number] * in_camera(old[number], tracks.points[seen])
         )

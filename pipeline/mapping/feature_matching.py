@@ -90,7 +90,7 @@ def covisible_pairs(local_map: LocalMap) -> list[tuple[int, int]]:
 
 def incidence(local_map: LocalMap, among: NDArray[np.bool_] | None = None) -> csr_array:
     """(keyframes, tracks) ones where a keyframe sees a known point, `among` (T,) these tracks."""
-    usable = local_map.tracks.known if among is None else local_map.tracks.known & among
+    usable = local_map.tracks.has_point if among is None else local_map.tracks.has_point & among
     ids = [np.unique(k.ids[usable[k.ids]]) for k in local_map.keyframes]
     starts = np.concatenate([[0], np.cumsum([len(i) for i in ids])])
     columns = np.concatenate([np.zeros(0, np.int64), *ids])

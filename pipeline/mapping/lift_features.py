@@ -20,7 +20,7 @@ def features_of_keyframe(
 ) -> KeyframeFeatures:
     """Of keyframe `number`; none where it sees too few points. extrapolate: see `lift_features`."""
     keyframe = local_map.keyframes[number]
-    points, pixels = local_map.known_points(keyframe)
+    points, pixels = local_map.visible_points(keyframe)
     if len(points) < MIN_FEATURES:
         return KeyframeFeatures.none(number)
     depth = in_camera(keyframe.camera_from_world, points)[:, 2]

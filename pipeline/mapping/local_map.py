@@ -39,12 +39,12 @@ class Tracks:
     kind (T,) a `TrackKind`."""
 
     points: Array = field(default_factory=lambda: np.zeros((ROOM, 3)))
-    known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(ROOM, dtype=bool))
-    barred: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(ROOM, dtype=bool))
+    has_point: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(ROOM, dtype=bool))
+    rejected: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(ROOM, dtype=bool))
     kind: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(ROOM, dtype=np.uint8))
 
     def __len__(self) -> int:
-        return len(self.known)
+        return len(self.has_point)
 
     def reserve(self, count: int) -> None:
         """Make room for track numbers below `count`."""
@@ -145,7 +145,7 @@ class LocalMap:
         begun = len(self.tracks)
         self.tracks.reserve(begun + len(points))
         ids = np.arange(begun, begun + len(points))
-        self.tracks.points[ids], self.tracks.known[ids], self.tracks.kind[ids] = points, True, kind
+        self.tracks.points[ids], self.tracks.has_point[ids], self.tracks.kind[ids] = points, True, kind
         return ids
 
     def forget_features(self) -> None:
@@ -167,14 +167,14 @@ class LocalMap:
     def camera_from_world_of(self, posed: PosedFrame) -> Array:
         return posed.from_keyframe @ self.keyframes[posed.keyframe].camera_from_world
 
-    def known_points(self, keyframe: Keyframe) -> tuple[Array, Array]:
+    def visible_points(self, keyframe: Keyframe) -> tuple[Array, Array]:
         """World points (N,3) of the keyframe's tracks that have one, and where it saw them, pixels (N,2)."""
-        known = self.tracks.known[keyframe.ids]
-        return self.tracks.points[keyframe.ids[known]], keyframe.pixels[known]
+        has_point = self.tracks.has_point[keyframe.ids]
+        return self.tracks.points[keyframe.ids[has_point]], keyframe.pixels[has_point]
 
     def median_depth(self, keyframe: Keyframe) -> float:
         """Of the keyframe's points; 1 if it has none."""
-        points, _ = self.known_points(keyframe)
+        points, _ = self.visible_points(keyframe)
         return float(np.median(in_camera(keyframe.camera_from_world, points)[:, 2])) if len(points) else 1.0
 
     def triangulate_new(self, window: int = WINDOW, min_angle: float = MIN_ANGLE) -> None:
@@ -182,7 +182,7 @@ class LocalMap:
         recent, tracks = self.keyframes[-window:], self.tracks
         ids = np.concatenate([k.ids for k in recent])
         row = np.repeat(np.arange(len(recent)), [len(k.ids) for k in recent])
-        take = ~tracks.known[ids] & ~tracks.barred[ids]
+        take = ~tracks.has_point[ids] & ~tracks.rejected[ids]
         repeated = np.bincount(ids[take], minlength=len(tracks)) >= 2
         order = np.flatnonzero(take & repeated[ids])
         order = order[np.argsort(ids[order], kind="stable")]
@@ -197,13 +197,13 @@ class LocalMap:
         )
         good = (error < MAX_BIRTH_ERROR_PX) & (angle > min_angle)
         tracks.points[fresh[good]] = found[good]
-        tracks.known[fresh[good]] = True
+        tracks.has_point[fresh[good]] = True
 
     def forget_unused(self) -> None:
         """Keyframes that left the window keep only tracks that became points."""
         if len(self.keyframes) > WINDOW:
             keyframe = self.keyframes[-WINDOW - 1]
-            keyframe.keep(self.tracks.known[keyframe.ids])
+            keyframe.keep(self.tracks.has_point[keyframe.ids])
 
     def carry(self, first: int, guide: int, old: Array, scale: float, among: NDArray[np.bool_] | None = None) -> None:
         """Move keyframes from number `first` on, the points that they alone see, and the frames between them, as

@@ -86,7 +86,7 @@ def adjust_all(
 def fit_points(local_map: LocalMap, iterations: int = 10) -> None:
     """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""
     for first in range(0, len(local_map.tracks), CHUNK):
-        chunk = np.zeros_like(local_map.tracks.known)
+        chunk = np.zeros_like(local_map.tracks.has_point)
         chunk[first : first + CHUNK] = True
         bundle, tracks = _bundle(local_map, [], local_map.keyframes, chunk)
         if len(tracks) == 0:
@@ -174,7 +174,7 @@ def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array, amon
 
 def _usable(local_map: LocalMap, among: Mask | None) -> Mask:
     """(T,) tracks that have a point, `among` these."""
-    return local_map.tracks.known if among is None else local_map.tracks.known & among
+    return local_map.tracks.has_point if among is None else local_map.tracks.has_point & among
 
 
 def _wanted(local_map: LocalMap, keyframes: list[Keyframe], among: Mask | None) -> Mask:
@@ -220,8 +220,8 @@ def _cull(
         return
     left = np.bincount(bundle.point[~bad], minlength=len(tracks))
     lost = tracks[left < 2]
-    local_map.tracks.known[lost] = False
-    local_map.tracks.barred[lost] = True
+    local_map.tracks.has_point[lost] = False
+    local_map.tracks.rejected[lost] = True
     starts = np.searchsorted(bundle.camera, np.arange(len(cameras) + 1))
     for keyframe, (begin, end) in zip(cameras, pairwise(starts.tolist()), strict=True):
         if bad[begin:end].any():

@@ -32,8 +32,8 @@ def _arrays(local_map: LocalMap) -> dict[str, NDArray]:
     used = 1 + max(highest, default=-1)
     return {
         "points": local_map.tracks.points[:used],
-        "known": local_map.tracks.known[:used],
-        "barred": local_map.tracks.barred[:used],
+        "known": local_map.tracks.has_point[:used],
+        "barred": local_map.tracks.rejected[:used],
         "keyframe_frames": np.array([k.frame for k in keyframes], np.int64),
         "keyframe_poses": np.array([k.camera_from_world for k in keyframes]).reshape(-1, 4, 4),
         "keyframe_counts": np.array([len(k.ids) for k in keyframes], np.int64),
@@ -53,8 +53,8 @@ def _map(arrays: np.lib.npyio.NpzFile, prefix: str, rays: RayTable) -> LocalMap:
     result = LocalMap(rays)
     used = len(read["known"])
     result.tracks.reserve(used)
-    for name in ("points", "known", "barred"):
-        getattr(result.tracks, name)[:used] = read[name]
+    for name, key in (("points", "points"), ("has_point", "known"), ("rejected", "barred")):  # keys since 0.1
+        getattr(result.tracks, name)[:used] = read[key]
     for frame, pose, ids, pixels in zip(
         read["keyframe_frames"].tolist(),
         read["keyframe_poses"],

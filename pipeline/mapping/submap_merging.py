@@ -113,7 +113,7 @@ def _join(
     ids: NDArray[np.int64] = np.arange(begun, begun + int(front.sum()))
     tracks = whole.tracks
     tracks.reserve(begun + len(ids))
-    tracks.points[ids], tracks.known[ids], tracks.barred[ids] = world[front], True, False
+    tracks.points[ids], tracks.has_point[ids], tracks.rejected[ids] = world[front], True, False
     tracks.kind[ids] = TrackKind.MERGE
     for of, number, column in zip(features, numbers, match.rows[front].T, strict=True):
         whole.extend(of[number].keyframe, ids, of[number].pixels[column])

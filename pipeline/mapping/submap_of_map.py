@@ -55,7 +55,7 @@ def _gather(
 ) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64], NDArray]:
     """Frames ascending, their poses (N,4,4), numbers of observations, then all observations: track, pixels."""
     found: dict[int, tuple[Array, NDArray, NDArray]] = {}
-    usable = local_map.tracks.known if kind is None else local_map.tracks.known & local_map.tracks.is_kind(kind)
+    usable = local_map.tracks.has_point if kind is None else local_map.tracks.has_point & local_map.tracks.is_kind(kind)
     for posed in local_map.posed if kind is None else ():
         found[posed.frame] = (local_map.camera_from_world_of(posed), posed.ids, posed.pixels)
     for keyframe in local_map.keyframes:

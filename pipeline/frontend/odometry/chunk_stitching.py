@@ -73,7 +73,7 @@ def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -
     frame's median depth in the first."""
     seen = []
     for local_map, sighting in ((first, here), (second, there)):
-        known = local_map.tracks.known[sighting.ids]
+        known = local_map.tracks.has_point[sighting.ids]
         depth = in_camera(sighting.camera_from_world, local_map.tracks.points[sighting.ids[known]])[:, 2]
         seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
     if min(len(depth) for _, depth in seen) < MIN_FEATURES:

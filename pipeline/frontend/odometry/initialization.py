@@ -106,7 +106,7 @@ class Start:
         scale = 1 / float(np.median(hypothesis.points[hypothesis.inlier, 2]))
         tracks = common[hypothesis.inlier]
         made.tracks.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
-        made.tracks.known[tracks] = True
+        made.tracks.has_point[tracks] = True
         last_pose = hypothesis.second_from_first.copy()
         last_pose[:3, 3] *= scale
         end = len(self.waiting) - 1
@@ -144,14 +144,14 @@ class Start:
                 continue
             guess = camera_from_world
             relative = camera_from_world @ inverse(made.keyframes[owner].camera_from_world)
-            mine = made.tracks.known[waiting.ids]
+            mine = made.tracks.has_point[waiting.ids]
             posed.append(
                 PosedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
             )
         made.posed = sorted(posed, key=lambda p: p.frame)
 
     def _pose(self, made: LocalMap, waiting: Waiting, guess: Array) -> Array | None:
-        mine = made.tracks.known[waiting.ids]
+        mine = made.tracks.has_point[waiting.ids]
         if mine.sum() < MIN_POSED:
             return None
         points = made.tracks.points[waiting.ids[mine]]

@@ -93,7 +93,7 @@ class Tracker:
     def _resect(self, view: View, predicted: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]] | None:
         """Pose, rows of the found tracks that have points, and which of them agree."""
         tracks = self.tracks
-        known = self.map.tracks.known[tracks.ids]
+        known = self.map.tracks.has_point[tracks.ids]
         tracks.follow(view, self._guess(known, predicted))
         mapped = np.flatnonzero(tracks.found & known)
         if len(mapped) < max(MIN_INLIERS, MIN_FOUND_SHARE * known.sum()):
@@ -168,7 +168,7 @@ class Tracker:
 
     def _barred(self) -> NDArray[np.bool_]:
         self.map.tracks.reserve(self.tracks.count)
-        return self.map.tracks.barred[self.tracks.ids]
+        return self.map.tracks.rejected[self.tracks.ids]
 
     def _vote(self, rgb: NDArray[np.uint8], rows: NDArray[np.int64]) -> None:
         """Is nearer brighter here? A map that starts false contradicts its lamp."""

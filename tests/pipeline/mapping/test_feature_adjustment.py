@@ -142,7 +142,7 @@ def test_wide_features_follow_and_do_not_move_the_map(finished, monkeypatch):
     following, moving = copy.deepcopy(finished), copy.deepcopy(finished)
     assert adjust_to_features(following, SiftCache(read))
     wide = following.tracks.is_kind(TrackKind.WIDE_FEATURE)
-    assert following.tracks.known[wide].sum() > 50, "wide features have points"
+    assert following.tracks.has_point[wide].sum() > 50, "wide features have points"
     monkeypatch.setattr(feature_adjustment, "WIDEST", np.inf)
     assert adjust_to_features(moving, SiftCache(read))
     off = [trajectory_errors(poses_of(m), TRUE[frames_of(m)]).ate_rmse for m in (following, moving)]
@@ -212,7 +212,7 @@ def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
     assert adjust_to_features(local_map, SiftCache(read))
     corners = local_map.tracks.is_kind(TrackKind.KLT)
     for keyframe in local_map.keyframes:
-        mine = local_map.tracks.known[keyframe.ids] & corners[keyframe.ids]
+        mine = local_map.tracks.has_point[keyframe.ids] & corners[keyframe.ids]
         local = in_camera(keyframe.camera_from_world, local_map.tracks.points[keyframe.ids[mine]])
         off = np.linalg.norm(CAMERA.project(local) - keyframe.pixels[mine], axis=1)
         assert np.median(off) < 0.5

@@ -34,7 +34,7 @@ def film(rng, noise_px):
         ids = np.flatnonzero((depth > 10) & (depth < 45) & ((pixels > 1) & (pixels < 319)).all(axis=1))
         made.add_keyframe(number, camera_from_world, ids, pixels[ids] + rng.normal(0, noise_px, (len(ids), 2)))
     seen = np.bincount(np.concatenate([k.ids for k in made.keyframes]), minlength=len(made.tracks))
-    made.tracks.known = seen >= 2
+    made.tracks.has_point = seen >= 2
     return made
 
 
@@ -69,7 +69,7 @@ def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
     assert error(crooked, true) > 0.1
     adjust_all(crooked, changed=True)
     assert error(crooked, true) < 0.002
-    assert crooked.tracks.known.sum() > 0.95 * true.tracks.known.sum(), "hardly a point is lost on the way"
+    assert crooked.tracks.has_point.sum() > 0.95 * true.tracks.has_point.sum(), "hardly a point is lost on the way"
 
 
 @pytest.mark.parametrize("seen", [0, 3])

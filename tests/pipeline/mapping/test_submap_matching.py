@@ -61,7 +61,7 @@ def a_map(centres, ids=None, points=None, seed=0):
     """Keyframes at `centres`, each seeing the tracks `ids` of it (all of them where not given)."""
     made = LocalMap(RAYS)
     world = tube(60, np.random.default_rng(seed)) if points is None else points
-    made.tracks.points[: len(world)], made.tracks.known[: len(world)] = world, True
+    made.tracks.points[: len(world)], made.tracks.has_point[: len(world)] = world, True
     for number, centre in enumerate(centres):
         mine = np.arange(len(world)) if ids is None else np.asarray(ids[number])
         camera_from_world = pose([0, 0, 0], centre)
