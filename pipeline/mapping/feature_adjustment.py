@@ -131,4 +131,4 @@ def _propagate(local_map: LocalMap, old: list[Array], scale: Array, moving: NDAr
             inverse(keyframe.camera_from_world), scale[number] * in_camera(old[number], tracks.points[seen])
         )
     tracks.points = points
-    local_map.posed = [posed.scaled(scale[posed.keyframe]) for posed in local_map.posed]
+    local_map.tracked_frames = [tracked.scaled(scale[tracked.keyframe]) for tracked in local_map.tracked_frames]

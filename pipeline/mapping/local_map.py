@@ -85,33 +85,33 @@ class Keyframe:
 
 
 @dataclass(frozen=True)
-class PosedFrame:
+class TrackedFrame:
     """A frame between keyframes: its pose from the camera of keyframe number `keyframe`, and the points it saw."""
 
     frame: int
     keyframe: int
-    from_keyframe: Array
+    camera_from_keyframe: Array
     ids: NDArray[np.int32]
     pixels: NDArray[np.float32]
 
-    def scaled(self, factor: float) -> "PosedFrame":
+    def scaled(self, factor: float) -> "TrackedFrame":
         """The same in a map whose unit is smaller by `factor`."""
-        return replace(self, from_keyframe=scaled(self.from_keyframe, factor))
+        return replace(self, camera_from_keyframe=scaled(self.camera_from_keyframe, factor))
 
 
 class LocalMap:
-    """Keyframes, tracks with their points, and posed frames in one scene frame."""
+    """Keyframes, tracks with their points, and tracked frames in one scene frame."""
 
     def __init__(self, rays: RayTable) -> None:
         self.rays = rays
         self.tracks = Tracks()
         self.keyframes: list[Keyframe] = []
-        self.posed: list[PosedFrame] = []
+        self.tracked_frames: list[TrackedFrame] = []
 
     @property
     def frames(self) -> set[int]:
         """Numbers of all frames that the map poses."""
-        return {k.frame for k in self.keyframes} | {p.frame for p in self.posed}
+        return {k.frame for k in self.keyframes} | {p.frame for p in self.tracked_frames}
 
     def tracks_in_use(self) -> int:
         """One more than the highest track number that any keyframe holds."""
@@ -158,14 +158,14 @@ class LocalMap:
         for keyframe in self.keyframes:
             keyframe.keep(keyframe.ids < first)
 
-    def add_posed(self, frame: int, camera_from_world: Array, ids: NDArray[np.int64], pixels: Array) -> None:
+    def add_tracked_frame(self, frame: int, camera_from_world: Array, ids: NDArray[np.int64], pixels: Array) -> None:
         relative = camera_from_world @ inverse(self.keyframes[-1].camera_from_world)
-        self.posed.append(
-            PosedFrame(frame, len(self.keyframes) - 1, relative, ids.astype(np.int32), pixels.astype(np.float32))
+        self.tracked_frames.append(
+            TrackedFrame(frame, len(self.keyframes) - 1, relative, ids.astype(np.int32), pixels.astype(np.float32))
         )
 
-    def camera_from_world_of(self, posed: PosedFrame) -> Array:
-        return posed.from_keyframe @ self.keyframes[posed.keyframe].camera_from_world
+    def camera_from_world_of(self, tracked: TrackedFrame) -> Array:
+        return tracked.camera_from_keyframe @ self.keyframes[tracked.keyframe].camera_from_world
 
     def visible_points(self, keyframe: Keyframe) -> tuple[Array, Array]:
         """World points (N,3) of the keyframe's tracks that have one, and where it saw them, pixels (N,2)."""
@@ -221,7 +221,9 @@ class LocalMap:
         for keyframe in self.keyframes[:first]:
             ahead[keyframe.ids] = False
         if among is None:
-            self.posed = [posed.scaled(scale) if posed.keyframe >= first else posed for posed in self.posed]
+            self.tracked_frames = [
+                tracked.scaled(scale) if tracked.keyframe >= first else tracked for tracked in self.tracked_frames
+            ]
         else:
             ahead &= among
         tracks.points[ahead] = in_camera(inverse(now), scale * in_camera(old, tracks.points[ahead]))

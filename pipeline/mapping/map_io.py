@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.ray_table import RayTable
-from pipeline.mapping.local_map import LocalMap, PosedFrame
+from pipeline.mapping.local_map import LocalMap, TrackedFrame
 
 
 def save_maps(maps: list[LocalMap], path: Path) -> None:
@@ -27,7 +27,7 @@ def load_maps(path: Path, rays: RayTable) -> list[LocalMap]:
 
 
 def _arrays(local_map: LocalMap) -> dict[str, NDArray]:
-    keyframes, posed = local_map.keyframes, local_map.posed
+    keyframes, posed = local_map.keyframes, local_map.tracked_frames
     highest = [int(k.ids.max(initial=-1)) for k in keyframes] + [int(p.ids.max(initial=-1)) for p in posed]
     used = 1 + max(highest, default=-1)
     return {
@@ -41,7 +41,7 @@ def _arrays(local_map: LocalMap) -> dict[str, NDArray]:
         "keyframe_pixels": np.concatenate([np.zeros((0, 2)), *(k.pixels for k in keyframes)]),
         "posed_frames": np.array([p.frame for p in posed], np.int64),
         "posed_keyframes": np.array([p.keyframe for p in posed], np.int64),
-        "posed_poses": np.array([p.from_keyframe for p in posed]).reshape(-1, 4, 4),
+        "posed_poses": np.array([p.camera_from_keyframe for p in posed]).reshape(-1, 4, 4),
         "posed_counts": np.array([len(p.ids) for p in posed], np.int64),
         "posed_ids": np.concatenate([np.zeros(0, np.int32), *(p.ids for p in posed)]),
         "posed_pixels": np.concatenate([np.zeros((0, 2), np.float32), *(p.pixels for p in posed)]),
@@ -69,7 +69,7 @@ def _map(arrays: np.lib.npyio.NpzFile, prefix: str, rays: RayTable) -> LocalMap:
         *_parts(read["posed_counts"], read["posed_ids"], read["posed_pixels"]),
         strict=True,
     ):
-        result.posed.append(PosedFrame(frame, keyframe, pose, ids, pixels))
+        result.tracked_frames.append(TrackedFrame(frame, keyframe, pose, ids, pixels))
     return result
 
 

@@ -90,9 +90,9 @@ def merge_into(base: MapFeatures, other: MapFeatures, matches: list[Sim3Match]) 
             keyframe.ids + first_track,
         )
         whole.keyframes.append(keyframe)
-    for posed in added.posed:
-        ids = (posed.ids + first_track).astype(np.int32)
-        whole.posed.append(replace(posed.scaled(scale), keyframe=posed.keyframe + first_keyframe, ids=ids))
+    for tracked in added.tracked_frames:
+        ids = (tracked.ids + first_track).astype(np.int32)
+        whole.tracked_frames.append(replace(tracked.scaled(scale), keyframe=tracked.keyframe + first_keyframe, ids=ids))
     moved = [replace(f, keyframe=f.keyframe + first_keyframe, points=scale * f.points) for f in other.features]
     grown = MapFeatures(whole, base.features + moved)
     for match in best_matches(matches):

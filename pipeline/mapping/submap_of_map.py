@@ -56,8 +56,8 @@ def _gather(
     """Frames ascending, their poses (N,4,4), numbers of observations, then all observations: track, pixels."""
     found: dict[int, tuple[Array, NDArray, NDArray]] = {}
     usable = local_map.tracks.has_point if kind is None else local_map.tracks.has_point & local_map.tracks.is_kind(kind)
-    for posed in local_map.posed if kind is None else ():
-        found[posed.frame] = (local_map.camera_from_world_of(posed), posed.ids, posed.pixels)
+    for tracked in local_map.tracked_frames if kind is None else ():
+        found[tracked.frame] = (local_map.camera_from_world_of(tracked), tracked.ids, tracked.pixels)
     for keyframe in local_map.keyframes:
         found[keyframe.frame] = (keyframe.camera_from_world, keyframe.ids, keyframe.pixels)
     frames = np.array(sorted(found), dtype=np.int64)

@@ -37,7 +37,7 @@ def sightings(local_map: LocalMap) -> dict[int, Sighting]:
     """All frames of a map by their number."""
     found = {
         p.frame: Sighting(local_map.camera_from_world_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False)
-        for p in local_map.posed
+        for p in local_map.tracked_frames
     }
     return found | {k.frame: Sighting(k.camera_from_world, k.ids, k.pixels, True) for k in local_map.keyframes}
 
@@ -106,5 +106,5 @@ def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMa
         if not result.keyframes or any(s is not None and s.key for s in (mine, theirs)):
             result.add_keyframe(frame, camera_from_world, ids, pixels)
         else:
-            result.add_posed(frame, camera_from_world, ids, pixels)
+            result.add_tracked_frame(frame, camera_from_world, ids, pixels)
     return result

@@ -11,7 +11,7 @@ from pipeline.frontend.odometry.corner_tracks import TrackSet
 from pipeline.frontend.odometry.klt import Pixels, View
 from pipeline.frontend.odometry.two_view import Hypothesis, Sight, parallax_px, start_pose
 from pipeline.mapping.lighting_check import brightness_of
-from pipeline.mapping.local_map import LocalMap, PosedFrame
+from pipeline.mapping.local_map import LocalMap, TrackedFrame
 from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX, adjust_window
 from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
 
@@ -146,9 +146,9 @@ class Start:
             relative = camera_from_world @ inverse(made.keyframes[owner].camera_from_world)
             mine = made.tracks.has_point[waiting.ids]
             posed.append(
-                PosedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
+                TrackedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
             )
-        made.posed = sorted(posed, key=lambda p: p.frame)
+        made.tracked_frames = sorted(posed, key=lambda p: p.frame)
 
     def _pose(self, made: LocalMap, waiting: Waiting, guess: Array) -> Array | None:
         mine = made.tracks.has_point[waiting.ids]

@@ -62,7 +62,7 @@ def refine_intrinsics(
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
     it, until it stays.
     """
-    largest = max(maps, key=lambda m: len(m.posed) + len(m.keyframes))
+    largest = max(maps, key=lambda m: len(m.tracked_frames) + len(m.keyframes))
     camera = guess
     sigma: tuple[float, ...] = ()
     for _ in range(ROUNDS):

@@ -77,7 +77,7 @@ class Tracker:
         rows = mapped[inlier]
         tracks.found = good
         if not self._needs_keyframe(view.image.shape[1]):
-            self.map.add_posed(frame, camera_from_world, tracks.ids[rows], tracks.now[rows])
+            self.map.add_tracked_frame(frame, camera_from_world, tracks.ids[rows], tracks.now[rows])
             return "tracked"
         self._vote(rgb, rows)
         self._make_keyframe(frame, view)

@@ -114,8 +114,8 @@ def test_wall_beyond_the_followed_corners_gets_points_too(finished):
         keyframe.keep(np.linalg.norm(keyframe.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) < 0.7 * half)
     assert adjust_to_features(local_map, SiftCache(read))
     # Guesses are too deep out there; frames between keyframes must not grow by them: 0.02 off, by them 0.07.
-    frames = np.array(frames_of(local_map) + [posed.frame for posed in local_map.posed])
-    between = np.stack([inverse(local_map.camera_from_world_of(posed)) for posed in local_map.posed])
+    frames = np.array(frames_of(local_map) + [posed.frame for posed in local_map.tracked_frames])
+    between = np.stack([inverse(local_map.camera_from_world_of(posed)) for posed in local_map.tracked_frames])
     assert trajectory_errors(np.concatenate([poses_of(local_map), between]), TRUE[frames]).ate_rmse < 0.035
     submap = to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE)
     point = submap.observations[:, 1]

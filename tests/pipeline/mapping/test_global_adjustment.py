@@ -8,7 +8,7 @@ import pytest
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import in_camera, inverse
 from pipeline.mapping import map_adjustment
-from pipeline.mapping.local_map import LocalMap, PosedFrame
+from pipeline.mapping.local_map import LocalMap, TrackedFrame
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.optimization.bundle_adjustment import reprojections
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
@@ -120,14 +120,14 @@ def test_frames_between_keyframes_are_carried_too():
     for number in (40, 90):  # as if seen half a step after these keyframes
         keyframe = true.keyframes[number]
         relative = pose([0, 0, 0], [0, 0, STEP / 2])
-        local_map.posed.append(PosedFrame(1000 + number, number, relative, keyframe.ids, keyframe.pixels))
-    before = [local_map.camera_from_world_of(posed) for posed in local_map.posed]
+        local_map.tracked_frames.append(TrackedFrame(1000 + number, number, relative, keyframe.ids, keyframe.pixels))
+    before = [local_map.camera_from_world_of(posed) for posed in local_map.tracked_frames]
     old = local_map.keyframes[79].camera_from_world
     local_map.keyframes[79].camera_from_world = pose([1, 2, 3], [1, 0, 0]) @ old
     local_map.carry(80, 79, old, 1.2)
-    np.testing.assert_array_equal(local_map.camera_from_world_of(local_map.posed[0]), before[0])
+    np.testing.assert_array_equal(local_map.camera_from_world_of(local_map.tracked_frames[0]), before[0])
     ids = np.setdiff1d(true.keyframes[110].ids, np.concatenate([k.ids for k in true.keyframes[:80]]))
-    seen = in_camera(local_map.camera_from_world_of(local_map.posed[1]), local_map.tracks.points[ids])
+    seen = in_camera(local_map.camera_from_world_of(local_map.tracked_frames[1]), local_map.tracks.points[ids])
     np.testing.assert_allclose(seen, 1.2 * in_camera(before[1], true.tracks.points[ids]), atol=1e-9)
 
 

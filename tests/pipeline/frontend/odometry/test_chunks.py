@@ -40,7 +40,9 @@ def tracked(first, last, images=IMAGES):
     (local_map,), _ = run(images[first:last])
     for keyframe in local_map.keyframes:
         keyframe.frame += first
-    local_map.posed = [type(p)(p.frame + first, p.keyframe, p.from_keyframe, p.ids, p.pixels) for p in local_map.posed]
+    local_map.tracked_frames = [
+        type(p)(p.frame + first, p.keyframe, p.camera_from_keyframe, p.ids, p.pixels) for p in local_map.tracked_frames
+    ]
     return local_map
 
 
@@ -56,7 +58,7 @@ def elsewhere(local_map, scale):
         pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ world_from_old[:3, 3]
         keyframe.camera_from_world = pose
     local_map.tracks.points = transform_points(world_from_old, local_map.tracks.points)
-    local_map.posed = [posed.scaled(scale) for posed in local_map.posed]
+    local_map.tracked_frames = [posed.scaled(scale) for posed in local_map.tracked_frames]
     return local_map
 
 
@@ -157,7 +159,7 @@ def test_a_stub_in_the_overlap_hides_no_seam(monkeypatch):
     first, second = tracked(0, 28), tracked(14, COUNT)
     stub = copy.deepcopy(first)
     stub.keyframes = [k for k in stub.keyframes if 20 <= k.frame < 26]
-    stub.posed = []
+    stub.tracked_frames = []
     assert len(stub.keyframes) >= 2
     for here in ([first, stub], [stub, first]):
         (whole,), seams = sew([here, [second]])

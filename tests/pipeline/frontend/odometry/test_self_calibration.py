@@ -157,7 +157,7 @@ def test_job_and_log_stay_in_the_run_folder(tmp_path):
 )
 def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkeypatch, focals, asked, last):
     """Lenses come in this order; None is one that the motion does not determine."""
-    whole, seen, maps = filmed(*wandering()), [], [SimpleNamespace(posed=[], keyframes=[])]
+    whole, seen, maps = filmed(*wandering()), [], [SimpleNamespace(tracked_frames=[], keyframes=[])]
     given = iter(focals)
 
     def refine(submap, camera, *rest):
