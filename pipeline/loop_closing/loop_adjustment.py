@@ -28,10 +28,12 @@ from reconstruction.pose_graph import Edge, misfit
 
 AHEAD = 5  # keyframes with which each one's features are compared
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
-SETTLING = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
+LOSS_SCHEDULE = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
 ITERATIONS = 25
 MIN_SEEN = 20  # features of a keyframe in the bundle; another keyframe follows those beside it
-TYPICAL = 150  # features of the median keyframe; pale films have about 100 and gain nothing, others over 300
+MIN_TYPICAL_FEATURES = (
+    150  # features of the median keyframe; pale films have about 100 and gain nothing, others over 300
+)
 MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle together
 MAX_GAP = 5  # keyframes in a row that may follow
 
@@ -95,7 +97,7 @@ def adjust_nodes(
         np.arange(len(number)) == 0,
     )
     bundle, depth = _at(bundle, local[:, 2], np.arange(len(held)))
-    for loss_px, max_error_px in SETTLING:
+    for loss_px, max_error_px in LOSS_SCHEDULE:
         bundle = adjust(bundle, ITERATIONS, loss_px, FINAL_TOLERANCE, FINAL_DAMPING)
         bundle, depth = _at(bundle, depth, np.flatnonzero(bundle.errors() < max_error_px))
     return _nodes(bundle, depth, number)
@@ -141,7 +143,7 @@ def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:
 
 def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
     """Whether there are enough, they tie each of the places to the one before, and no long stretch is left out."""
-    if np.median(np.bincount(tracks.place, minlength=count)[number]) < TYPICAL:
+    if np.median(np.bincount(tracks.place, minlength=count)[number]) < MIN_TYPICAL_FEATURES:
         return False
     if np.diff(np.concatenate([[-1], number, [count]])).max() > MAX_GAP + 1:
         return False

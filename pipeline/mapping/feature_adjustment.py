@@ -22,7 +22,7 @@ from pipeline.matching.sift import FindFeatures
 # more on compressed ones, where fine texture moves with its blocks (docs/lab/front_end.md).
 WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
 MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follows its neighbour
-TYPICAL = 100  # features of the median keyframe: fewer are no better than the corners
+MIN_TYPICAL_FEATURES = 100  # features of the median keyframe: fewer are no better than the corners
 MIN_COMMON = 12  # features that hold two keyframes together
 MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 
@@ -64,11 +64,11 @@ def _adjusted(
     narrow = matched.tracks(world, False, widest)
     ids = _insert(local_map, matched, narrow, TrackKind.FEATURE)
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
-    if not _is_held(local_map, moving, TYPICAL):
+    if not _is_held(local_map, moving, MIN_TYPICAL_FEATURES):
         return False
     old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
-    if not _is_held(local_map, moving, TYPICAL / 2):
+    if not _is_held(local_map, moving, MIN_TYPICAL_FEATURES / 2):
         return False
     sure = moving.copy()
     sure[ids[matched.extrapolated(narrow)]] = False  # guesses say nothing of how the map grew
@@ -123,9 +123,9 @@ def _propagate(local_map: LocalMap, old: list[Array], scale: Array, moving: NDAr
     fixed, now = np.flatnonzero(np.isfinite(scale)), [keyframe.camera_from_world for keyframe in local_map.keyframes]
     tracks, points = local_map.tracks, local_map.tracks.points.copy()
     for number in range(len(old) - 1, -1, -1):
-        keyframe, guide = local_map.keyframes[number], int(fixed[np.abs(fixed - number).argmin()])
-        scale[number] = scale[guide]
-        keyframe.camera_from_world = scaled(old[number] @ inverse(old[guide]), scale[guide]) @ now[guide]
+        keyframe, reference = local_map.keyframes[number], int(fixed[np.abs(fixed - number).argmin()])
+        scale[number] = scale[reference]
+        keyframe.camera_from_world = scaled(old[number] @ inverse(old[reference]), scale[reference]) @ now[reference]
         seen = keyframe.ids[(tracks.has_point & ~moving)[keyframe.ids]]
         points[seen] = in_camera(
             inverse(keyframe.camera_from_world), scale[number] * in_camera(old[number], tracks.points[seen])

@@ -205,13 +205,15 @@ class LocalMap:
             keyframe = self.keyframes[-WINDOW - 1]
             keyframe.keep(self.tracks.has_point[keyframe.ids])
 
-    def carry(self, first: int, guide: int, old: Array, scale: float, among: NDArray[np.bool_] | None = None) -> None:
+    def propagate(
+        self, first: int, reference: int, old: Array, scale: float, among: NDArray[np.bool_] | None = None
+    ) -> None:
         """Move keyframes from number `first` on, the points that they alone see, and the frames between them, as
         keyframe `guide` before them was moved: from pose `old`, with its points `scale` times as far from it.
 
         among (T,): tracks that are moved; frames between keyframes then stay, since they saw others.
         """
-        now, tracks = self.keyframes[guide].camera_from_world, self.tracks
+        now, tracks = self.keyframes[reference].camera_from_world, self.tracks
         ahead = np.zeros(len(tracks), dtype=bool)
         for keyframe in self.keyframes[first:]:
             camera_from_world = scaled(keyframe.camera_from_world @ inverse(old), scale) @ now

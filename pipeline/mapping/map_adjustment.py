@@ -20,15 +20,15 @@ CHUNK = 50_000  # points fitted at once: a few hundred megabytes
 
 LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
 PIECE = 60  # keyframes that are adjusted at once while a long map is straightened
-HELD = 30  # older ones that hold them
-GUIDES = 5  # keyframes at a piece's end that say by how much it grew; the last one, how it moved
-MIN_HELD = 20  # points of such a keyframe
+FIXED_KEYFRAMES = 30  # older ones that hold them
+REFERENCES = 5  # keyframes at a piece's end that say by how much it grew; the last one, how it moved
+MIN_POINTS = 20  # points of such a keyframe
 MOST_GROWTH = 3.0  # of a piece; the tracker's unit has drifted by half over two hundred keyframes
 FINAL_ITERATIONS = 25
 # With the usual 1e-4 the first steps leave a bend where it is, gain nothing, and are taken for the last ones.
 FINAL_DAMPING = 1e-8
 FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
-SETTLING = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
+LOSS_SCHEDULE = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
 
 Mask = NDArray[np.bool_]
 
@@ -54,15 +54,15 @@ def adjust_window(
     end = len(keyframes) if end is None else end
     first = max(0, end - window)
     free = keyframes[first:end]
-    held = sharing(local_map, free, keyframes[:first], anchors, among)
-    bundle, tracks = _bundle(local_map, held, free, among)
+    fixed_keyframes = sharing(local_map, free, keyframes[:first], anchors, among)
+    bundle, tracks = _bundle(local_map, fixed_keyframes, free, among)
     if len(tracks) == 0:
         return
     result = adjust(bundle, iterations, loss_px, tolerance, damping)
-    for number, keyframe in enumerate(free, start=len(held)):
+    for number, keyframe in enumerate(free, start=len(fixed_keyframes)):
         keyframe.camera_from_world = compose(result.rotation[number], result.translation[number])
     local_map.tracks.points[tracks] = result.points
-    _cull(local_map, result, tracks, held + free, max_error_px)
+    _cull(local_map, result, tracks, fixed_keyframes + free, max_error_px)
 
 
 def adjust_all(
@@ -75,8 +75,8 @@ def adjust_all(
     """
     count = len(local_map.keyframes)
     if changed and count > LONG:
-        _straighten(local_map, advance, among)
-    passes = SETTLING * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),)
+        _adjust_progressively(local_map, advance, among)
+    passes = LOSS_SCHEDULE * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),)
     for number, (loss_px, max_error_px) in enumerate(passes):
         advance(number, len(passes), "adjusting all keyframes")
         _final(local_map, count, count, loss_px, max_error_px, 0, among)
@@ -136,7 +136,7 @@ def _final(
     )
 
 
-def _straighten(local_map: LocalMap, advance: Advance, among: Mask | None) -> None:
+def _adjust_progressively(local_map: LocalMap, advance: Advance, among: Mask | None) -> None:
     """Adjust a long map from its beginning on, half a piece at a time; what lies ahead is carried along.
 
     Where the scale drifts by half over a long film, the far end must come back by a factor and a turn. To an adjustment
@@ -148,17 +148,17 @@ def _straighten(local_map: LocalMap, advance: Advance, among: Mask | None) -> No
         advance(end, len(local_map.keyframes), "straightening")
         cameras_from_world = [local_map.keyframes[number].camera_from_world for number in piece]
         before = local_map.tracks.points.copy()
-        for loss_px, _ in SETTLING:
-            _final(local_map, PIECE, end, loss_px, np.inf, HELD, among)
+        for loss_px, _ in LOSS_SCHEDULE:
+            _final(local_map, PIECE, end, loss_px, np.inf, FIXED_KEYFRAMES, among)
         grown = [
             _growth_of(local_map, number, camera_from_world, before, among)
             for number, camera_from_world in zip(piece, cameras_from_world, strict=True)
         ]
-        held = np.flatnonzero(np.isfinite(grown))[-GUIDES:]
+        held = np.flatnonzero(np.isfinite(grown))[-REFERENCES:]
         if len(held) == 0:  # nothing says how it moved: what lies ahead stays
             continue
         scale = float(np.median([grown[k] for k in held]))
-        local_map.carry(end, piece[held[-1]], cameras_from_world[held[-1]], scale, among)
+        local_map.propagate(end, piece[held[-1]], cameras_from_world[held[-1]], scale, among)
 
 
 def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array, among: Mask | None) -> float:
@@ -166,7 +166,7 @@ def _growth_of(local_map: LocalMap, number: int, old: Array, before: Array, amon
     no piece can have done."""
     keyframe = local_map.keyframes[number]
     mine = keyframe.ids[_usable(local_map, among)[keyframe.ids]]
-    if len(mine) < MIN_HELD:
+    if len(mine) < MIN_POINTS:
         return float("nan")
     found = growth(in_camera(old, before[mine]), in_camera(keyframe.camera_from_world, local_map.tracks.points[mine]))
     return found if 1 / MOST_GROWTH < found < MOST_GROWTH else float("nan")
@@ -186,15 +186,15 @@ def _wanted(local_map: LocalMap, keyframes: list[Keyframe], among: Mask | None) 
 
 
 def _bundle(
-    local_map: LocalMap, held: list[Keyframe], free: list[Keyframe], among: Mask | None = None
+    local_map: LocalMap, fixed_keyframes: list[Keyframe], free: list[Keyframe], among: Mask | None = None
 ) -> tuple[Bundle, NDArray[np.int64]]:
     """The problem, and the track number of each of its points."""
-    wanted, cameras = _wanted(local_map, free, among), held + free
+    wanted, cameras = _wanted(local_map, free, among), fixed_keyframes + free
     masks = [wanted[k.ids] for k in cameras]
     ids = np.concatenate([k.ids[m] for k, m in zip(cameras, masks, strict=True)])
     tracks, point = np.unique(ids, return_inverse=True)
     fixed = np.zeros(len(cameras), dtype=bool)
-    fixed[: max(1, len(held))] = True
+    fixed[: max(1, len(fixed_keyframes))] = True
     cameras_from_world = np.stack([k.camera_from_world for k in cameras])
     bundle = Bundle(
         cameras_from_world[:, :3, :3],

@@ -88,7 +88,7 @@ def rigid(nodes: np.ndarray) -> np.ndarray:
 @pytest.fixture(autouse=True)
 def few_features_suffice(monkeypatch):
     """Few are enough here: they are exact."""
-    monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.TYPICAL", 30)
+    monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.MIN_TYPICAL_FEATURES", 30)
 
 
 def test_a_bend_that_no_loop_shows_is_taken_back():
@@ -124,7 +124,8 @@ def test_wide_features_have_a_say_only_where_narrow_ones_are_too_few(monkeypatch
     part, places, link = seen()
     if not narrow_suffice:
         monkeypatch.setattr(
-            "pipeline.loop_closing.loop_adjustment.TYPICAL", np.median([len(place.points) for place in places]) * 0.8
+            "pipeline.loop_closing.loop_adjustment.MIN_TYPICAL_FEATURES",
+            np.median([len(place.points) for place in places]) * 0.8,
         )
     spoilt = []
     for place in places:
@@ -157,7 +158,7 @@ def test_few_may_follow_at_the_ends(monkeypatch):
     assert well_seen(tracks, COUNT).tolist() == list(range(COUNT))
     assert holds(tracks, np.arange(COUNT - 4), COUNT)
     assert not holds(tracks, np.arange(COUNT - 7), COUNT)
-    monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.TYPICAL", 1000)
+    monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.MIN_TYPICAL_FEATURES", 1000)
     assert not holds(tracks, np.arange(COUNT), COUNT)
 
 

@@ -63,7 +63,7 @@ def error(local_map, true):
 
 def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
     true = film(np.random.default_rng(0), 0.3)
-    for name, value in {"LONG": 60, "PIECE": 30, "HELD": 15}.items():
+    for name, value in {"LONG": 60, "PIECE": 30, "FIXED_KEYFRAMES": 15}.items():
         monkeypatch.setattr(map_adjustment, name, value)
     crooked = drifted(true, 30.0)
     assert error(crooked, true) > 0.1
@@ -76,7 +76,7 @@ def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
 def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen):
     """It says nothing of how the piece moved, or nonsense: the one before does."""
     true = film(np.random.default_rng(3), 0.3)
-    for name, value in {"LONG": 60, "PIECE": 30, "HELD": 15}.items():
+    for name, value in {"LONG": 60, "PIECE": 30, "FIXED_KEYFRAMES": 15}.items():
         monkeypatch.setattr(map_adjustment, name, value)
     for number in (29, 44, 59):
         keyframe = true.keyframes[number]
@@ -106,7 +106,7 @@ def test_what_is_carried_along_sees_the_same(scale):
     for _ in range(TIMES):
         last = local_map.keyframes[1]
         old, last.camera_from_world = last.camera_from_world, turn @ last.camera_from_world
-        local_map.carry(2, 1, old, scale)
+        local_map.propagate(2, 1, old, scale)
     far = local_map.keyframes[110]
     np.testing.assert_allclose(far.camera_from_world[:3, :3] @ far.camera_from_world[:3, :3].T, np.eye(3), atol=1e-12)
     before, after = (in_camera(m.keyframes[110].camera_from_world, m.tracks.points[far.ids]) for m in (true, local_map))
@@ -124,7 +124,7 @@ def test_frames_between_keyframes_are_carried_too():
     before = [local_map.camera_from_world_of(posed) for posed in local_map.tracked_frames]
     old = local_map.keyframes[79].camera_from_world
     local_map.keyframes[79].camera_from_world = pose([1, 2, 3], [1, 0, 0]) @ old
-    local_map.carry(80, 79, old, 1.2)
+    local_map.propagate(80, 79, old, 1.2)
     np.testing.assert_array_equal(local_map.camera_from_world_of(local_map.tracked_frames[0]), before[0])
     ids = np.setdiff1d(true.keyframes[110].ids, np.concatenate([k.ids for k in true.keyframes[:80]]))
     seen = in_camera(local_map.camera_from_world_of(local_map.tracked_frames[1]), local_map.tracks.points[ids])
@@ -136,7 +136,7 @@ def test_carrying_moves_nothing_that_earlier_keyframes_see():
     local_map = copy.deepcopy(true)
     old = local_map.keyframes[79].camera_from_world
     local_map.keyframes[79].camera_from_world = pose([0, 0, 3], [1, 0, 0]) @ old
-    local_map.carry(80, 79, old, 1.2)
+    local_map.propagate(80, 79, old, 1.2)
     earlier = np.unique(np.concatenate([k.ids for k in true.keyframes[:80]]))
     np.testing.assert_array_equal(local_map.tracks.points[earlier], true.tracks.points[earlier])
     np.testing.assert_array_equal(
