@@ -35,7 +35,7 @@ def tracked_maps(camera: Camera, read: ReadFrame, index: NDArray[np.int64]) -> l
     odometry = Odometry(RayTable(camera), 0)
     for frame in index.tolist():
         rgb, mask = read(frame)
-        odometry.feed(frame, rgb, odometry.view(rgb, mask))
+        odometry.process(frame, rgb, odometry.view(rgb, mask))
     return odometry.finish()
 
 

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
 from haustra.core.se3 import inverse
-from pipeline.frontend.odometry.two_view import Sight
+from pipeline.frontend.odometry.two_view import TwoViewRays
 
 PINHOLE = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
 FOCAL = 160.0
@@ -37,4 +37,4 @@ def sight(camera_from_world, points, rng=None, noise_px=0.0):
     seen = on_plane(camera_from_world, points)[0]
     if rng is not None:
         seen = seen + rng.normal(0, noise_px / FOCAL, seen.shape)
-    return Sight(seen, jacobians(len(seen)))
+    return TwoViewRays(seen, jacobians(len(seen)))

@@ -56,7 +56,7 @@ def render(pose):
 
 def run(images, seed=0, mask=MASK):
     odometry = Odometry(RayTable(CAMERA), seed)
-    states = [odometry.feed(k, image, odometry.view(image, mask)) for k, image in enumerate(images)]
+    states = [odometry.process(k, image, odometry.view(image, mask)) for k, image in enumerate(images)]
     return odometry.finish(), states
 
 

@@ -23,7 +23,7 @@ def track(job: dict[str, Any]) -> int:
     with single_threaded():
         for done, frame in enumerate(job["frames"], start=1):
             rgb, mask = read(frame)
-            odometry.feed(frame, rgb, odometry.view(rgb, mask))
+            odometry.process(frame, rgb, odometry.view(rgb, mask))
             if done % STEP == 0 or done == len(job["frames"]):
                 print(done, len(job["frames"]), flush=True)
         output = Path(job["output"])

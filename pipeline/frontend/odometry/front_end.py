@@ -109,7 +109,7 @@ def _tracked(
     started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:
         for done, (index, rgb, view) in enumerate(made_ahead(look, frames.index.tolist()), start=1):
-            state = odometry.feed(index, rgb, view)
+            state = odometry.process(index, rgb, view)
             if odometry.keyframe == index:
                 features.begin(index)
             pace = done / max(time.perf_counter() - started, 1e-9)

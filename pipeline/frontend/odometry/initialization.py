@@ -9,7 +9,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from pipeline.frontend.odometry.corner_tracks import TrackSet
 from pipeline.frontend.odometry.klt import Pixels, View
-from pipeline.frontend.odometry.two_view import Hypothesis, Sight, parallax_px, start_pose
+from pipeline.frontend.odometry.two_view import Hypothesis, TwoViewRays, parallax_px, start_pose
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import LocalMap, TrackedFrame
 from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX, adjust_window
@@ -27,7 +27,7 @@ BETWEEN = 3  # keyframes made between the two
 
 
 @dataclass(frozen=True)
-class Waiting:
+class BufferedFrame:
     """A frame not yet posed, and its tracks."""
 
     frame: int
@@ -35,127 +35,129 @@ class Waiting:
     pixels: Pixels
 
 
-class Start:
+class Initializer:
     """Collects frames until `feed` gives a map with its first keyframes."""
 
     def __init__(self, rays: RayTable, rng: np.random.Generator) -> None:
         self.rays, self.rng = rays, rng
         self.tracks = TrackSet()
-        self.waiting: list[Waiting] = []
+        self.buffered: list[BufferedFrame] = []
 
-    def feed(self, frame: int, view: View, rgb: NDArray[np.uint8]) -> LocalMap | None:
+    def process(self, frame: int, view: View, rgb: NDArray[np.uint8]) -> LocalMap | None:
         """The map once the evidence suffices. Its tracks go on in `self.tracks`."""
         tracks, width = self.tracks, view.image.shape[1]
         tracks.follow(view)
         if tracks.anchor is None or tracks.found.sum() < MIN_TRACKS:
-            self.waiting.clear()
+            self.buffered.clear()
             tracks.found[:] = False
             tracks.anchor_at(view)
             self._remember(frame)
             return None
         self._remember(frame)
-        made = self._try(rgb)
-        if made is None and (
+        new_map = self._try(rgb)
+        if new_map is None and (
             tracks.motion_px() > ANCHOR_MOTION_SHARE * width or tracks.found_share() < MIN_FOUND_SHARE
         ):
             tracks.anchor_at(view)
-        return made
+        return new_map
 
     def _remember(self, frame: int) -> None:
         tracks = self.tracks
-        self.waiting.append(Waiting(frame, tracks.ids[tracks.found], tracks.now[tracks.found].copy()))
-        if len(self.waiting) > BUFFER:
-            self.waiting = self.waiting[::2]
+        self.buffered.append(BufferedFrame(frame, tracks.ids[tracks.found], tracks.now[tracks.found].copy()))
+        if len(self.buffered) > BUFFER:
+            self.buffered = self.buffered[::2]
 
     def _try(self, rgb: NDArray[np.uint8]) -> LocalMap | None:
-        last = self.waiting[-1]
+        last = self.buffered[-1]
         enough = max(MIN_COMMON, MIN_COMMON_SHARE * len(last.ids))
         # Among the frames with enough in common, the earliest is the farthest away.
-        for number, first in enumerate(self.waiting[:-2]):
+        for number, first in enumerate(self.buffered[:-2]):
             common = np.intersect1d(first.ids, last.ids, assume_unique=True)
             if len(common) >= enough:
                 return self._try_pair(number, common, rgb)
         return None
 
     def _try_pair(self, number: int, common: NDArray[np.int64], rgb: NDArray[np.uint8]) -> LocalMap | None:
-        middle = (number + len(self.waiting) - 1) // 2
-        common = np.intersect1d(common, self.waiting[middle].ids, assume_unique=True)
+        middle = (number + len(self.buffered) - 1) // 2
+        common = np.intersect1d(common, self.buffered[middle].ids, assume_unique=True)
         if len(common) < MIN_COMMON:
             return None
-        first, second, third = (self._sight(self.waiting[k], common) for k in (number, -1, middle))
+        first, second, third = (self._rays(self.buffered[k], common) for k in (number, -1, middle))
         focal = self.rays.focal_px
         if parallax_px(first, second, focal) < MIN_PARALLAX_PX:
             return None
         hypothesis = start_pose(first, second, third, self._brightness(common, rgb), focal, self.rng)
         return None if hypothesis is None else self._build(number, common, hypothesis)
 
-    def _sight(self, waiting: Waiting, common: NDArray[np.int64]) -> Sight:
-        rows = np.searchsorted(waiting.ids, common)  # track numbers ascend
-        return Sight(*self.rays.unproject(waiting.pixels[rows]))
+    def _rays(self, buffered: BufferedFrame, common: NDArray[np.int64]) -> TwoViewRays:
+        rows = np.searchsorted(buffered.ids, common)  # track numbers ascend
+        return TwoViewRays(*self.rays.unproject(buffered.pixels[rows]))
 
     def _brightness(self, common: NDArray[np.int64], rgb: NDArray[np.uint8]) -> Array:
-        last = self.waiting[-1]
+        last = self.buffered[-1]
         x, y = np.floor(last.pixels[np.searchsorted(last.ids, common)]).astype(int).T
         height, width = rgb.shape[:2]
         return brightness_of(rgb)[y.clip(0, height - 1), x.clip(0, width - 1)].astype(np.float64)
 
     def _build(self, number: int, common: NDArray[np.int64], hypothesis: Hypothesis) -> LocalMap:
         """Keyframes at both ends and between, points, and poses for every waiting frame that sees enough of them."""
-        made = LocalMap(self.rays)
-        made.tracks.reserve(self.tracks.count)
+        new_map = LocalMap(self.rays)
+        new_map.tracks.reserve(self.tracks.count)
         scale = 1 / float(np.median(hypothesis.points[hypothesis.inlier, 2]))
         tracks = common[hypothesis.inlier]
-        made.tracks.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
-        made.tracks.has_point[tracks] = True
+        new_map.tracks.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
+        new_map.tracks.has_point[tracks] = True
         last_pose = hypothesis.second_from_first.copy()
         last_pose[:3, 3] *= scale
-        end = len(self.waiting) - 1
+        end = len(self.buffered) - 1
         cameras_from_world = {number: np.eye(4), end: last_pose}
         chosen = np.unique(np.linspace(number, end, BETWEEN + 2).round().astype(int))
         guess: Array = np.eye(4)
         for k in chosen[1:-1]:
-            found = self._pose(made, self.waiting[k], guess)
+            found = self._pose(new_map, self.buffered[k], guess)
             if found is not None:
                 cameras_from_world[int(k)] = guess = found
         for k in sorted(cameras_from_world):
-            waiting = self.waiting[k]
-            made.add_keyframe(waiting.frame, cameras_from_world[k], waiting.ids, waiting.pixels)
+            buffered = self.buffered[k]
+            new_map.add_keyframe(buffered.frame, cameras_from_world[k], buffered.ids, buffered.pixels)
         for _ in range(2):
-            made.triangulate_new()
-            adjust_window(made, iterations=15)
-        self._pose_rest(made, sorted(cameras_from_world))
-        return made
+            new_map.triangulate_new()
+            adjust_window(new_map, iterations=15)
+        self._pose_rest(new_map, sorted(cameras_from_world))
+        return new_map
 
-    def _pose_rest(self, made: LocalMap, keyframes: list[int]) -> None:
+    def _pose_rest(self, new_map: LocalMap, keyframes: list[int]) -> None:
         """Pose the frames between the keyframes, then those before the first, from near to far."""
         number_of = dict(zip(keyframes, range(len(keyframes)), strict=True))
-        order = [*range(keyframes[0], len(self.waiting)), *range(keyframes[0] - 1, -1, -1)]
-        posed, owner, guess = [], 0, made.keyframes[0].camera_from_world
+        order = [*range(keyframes[0], len(self.buffered)), *range(keyframes[0] - 1, -1, -1)]
+        posed, owner, guess = [], 0, new_map.keyframes[0].camera_from_world
         for k in order:
             if k in number_of:
                 owner = number_of[k]
-                guess = made.keyframes[owner].camera_from_world
+                guess = new_map.keyframes[owner].camera_from_world
                 continue
             if k == keyframes[0] - 1:
-                owner, guess = 0, made.keyframes[0].camera_from_world
-            waiting = self.waiting[k]
-            camera_from_world = self._pose(made, waiting, guess)
+                owner, guess = 0, new_map.keyframes[0].camera_from_world
+            buffered = self.buffered[k]
+            camera_from_world = self._pose(new_map, buffered, guess)
             if camera_from_world is None:
                 continue
             guess = camera_from_world
-            relative = camera_from_world @ inverse(made.keyframes[owner].camera_from_world)
-            mine = made.tracks.has_point[waiting.ids]
+            relative = camera_from_world @ inverse(new_map.keyframes[owner].camera_from_world)
+            mine = new_map.tracks.has_point[buffered.ids]
             posed.append(
-                TrackedFrame(waiting.frame, owner, relative, waiting.ids[mine].astype(np.int32), waiting.pixels[mine])
+                TrackedFrame(
+                    buffered.frame, owner, relative, buffered.ids[mine].astype(np.int32), buffered.pixels[mine]
+                )
             )
-        made.tracked_frames = sorted(posed, key=lambda p: p.frame)
+        new_map.tracked_frames = sorted(posed, key=lambda p: p.frame)
 
-    def _pose(self, made: LocalMap, waiting: Waiting, guess: Array) -> Array | None:
-        mine = made.tracks.has_point[waiting.ids]
+    def _pose(self, new_map: LocalMap, buffered: BufferedFrame, guess: Array) -> Array | None:
+        mine = new_map.tracks.has_point[buffered.ids]
         if mine.sum() < MIN_POSED:
             return None
-        points = made.tracks.points[waiting.ids[mine]]
-        xy, jacobian = self.rays.unproject(waiting.pixels[mine])
+        points = new_map.tracks.points[buffered.ids[mine]]
+        xy, jacobian = self.rays.unproject(buffered.pixels[mine])
         camera_from_world = refine_pose(guess, points, xy, jacobian, LOSS_PX, iterations=15)
         share = (reprojection_errors(camera_from_world, points, xy, jacobian) < MAX_ERROR_PX).mean()
         if share < 0.5:

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from haustra.core.ray_table import RayTable
 from pipeline.config import OdometrySettings
-from pipeline.frontend.odometry.initialization import Start
+from pipeline.frontend.odometry.initialization import Initializer
 from pipeline.frontend.odometry.klt import View, make_view
 from pipeline.frontend.odometry.tracking import Tracker
 from pipeline.mapping.local_map import LocalMap
 
-PATIENCE = 10  # frames for which a lost map goes on looking
+MAX_LOST_FRAMES = 10  # frames for which a lost map goes on looking
 MAX_JUMP = 15  # frames without a picture after which the old map is not asked any more
-PROBATION = 4  # keyframes within which the lamp can disown a new map
-DARK_NEAR = 0.0  # rank correlation of distance and brightness above which it does
+CHECKED_KEYFRAMES = 4  # keyframes within which the lamp can disown a new map
+MAX_LIGHTING_CORRELATION = 0.0  # rank correlation of distance and brightness above which it does
 MIN_KEYFRAMES = 3  # of a map that is kept
 KEYFRAME_MOTION = OdometrySettings().keyframe_motion
 
@@ -34,14 +34,14 @@ class Odometry:
         self.rng = np.random.default_rng(seed)
         self.maps: list[LocalMap] = []  # closed ones
         self.tracker: Tracker | None = None
-        self.start: Start | None = None
-        self.missed = 0  # frames since the tracker last knew
+        self.start: Initializer | None = None
+        self.lost_frames = 0  # frames since the tracker last knew
 
     @property
     def state(self) -> State:
         if self.tracker is None:
             return "starting"
-        return "tracking" if self.missed == 0 else "lost"
+        return "tracking" if self.lost_frames == 0 else "lost"
 
     @property
     def submaps(self) -> int:
@@ -58,26 +58,26 @@ class Odometry:
         features may lie."""
         return make_view(rgb, self.rays.masked(mask))
 
-    def feed(self, frame: int, rgb: NDArray[np.uint8], view: View) -> State:
+    def process(self, frame: int, rgb: NDArray[np.uint8], view: View) -> State:
         """The next frame and its `view`; `frame` numbers ascend."""
         if self.tracker is not None:
             steps = max(1, round((frame - self.tracker.frame) / self.stride))
-            outcome = "lost" if steps > MAX_JUMP else self.tracker.feed(frame, steps, view, rgb)
+            outcome = "lost" if steps > MAX_JUMP else self.tracker.process(frame, steps, view, rgb)
             if outcome != "lost":
-                self.missed, self.start = 0, None
-                if outcome == "keyframe" and self._is_disowned():
+                self.lost_frames, self.start = 0, None
+                if outcome == "keyframe" and self._fails_lighting_check():
                     self.tracker = None
                 return self.state
-            self.missed += 1
-            if self.missed > PATIENCE or steps > MAX_JUMP:
+            self.lost_frames += 1
+            if self.lost_frames > MAX_LOST_FRAMES or steps > MAX_JUMP:
                 self._close()
-        self.start = self.start or Start(self.rays, self.rng)
-        made = self.start.feed(frame, view, rgb)
-        if made is not None:
+        self.start = self.start or Initializer(self.rays, self.rng)
+        new_map = self.start.process(frame, view, rgb)
+        if new_map is not None:
             self._close()
             tracks, motion = self.start.tracks, self.keyframe_motion
-            self.tracker = Tracker(made, tracks, view, frame, self.rng, motion, self.stride)
-            self.start, self.missed = None, 0
+            self.tracker = Tracker(new_map, tracks, view, frame, self.rng, motion, self.stride)
+            self.start, self.lost_frames = None, 0
         return self.state
 
     def finish(self) -> list[LocalMap]:
@@ -88,10 +88,10 @@ class Odometry:
     def _close(self) -> None:
         if self.tracker is not None and len(self.tracker.map.keyframes) >= MIN_KEYFRAMES:
             self.maps.append(self.tracker.map)
-        self.tracker, self.missed = None, 0
+        self.tracker, self.lost_frames = None, 0
 
-    def _is_disowned(self) -> bool:
+    def _fails_lighting_check(self) -> bool:
         """True while a map is young and its lamp says that near is dark."""
         assert self.tracker is not None
-        votes = self.tracker.light
-        return len(votes) == PROBATION and float(np.median(votes)) > DARK_NEAR
+        correlations = self.tracker.lighting
+        return len(correlations) == CHECKED_KEYFRAMES and float(np.median(correlations)) > MAX_LIGHTING_CORRELATION

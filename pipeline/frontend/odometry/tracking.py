@@ -27,7 +27,7 @@ MAX_GAP = 3  # frames over which the motion is carried on
 KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
 ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
 ADJUST_AFTER_GUESS = 1  # with a guessed lens, which bends the map: what is left bent longer is lost more often
-MIN_VOTERS = 15
+MIN_CHECKED_POINTS = 15
 
 Outcome = Literal["tracked", "keyframe", "lost"]
 
@@ -53,10 +53,10 @@ class Tracker:
         self.velocity = self._initial_velocity(stride)
         self.adjust_after = ADJUST_AFTER if local_map.rays.camera.trusted else ADJUST_AFTER_GUESS
         self.unadjusted = 0  # frames since the last adjustment
-        self.light: list[float] = []  # rank correlation of distance and brightness at each keyframe
+        self.lighting: list[float] = []  # rank correlation of distance and brightness at each keyframe
         self._anchor(view)
 
-    def feed(self, frame: int, steps: int, view: View, rgb: NDArray[np.uint8]) -> Outcome:
+    def process(self, frame: int, steps: int, view: View, rgb: NDArray[np.uint8]) -> Outcome:
         """Pose the frame, `steps` frame intervals after the last one that was posed."""
         predicted = self._predict(steps)
         found = self._resect(view, predicted)
@@ -79,7 +79,7 @@ class Tracker:
         if not self._needs_keyframe(view.image.shape[1]):
             self.map.add_tracked_frame(frame, camera_from_world, tracks.ids[rows], tracks.now[rows])
             return "tracked"
-        self._vote(rgb, rows)
+        self._check_lighting(rgb, rows)
         self._make_keyframe(frame, view)
         return "keyframe"
 
@@ -170,16 +170,16 @@ class Tracker:
         self.map.tracks.reserve(self.tracks.count)
         return self.map.tracks.rejected[self.tracks.ids]
 
-    def _vote(self, rgb: NDArray[np.uint8], rows: NDArray[np.int64]) -> None:
+    def _check_lighting(self, rgb: NDArray[np.uint8], rows: NDArray[np.int64]) -> None:
         """Is nearer brighter here? A map that starts false contradicts its lamp."""
-        if len(rows) < MIN_VOTERS:
+        if len(rows) < MIN_CHECKED_POINTS:
             return
         pixels = self.tracks.now[rows]
         x, y = np.floor(pixels).astype(int).T
         distance = np.linalg.norm(
             in_camera(self.camera_from_world, self.map.tracks.points[self.tracks.ids[rows]]), axis=1
         )
-        self.light.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
+        self.lighting.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
 
     def _initial_velocity(self, stride: int) -> Array:
         """From the map's last two keyframes, for one step of `stride` frame numbers."""

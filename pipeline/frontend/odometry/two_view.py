@@ -26,15 +26,15 @@ MIN_POINTS = 30
 MIN_SHARE = 0.6  # of the tracks that all three views must explain
 CLEARLY_WORSE = 0.85  # times the best support: a rival below it is out
 MIN_ANGLE_DEG = 1.5  # median angle between the rays of a point
-DARK_NEAR = 0.1  # rank correlation of distance and brightness above which the lamp says no
-CLEARLY_DARKER = 0.2  # difference of that correlation that settles it between two equals
+MAX_LIGHTING_CORRELATION = 0.1  # rank correlation of distance and brightness above which the lamp says no
+MIN_LIGHTING_MARGIN = 0.2  # difference of that correlation that settles it between two equals
 SAME_ANGLE = np.radians(1.0)
 SAME_DIRECTION = np.radians(12.0)
-MIN_VOTERS = 15
+MIN_CHECKED_POINTS = 15
 
 
 @dataclass(frozen=True)
-class Sight:
+class TwoViewRays:
     """The same tracks in one view: xy (N,2) on the plane z = 1, jacobian (N,2,2) pixels per unit."""
 
     xy: Array
@@ -56,14 +56,14 @@ class Hypothesis:
     inlier: NDArray[np.bool_]
     support: float
     angle_deg: float
-    light: float
+    lighting: float
 
     @property
     def share(self) -> float:
         return float(self.inlier.mean())
 
 
-def parallax_px(first: Sight, second: Sight, focal_px: float) -> float:
+def parallax_px(first: TwoViewRays, second: TwoViewRays, focal_px: float) -> float:
     """Median way of the tracks that no rotation explains, in pixels at the image's centre."""
     rays = [np.concatenate([s.xy, np.ones((len(s.xy), 1))], axis=1) for s in (first, second)]
     a, b = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in rays)
@@ -77,9 +77,9 @@ def parallax_px(first: Sight, second: Sight, focal_px: float) -> float:
 
 
 def start_pose(
-    first: Sight,
-    second: Sight,
-    third: Sight,
+    first: TwoViewRays,
+    second: TwoViewRays,
+    third: TwoViewRays,
     brightness: Array | None,
     focal_px: float,
     rng: np.random.Generator,
@@ -90,15 +90,15 @@ def start_pose(
     """
     if len(first.xy) < MIN_POINTS:
         return None
-    judged = [
-        judge(second_from_first, first, second, third, brightness)
+    scored = [
+        score_hypothesis(second_from_first, first, second, third, brightness)
         for second_from_first in propose(first, second, focal_px, rng)
     ]
-    judged = [h for h in judged if h.inlier.sum() >= MIN_POINTS]
-    lit = [h for h in judged if h.light <= DARK_NEAR]
+    scored = [h for h in scored if h.inlier.sum() >= MIN_POINTS]
+    lit = [h for h in scored if h.lighting <= MAX_LIGHTING_CORRELATION]
     if not lit:
         return None
-    best, most = (max(group, key=lambda h: h.support) for group in (lit, judged))
+    best, most = (max(group, key=lambda h: h.support) for group in (lit, scored))
     if best.share < MIN_SHARE or best.angle_deg < MIN_ANGLE_DEG or best.support < CLEARLY_WORSE * most.support:
         return None
     rivals = [
@@ -106,12 +106,12 @@ def start_pose(
         for h in lit
         if not _is_same(h.second_from_first, best.second_from_first) and h.support > CLEARLY_WORSE * best.support
     ]
-    if any(h.light < best.light + CLEARLY_DARKER for h in rivals):
+    if any(h.lighting < best.lighting + MIN_LIGHTING_MARGIN for h in rivals):
         return None
     return best
 
 
-def propose(first: Sight, second: Sight, focal_px: float, rng: np.random.Generator) -> list[Array]:
+def propose(first: TwoViewRays, second: TwoViewRays, focal_px: float, rng: np.random.Generator) -> list[Array]:
     """Poses (4x4, second_from_first, |t| = 1) worth a closer look, those with most points in front first."""
     cameras_from_first: list[Array] = []
     for limit in DRAW_PX:
@@ -132,7 +132,9 @@ def propose(first: Sight, second: Sight, focal_px: float, rng: np.random.Generat
     return chosen
 
 
-def judge(second_from_first: Array, first: Sight, second: Sight, third: Sight, brightness: Array | None) -> Hypothesis:
+def score_hypothesis(
+    second_from_first: Array, first: TwoViewRays, second: TwoViewRays, third: TwoViewRays, brightness: Array | None
+) -> Hypothesis:
     """Refine a pose and its points on two views, then ask the third view and the lamp."""
     second_from_first, points, error, angle = _refined(second_from_first, first, second)
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
@@ -143,15 +145,15 @@ def judge(second_from_first: Array, first: Sight, second: Sight, third: Sight, b
     error = np.maximum(error, reprojection_errors(middle, points, third.xy, third.jacobian))
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
     support = float(np.where(inlier, 1 - np.minimum(error / MAX_ERROR_PX, 1) ** 2, 0).mean())
-    light = 0.0
-    if brightness is not None and inlier.sum() >= MIN_VOTERS:
+    lighting = 0.0
+    if brightness is not None and inlier.sum() >= MIN_CHECKED_POINTS:
         distance = np.linalg.norm(points[inlier] @ second_from_first[:3, :3].T + second_from_first[:3, 3], axis=1)
-        light = float(np.nan_to_num(spearmanr(distance, brightness[inlier]).statistic))
+        lighting = float(np.nan_to_num(spearmanr(distance, brightness[inlier]).statistic))
     angle_deg = float(np.degrees(np.median(angle[inlier]))) if inlier.any() else 0.0
-    return Hypothesis(second_from_first, points, inlier, support, angle_deg, light)
+    return Hypothesis(second_from_first, points, inlier, support, angle_deg, lighting)
 
 
-def _refined(second_from_first: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array, Array]:
+def _refined(second_from_first: Array, first: TwoViewRays, second: TwoViewRays) -> tuple[Array, Array, Array, Array]:
     """Pose with |t| = 1, points, worst error and ray angle of each, after adjusting both to the two views."""
     points, error, _ = _triangulated(second_from_first, first, second)
     take = np.flatnonzero(error < 3 * MAX_ERROR_PX)
@@ -172,7 +174,7 @@ def _refined(second_from_first: Array, first: Sight, second: Sight) -> tuple[Arr
     return second_from_first, points, error, angle
 
 
-def _triangulated(second_from_first: Array, first: Sight, second: Sight) -> tuple[Array, Array, Array]:
+def _triangulated(second_from_first: Array, first: TwoViewRays, second: TwoViewRays) -> tuple[Array, Array, Array]:
     count = len(first.xy)
     cameras_from_first = np.tile(np.stack([np.eye(4), second_from_first]), (count, 1, 1))
     xy = np.stack([first.xy, second.xy], axis=1).reshape(-1, 2)
@@ -182,7 +184,7 @@ def _triangulated(second_from_first: Array, first: Sight, second: Sight) -> tupl
     )
 
 
-def _fitting(second_from_first: Array, first: Sight, second: Sight) -> int:
+def _fitting(second_from_first: Array, first: TwoViewRays, second: TwoViewRays) -> int:
     return int((_triangulated(second_from_first, first, second)[1] < MAX_ERROR_PX).sum())
 
 

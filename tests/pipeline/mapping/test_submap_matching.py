@@ -34,7 +34,7 @@ def test_no_track_lies_where_the_lens_has_no_ray():
     fisheye = Camera("OPENCV_FISHEYE", 320, 320, (100.0, 100.0, 160.0, 160.0, 0.0, 0.0, 0.0, 0.0))
     mask = np.full((320, 320), 255, np.uint8)
     odometry = Odometry(RayTable(fisheye), 0)
-    odometry.feed(0, image, odometry.view(image, mask))
+    odometry.process(0, image, odometry.view(image, mask))
     angle = np.degrees(np.linalg.norm(odometry.start.tracks.now - 160, axis=1) / 100)
     assert len(angle) > 100
     assert angle.max() < 78

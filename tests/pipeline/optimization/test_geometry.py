@@ -12,7 +12,7 @@ from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import angle_between, inverse
 from haustra.core.sim3 import scale_of, transform_points
-from pipeline.frontend.odometry.two_view import judge, parallax_px, start_pose
+from pipeline.frontend.odometry.two_view import parallax_px, score_hypothesis, start_pose
 from pipeline.matching.sim3_ransac import (
     Correspondences,
     StackedCorrespondences,
@@ -213,7 +213,7 @@ def starts_right(kind, seed):
         return False
     assert np.degrees(angle_between(found.camera_from_world, poses[2])) < 1.0
     assert direction_error_deg(found.camera_from_world, poses[2]) < 8
-    assert found.light < -0.5
+    assert found.lighting < -0.5
     return True
 
 
@@ -235,8 +235,8 @@ def test_the_lamp_speaks_against_a_world_turned_inside_out():
     unit = true.copy()
     unit[:3, 3] /= np.linalg.norm(unit[:3, 3])
     distance = np.linalg.norm(points @ true[:3, :3].T + true[:3, 3], axis=1)
-    assert judge(unit, views[0], views[1], views[2], distance**-2.0).light < -0.9
-    assert judge(unit, views[0], views[1], views[2], distance**2.0).light > 0.9
+    assert score_hypothesis(unit, views[0], views[1], views[2], distance**-2.0).lighting < -0.9
+    assert score_hypothesis(unit, views[0], views[1], views[2], distance**2.0).lighting > 0.9
     assert start_pose(views[0], views[1], views[2], distance**2.0, FOCAL, rng) is None
 
 

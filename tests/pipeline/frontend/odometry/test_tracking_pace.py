@@ -29,7 +29,7 @@ def tracked(frames, step, camera=CAMERA, **settings):
     odometry = Odometry(RayTable(camera), 0, **settings)
     for k in frames:
         image = render(camera_at(k, step))
-        odometry.feed(k, image, odometry.view(image, MASK))
+        odometry.process(k, image, odometry.view(image, MASK))
     (local_map,) = odometry.finish()
     return local_map
 
@@ -114,11 +114,11 @@ def threads():
 
 
 def test_libraries_keep_to_one_thread_while_frames_are_tracked_and_get_theirs_back(tmp_path, monkeypatch):
-    before, seen, feed = cv2.getNumThreads(), [], Odometry.feed
+    before, seen, process = cv2.getNumThreads(), [], Odometry.process
 
     def asked(*arguments):
         seen.append(threads())
-        return feed(*arguments)
+        return process(*arguments)
 
     def stop(*_, **__):
         seen.append(threads())
