@@ -7,54 +7,54 @@ anchor and a single bad frame costs nothing. The anchor moves on when the view h
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.frontend.odometry.klt import Pixels, View, detect, follow
+from pipeline.frontend.odometry.klt import Pixels, TrackerImage, detect, track_klt
 
 CELL_SHARE = 0.045  # of the width: one track for each cell of this side
 
 
-class TrackSet:
+class CornerTracks:
     """ids (N,); places (N,2) in the anchor; now (N,2) last known; found (N,) in the latest frame."""
 
     def __init__(self) -> None:
         self.ids: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-        self.places: Pixels = np.zeros((0, 2), dtype=np.float32)
-        self.now: Pixels = self.places
+        self.reference_pixels: Pixels = np.zeros((0, 2), dtype=np.float32)
+        self.now: Pixels = self.reference_pixels
         self.found: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        self.anchor: View | None = None
+        self.reference: TrackerImage | None = None
         self.count = 0  # tracks ever begun
 
-    def follow(self, view: View, guess: Pixels | None = None) -> None:
+    def follow(self, view: TrackerImage, guess: Pixels | None = None) -> None:
         """Look for every track in `view`; `guess` (N,2) where the motion says that it is, NaN = not known."""
-        if self.anchor is None:
+        if self.reference is None:
             return
         start = self.now if guess is None else np.where(np.isfinite(guess), guess, self.now).astype(np.float32)
-        now, self.found = follow(self.anchor, view, self.places, start, near=guess is not None)
+        now, self.found = track_klt(self.reference, view, self.reference_pixels, start, near=guess is not None)
         lost = ~self.found
         if guess is not None and lost.any():  # those for which the guess was wrong: near points, in a sudden motion
-            now[lost], self.found[lost] = follow(self.anchor, view, self.places[lost], start[lost])
+            now[lost], self.found[lost] = track_klt(self.reference, view, self.reference_pixels[lost], start[lost])
         self.now = np.where(self.found[:, None], now, self.now)
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Only the tracks of the mask stay."""
-        self.ids, self.places, self.now = self.ids[mask], self.places[mask], self.now[mask]
+        self.ids, self.reference_pixels, self.now = self.ids[mask], self.reference_pixels[mask], self.now[mask]
         self.found = self.found[mask]
 
-    def anchor_at(self, view: View) -> None:
+    def set_reference(self, view: TrackerImage) -> None:
         """Make `view`, which `follow` was just given, the anchor; fill empty places with new tracks."""
         self.keep(self.found)
         added = detect(view, self.now, max(6, round(CELL_SHARE * view.image.shape[1])))
         fresh = np.arange(self.count, self.count + len(added))
         self.count += len(added)
         self.ids = np.concatenate([self.ids, fresh])
-        self.now = self.places = np.concatenate([self.now, added])
+        self.now = self.reference_pixels = np.concatenate([self.now, added])
         self.found = np.ones(len(self.ids), dtype=bool)
-        self.anchor = view
+        self.reference = view
 
     def motion_px(self) -> float:
         """Median way from the anchor of the tracks that were found."""
         if not self.found.any():
             return 0.0
-        return float(np.median(np.linalg.norm((self.now - self.places)[self.found], axis=1)))
+        return float(np.median(np.linalg.norm((self.now - self.reference_pixels)[self.found], axis=1)))
 
     def found_share(self) -> float:
         """Share of the anchor's tracks that were found."""

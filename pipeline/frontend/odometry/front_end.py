@@ -14,7 +14,7 @@ from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, scratch, track_chunks
 from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
-from pipeline.frontend.odometry.klt import View
+from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.prefetch import made_ahead
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry
@@ -102,7 +102,7 @@ def _tracked(
     odometry = Odometry(rays, settings.seed, settings.stride, settings.odometry.keyframe_motion)
     read = frame_reader(workspace)
 
-    def look(index: int) -> tuple[int, NDArray[np.uint8], View]:
+    def look(index: int) -> tuple[int, NDArray[np.uint8], TrackerImage]:
         rgb, mask = read(index)
         return index, rgb, odometry.view(rgb, mask)
 

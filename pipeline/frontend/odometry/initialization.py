@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
-from pipeline.frontend.odometry.corner_tracks import TrackSet
-from pipeline.frontend.odometry.klt import Pixels, View
+from pipeline.frontend.odometry.corner_tracks import CornerTracks
+from pipeline.frontend.odometry.klt import Pixels, TrackerImage
 from pipeline.frontend.odometry.two_view import Hypothesis, TwoViewRays, parallax_px, start_pose
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import LocalMap, TrackedFrame
@@ -40,17 +40,17 @@ class Initializer:
 
     def __init__(self, rays: RayTable, rng: np.random.Generator) -> None:
         self.rays, self.rng = rays, rng
-        self.tracks = TrackSet()
+        self.tracks = CornerTracks()
         self.buffered: list[BufferedFrame] = []
 
-    def process(self, frame: int, view: View, rgb: NDArray[np.uint8]) -> LocalMap | None:
+    def process(self, frame: int, view: TrackerImage, rgb: NDArray[np.uint8]) -> LocalMap | None:
         """The map once the evidence suffices. Its tracks go on in `self.tracks`."""
         tracks, width = self.tracks, view.image.shape[1]
         tracks.follow(view)
-        if tracks.anchor is None or tracks.found.sum() < MIN_TRACKS:
+        if tracks.reference is None or tracks.found.sum() < MIN_TRACKS:
             self.buffered.clear()
             tracks.found[:] = False
-            tracks.anchor_at(view)
+            tracks.set_reference(view)
             self._remember(frame)
             return None
         self._remember(frame)
@@ -58,7 +58,7 @@ class Initializer:
         if new_map is None and (
             tracks.motion_px() > ANCHOR_MOTION_SHARE * width or tracks.found_share() < MIN_FOUND_SHARE
         ):
-            tracks.anchor_at(view)
+            tracks.set_reference(view)
         return new_map
 
     def _remember(self, frame: int) -> None:

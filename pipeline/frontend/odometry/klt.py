@@ -37,18 +37,18 @@ def normalise(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True)
-class View:
+class TrackerImage:
     """One frame as the tracker sees it. image: (H,W) uint8, normalised; mask: (H,W), nonzero where windows fit."""
 
     image: NDArray[np.uint8]
     mask: NDArray[np.uint8]
 
 
-def make_view(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> View:
+def tracker_image(rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> TrackerImage:
     """mask: (H,W), nonzero where features may lie; it is shrunk by a border."""
     framed = cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     inner = cv2.erode(framed, np.ones((2 * BORDER + 1, 2 * BORDER + 1), np.uint8))[1:-1, 1:-1]
-    return View(normalise(rgb), inner)
+    return TrackerImage(normalise(rgb), inner)
 
 
 def _window(image: NDArray[np.uint8]) -> tuple[int, int]:
@@ -56,8 +56,8 @@ def _window(image: NDArray[np.uint8]) -> tuple[int, int]:
     return size, size
 
 
-def follow(
-    reference: View, current: View, places: Pixels, guess: Pixels, near: bool = False
+def track_klt(
+    reference: TrackerImage, current: TrackerImage, places: Pixels, guess: Pixels, near: bool = False
 ) -> tuple[Pixels, NDArray[np.bool_]]:
     """Where points at `places` of the reference are now, searched from `guess`, within some pixels if it is `near`; and
     which of them came back to where they started, within the mask."""
@@ -76,7 +76,13 @@ def follow(
 
 
 def _flow(
-    reference: View, current: View, places: Pixels, guess: Pixels, window: tuple[int, int], levels: int, steps: int
+    reference: TrackerImage,
+    current: TrackerImage,
+    places: Pixels,
+    guess: Pixels,
+    window: tuple[int, int],
+    levels: int,
+    steps: int,
 ) -> tuple[Pixels, NDArray[np.uint8]]:
     """Pyramidal Lucas-Kanade in OpenCV's integer-centre pixels."""
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -102,7 +108,7 @@ def inside(mask: NDArray[np.uint8], pixels: Pixels) -> NDArray[np.bool_]:
     return within & (mask[y.clip(0, height - 1), x.clip(0, width - 1)] > 0)
 
 
-def detect(view: View, occupied: Pixels, cell: int) -> Pixels:
+def detect(view: TrackerImage, occupied: Pixels, cell: int) -> Pixels:
     """New corners, one for each empty cell of a grid: the best there, if it is a corner at all.
 
     A grid rather than the strongest corners of the image: those crowd on vessels and highlights' rims, and poses need

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from haustra.core.ray_table import RayTable
 from pipeline.config import OdometrySettings
 from pipeline.frontend.odometry.initialization import Initializer
-from pipeline.frontend.odometry.klt import View, make_view
+from pipeline.frontend.odometry.klt import TrackerImage, tracker_image
 from pipeline.frontend.odometry.tracking import Tracker
 from pipeline.mapping.local_map import LocalMap
 
@@ -53,12 +53,12 @@ class Odometry:
         """Number of the frame that became the latest keyframe of the current map."""
         return self.tracker.map.keyframes[-1].frame if self.tracker is not None else None
 
-    def view(self, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> View:
+    def view(self, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> TrackerImage:
         """What `feed` asks of a frame that no other frame has a say in. rgb (H,W,3) uint8; mask (H,W), nonzero where
         features may lie."""
-        return make_view(rgb, self.rays.masked(mask))
+        return tracker_image(rgb, self.rays.masked(mask))
 
-    def process(self, frame: int, rgb: NDArray[np.uint8], view: View) -> State:
+    def process(self, frame: int, rgb: NDArray[np.uint8], view: TrackerImage) -> State:
         """The next frame and its `view`; `frame` numbers ascend."""
         if self.tracker is not None:
             steps = max(1, round((frame - self.tracker.frame) / self.stride))

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from haustra.core.se3 import Array, angle_between, in_camera, inverse
-from pipeline.frontend.odometry.corner_tracks import TrackSet
-from pipeline.frontend.odometry.klt import Pixels, View
+from pipeline.frontend.odometry.corner_tracks import CornerTracks
+from pipeline.frontend.odometry.klt import Pixels, TrackerImage
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import WINDOW, LocalMap
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_window
@@ -40,8 +40,8 @@ class Tracker:
     def __init__(
         self,
         local_map: LocalMap,
-        tracks: TrackSet,
-        view: View,
+        tracks: CornerTracks,
+        view: TrackerImage,
         frame: int,
         rng: np.random.Generator,
         keyframe_motion: float,
@@ -54,9 +54,9 @@ class Tracker:
         self.adjust_after = ADJUST_AFTER if local_map.rays.camera.trusted else ADJUST_AFTER_GUESS
         self.unadjusted = 0  # frames since the last adjustment
         self.lighting: list[float] = []  # rank correlation of distance and brightness at each keyframe
-        self._anchor(view)
+        self._set_reference(view)
 
-    def process(self, frame: int, steps: int, view: View, rgb: NDArray[np.uint8]) -> Outcome:
+    def process(self, frame: int, steps: int, view: TrackerImage, rgb: NDArray[np.uint8]) -> Outcome:
         """Pose the frame, `steps` frame intervals after the last one that was posed."""
         predicted = self._predict(steps)
         found = self._resect(view, predicted)
@@ -90,7 +90,9 @@ class Tracker:
                 predicted = self.velocity @ predicted
         return predicted
 
-    def _resect(self, view: View, predicted: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]] | None:
+    def _resect(
+        self, view: TrackerImage, predicted: Array
+    ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]] | None:
         """Pose, rows of the found tracks that have points, and which of them agree."""
         tracks = self.tracks
         known = self.map.tracks.has_point[tracks.ids]
@@ -124,8 +126,8 @@ class Tracker:
         points = self.map.tracks.points[tracks.ids]
         if not known.all():
             depth = in_camera(last.camera_from_world, points[known])[:, 2]
-            _, nearest = cKDTree(tracks.places[known]).query(tracks.places[~known])
-            xy, _ = self.map.rays.unproject(tracks.places[~known])
+            _, nearest = cKDTree(tracks.reference_pixels[known]).query(tracks.reference_pixels[~known])
+            xy, _ = self.map.rays.unproject(tracks.reference_pixels[~known])
             local = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * depth[nearest][:, None]
             points[~known] = in_camera(inverse(last.camera_from_world), local)
         return self.map.rays.project(in_camera(predicted, points)).astype(np.float32)
@@ -144,7 +146,7 @@ class Tracker:
         tracks = self.tracks
         return tracks.motion_px() > self.keyframe_motion * width or tracks.found_share() < KEYFRAME_FOUND_SHARE
 
-    def _make_keyframe(self, frame: int, view: View) -> None:
+    def _make_keyframe(self, frame: int, view: TrackerImage) -> None:
         """The frame enters the map, which is adjusted around it if that is due, and tracking goes on from its image."""
         tracks = self.tracks
         self.map.add_keyframe(frame, self.camera_from_world, tracks.ids[tracks.found], tracks.now[tracks.found])
@@ -154,14 +156,14 @@ class Tracker:
             self.unadjusted = 0
         self.map.forget_unused()
         self.camera_from_world = self.map.keyframes[-1].camera_from_world
-        self._anchor(view)
+        self._set_reference(view)
 
-    def _anchor(self, view: View) -> None:
+    def _set_reference(self, view: TrackerImage) -> None:
         """Move the anchor to the last keyframe's image; its new corners belong to that keyframe too."""
         tracks = self.tracks
         tracks.found &= ~self._barred()
         begun = tracks.count
-        tracks.anchor_at(view)
+        tracks.set_reference(view)
         self.map.tracks.reserve(tracks.count)
         fresh = tracks.ids >= begun
         self.map.extend(-1, tracks.ids[fresh], tracks.now[fresh])

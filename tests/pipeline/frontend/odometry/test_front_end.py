@@ -7,8 +7,8 @@ from scipy.spatial.distance import cdist
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.frontend.odometry.corner_tracks import TrackSet
-from pipeline.frontend.odometry.klt import detect, follow, make_view
+from pipeline.frontend.odometry.corner_tracks import CornerTracks
+from pipeline.frontend.odometry.klt import detect, track_klt, tracker_image
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.descriptor_matching import match_descriptors
@@ -90,31 +90,31 @@ def test_a_pause_and_a_jump_do_not_end_the_map(clip):
 def test_images_without_the_lamp_survive_a_change_of_light(clip):
     """Half the light and another gamma: tracks must not move by more than a tenth of a pixel."""
     darker = (255 * (clip[0][0] / 255.0 * 0.5) ** 0.8).astype(np.uint8)
-    first, second = make_view(clip[0][0], MASK), make_view(darker, MASK)
-    places = detect(first, np.zeros((0, 2), np.float32), 12)
-    now, found = follow(first, second, places, places)
-    assert len(places) > 100
+    first, second = tracker_image(clip[0][0], MASK), tracker_image(darker, MASK)
+    reference_pixels = detect(first, np.zeros((0, 2), np.float32), 12)
+    now, found = track_klt(first, second, reference_pixels, reference_pixels)
+    assert len(reference_pixels) > 100
     assert found.mean() > 0.9
-    assert np.median(np.abs(now - places)[found]) < 0.1
+    assert np.median(np.abs(now - reference_pixels)[found]) < 0.1
 
 
 def test_tracks_follow_a_known_shift(clip):
     image = clip[0][0]
     cuts = image[:160, :160], image[3:163, 5:165]
-    first, second = (make_view(np.ascontiguousarray(cut), MASK[:160, :160]) for cut in cuts)
-    places = detect(first, np.zeros((0, 2), np.float32), 12)
-    now, found = follow(first, second, places, places)
+    first, second = (tracker_image(np.ascontiguousarray(cut), MASK[:160, :160]) for cut in cuts)
+    reference_pixels = detect(first, np.zeros((0, 2), np.float32), 12)
+    now, found = track_klt(first, second, reference_pixels, reference_pixels)
     assert found.mean() > 0.6
-    np.testing.assert_allclose(np.median((now - places)[found], axis=0), [-5, -3], atol=0.05)
+    np.testing.assert_allclose(np.median((now - reference_pixels)[found], axis=0), [-5, -3], atol=0.05)
 
 
 def followed(second, off):
     """Tracks of a picture that moved by (-15, -9), looked for `off` (N,2) from where they are; None: with no guess."""
-    tracks = TrackSet()
-    tracks.anchor_at(make_view(np.ascontiguousarray(second[:150, :150]), MASK[:150, :150]))
-    guess = None if off is None else tracks.places + np.array([-15, -9]) + off(len(tracks.places))
-    tracks.follow(make_view(np.ascontiguousarray(second[9:159, 15:165]), MASK[:150, :150]), guess)
-    right = np.abs(tracks.now - tracks.places - [-15, -9]).max(axis=1) < 1
+    tracks = CornerTracks()
+    tracks.set_reference(tracker_image(np.ascontiguousarray(second[:150, :150]), MASK[:150, :150]))
+    guess = None if off is None else tracks.reference_pixels + np.array([-15, -9]) + off(len(tracks.reference_pixels))
+    tracks.follow(tracker_image(np.ascontiguousarray(second[9:159, 15:165]), MASK[:150, :150]), guess)
+    right = np.abs(tracks.now - tracks.reference_pixels - [-15, -9]).max(axis=1) < 1
     return tracks.found & right, tracks.found & ~right
 
 
@@ -137,18 +137,18 @@ def test_tracks_whose_guess_is_wrong_are_found_as_without_one(clip, share):
 @pytest.mark.parametrize("near", [True, False])
 def test_what_is_not_in_the_picture_is_not_found(clip, near):
     """Another part of the wall: the way back does not end where the way there began."""
-    first, second = make_view(clip[0][0], MASK), make_view(np.ascontiguousarray(clip[0][0][::-1, ::-1]), MASK)
-    places = detect(first, np.zeros((0, 2), np.float32), 12)
-    _, found = follow(first, second, places, places, near)
+    first, second = tracker_image(clip[0][0], MASK), tracker_image(np.ascontiguousarray(clip[0][0][::-1, ::-1]), MASK)
+    reference_pixels = detect(first, np.zeros((0, 2), np.float32), 12)
+    _, found = track_klt(first, second, reference_pixels, reference_pixels, near)
     assert found.mean() < 0.15
 
 
 def test_new_corners_keep_away_from_old_ones(clip):
-    view = make_view(clip[0][0], MASK)
-    places = detect(view, np.zeros((0, 2), np.float32), 12)
-    assert len(detect(view, places, 12)) < 0.1 * len(places)
-    cells = np.unique(np.floor(places / 12), axis=0)
-    assert len(cells) == len(places)
+    view = tracker_image(clip[0][0], MASK)
+    reference_pixels = detect(view, np.zeros((0, 2), np.float32), 12)
+    assert len(detect(view, reference_pixels, 12)) < 0.1 * len(reference_pixels)
+    cells = np.unique(np.floor(reference_pixels / 12), axis=0)
+    assert len(cells) == len(reference_pixels)
 
 
 def unit(descriptors):
