@@ -26,7 +26,7 @@ NEIGHBOURS = 8  # points whose median log depth a point is compared with
 OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
 SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/lab/front_end.md
 REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # better points so near (share of the width) replace a followed one
-ASKED = 12  # nearest points among which those are looked for
+KNN = 12  # nearest points among which those are looked for
 SAME_WALL = 0.25  # log depth within which points are taken to lie on one wall
 
 
@@ -67,14 +67,14 @@ def reliable_points(
 
 
 def error_with_slide(
-    scatter: NDArray[np.float64], followed: NDArray[np.bool_], angles: NDArray[np.float64], slide: float
+    scatter: NDArray[np.float64], klt: NDArray[np.bool_], angles: NDArray[np.float64], slide: float
 ) -> NDArray[np.float64]:
     """(P,) relative depth error of all points, of which the followed ones also slid across the angle (deg) that they
     span. slide: focal lengths.
 
     However many frames saw it on the way, a corner that slid by s px over an angle alpha is off by s / (f alpha).
     """
-    return np.where(followed, np.hypot(scatter, slide / np.maximum(np.radians(angles), 1e-6)), scatter)
+    return np.where(klt, np.hypot(scatter, slide / np.maximum(np.radians(angles), 1e-6)), scatter)
 
 
 class SparseDepthMaker:
@@ -85,7 +85,7 @@ class SparseDepthMaker:
         # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
         focal, angles = submap.camera_params[0], submap.triangulation_angles()
         self.good, self.scatter = reliable_points(submap, angles, focal)
-        self.error = error_with_slide(self.scatter, submap.is_followed, angles, SLIDE * pinhole.width / focal)
+        self.error = error_with_slide(self.scatter, submap.is_klt, angles, SLIDE * pinhole.width / focal)
         order, self._starts = submap.by_frame()
         self._points = submap.observations[order, 1]
 
@@ -111,7 +111,7 @@ class SparseDepthMaker:
         keep = front & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
         keep[keep] = self._is_visible(pixels[keep], in_camera[keep, 2], np.flatnonzero(keep) < len(own))
         pixels, depth, error = pixels[keep], in_camera[keep, 2], self.error[points[keep]]
-        kept = ~is_replaced(pixels, depth, error, self.submap.is_followed[points[keep]], self.pinhole.width)
+        kept = ~has_better_neighbours(pixels, depth, error, self.submap.is_klt[points[keep]], self.pinhole.width)
         pixels, depth, error = pixels[kept], depth[kept], error[kept]
         inlier = ~is_outlier(pixels, depth, OUTLIER_RATIO)
         return SparseDepth(pixels[inlier], depth[inlier], error[inlier])
@@ -128,22 +128,22 @@ class SparseDepthMaker:
         return own | (depth < 1.1 * nearer)
 
 
-def is_replaced(
+def has_better_neighbours(
     pixels: NDArray[np.float64],
     depth: NDArray[np.float64],
     error: NDArray[np.float64],
-    followed: NDArray[np.bool_],
+    klt: NDArray[np.bool_],
     width: int,
 ) -> NDArray[np.bool_]:
     """(K,) True for followed points near which enough others, that are surer, say what the same wall's depth is."""
     replaced = np.zeros(len(pixels), dtype=bool)
-    if not followed.any() or (~followed).sum() < REPLACED_BY:
+    if not klt.any() or (~klt).sum() < REPLACED_BY:
         return replaced
-    count = min(ASKED, int((~followed).sum()))
-    distance, nearest = cKDTree(pixels[~followed]).query(pixels[followed], k=count)
-    surer = error[~followed][nearest] < error[followed][:, None]
-    same = np.abs(np.log(depth[~followed][nearest] / depth[followed][:, None])) < SAME_WALL
-    replaced[followed] = (surer & same & (distance < REPLACED_WITHIN * width)).sum(axis=1) >= REPLACED_BY
+    count = min(KNN, int((~klt).sum()))
+    distance, nearest = cKDTree(pixels[~klt]).query(pixels[klt], k=count)
+    surer = error[~klt][nearest] < error[klt][:, None]
+    same = np.abs(np.log(depth[~klt][nearest] / depth[klt][:, None])) < SAME_WALL
+    replaced[klt] = (surer & same & (distance < REPLACED_WITHIN * width)).sum(axis=1) >= REPLACED_BY
     return replaced
 
 

@@ -188,7 +188,7 @@ def united(first: CompletedSubmap, second: CompletedSubmap) -> CompletedSubmap:
         error_px=np.concatenate([one.error_px, other.error_px]),
         observations=observations,
         pixels=np.concatenate([one.pixels, other.pixels]),
-        followed=np.concatenate([one.is_followed, other.is_followed]),
+        klt=np.concatenate([one.is_klt, other.is_klt]),
     )
     scales = [np.ones(len(p.submap.frames)) if p.depth_scale is None else p.depth_scale for p in (first, second)]
     rows = np.sort(place[np.concatenate([first.rows, second.rows + len(one.frames)])])

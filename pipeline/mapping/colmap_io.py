@@ -23,7 +23,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{index:06d}.jpg" for index in submap.frames]
-    followed = {} if submap.followed is None else {"followed": submap.followed}
+    followed = {} if submap.klt is None else {"followed": submap.klt}
     np.savez(
         folder / "model.npz",
         allow_pickle=False,

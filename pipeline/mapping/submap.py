@@ -28,12 +28,12 @@ class Submap:
     pixels: NDArray[np.float64]
     camera_params: tuple[float, ...]
     camera_sigma: tuple[float, ...] = ()
-    followed: NDArray[np.bool_] | None = None
+    klt: NDArray[np.bool_] | None = None
 
     @property
-    def is_followed(self) -> NDArray[np.bool_]:
+    def is_klt(self) -> NDArray[np.bool_]:
         """(P,) `followed`, whatever the front end."""
-        return np.zeros(len(self.points), dtype=bool) if self.followed is None else self.followed
+        return np.zeros(len(self.points), dtype=bool) if self.klt is None else self.klt
 
     @property
     def centres(self) -> NDArray[np.float64]:

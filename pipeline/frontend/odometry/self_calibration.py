@@ -167,5 +167,5 @@ def _without_points(submap: Submap, drop: NDArray[np.bool_]) -> Submap:
         error_px=submap.error_px[~drop],
         observations=observations,
         pixels=submap.pixels[mine],
-        followed=submap.is_followed[~drop],
+        klt=submap.is_klt[~drop],
     )

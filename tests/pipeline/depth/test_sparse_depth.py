@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from haustra.core.camera import Camera
-from pipeline.depth.sparse_depth import SLIDE, SparseDepthMaker, is_replaced
+from pipeline.depth.sparse_depth import SLIDE, SparseDepthMaker, has_better_neighbours
 from pipeline.frontend.odometry.self_calibration import _without_points
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import Submap, read_submap
@@ -24,14 +24,14 @@ def wall(pixels, followed):
     observations = np.array([(row, point) for row in range(FRAMES) for point in range(len(points))])
     seen = np.concatenate([CAMERA.project(points - pose[:3, 3]) for pose in poses])
     error = np.full(len(points), 0.3)
-    return Submap(np.arange(FRAMES), poses, points, error, observations, seen, CAMERA.params, followed=followed)
+    return Submap(np.arange(FRAMES), poses, points, error, observations, seen, CAMERA.params, klt=followed)
 
 
 def test_a_followed_point_slides_by_the_angle_that_it_spans_however_many_frames_saw_it():
     pixels = np.random.default_rng(0).uniform(150, 190, (40, 2))
     followed = np.arange(40) % 2 == 0
     submap, slide_px = wall(pixels, followed), SLIDE * CAMERA.width
-    found = SparseDepthMaker(replace(submap, followed=None), CAMERA)
+    found = SparseDepthMaker(replace(submap, klt=None), CAMERA)
     maker = SparseDepthMaker(submap, CAMERA)
     assert_array_equal(maker.scatter, found.error)
     assert_array_equal(maker.error[~followed], found.error[~followed])
@@ -79,7 +79,7 @@ CORNER, BESIDE = (100, 100, 20, 0.05, 1), ((110, 100), (100, 110), (95, 95))
 )
 def test_what_may_replace_a_followed_point(depth, error, replaced):
     others = [(x, y, depth, error, 0) for x, y in BESIDE]
-    assert_array_equal(is_replaced(*points(CORNER, *others), 320), [replaced, False, False, False])
+    assert_array_equal(has_better_neighbours(*points(CORNER, *others), 320), [replaced, False, False, False])
 
 
 def test_a_fold_keeps_its_points_before_a_wall_of_features():
@@ -87,7 +87,7 @@ def test_a_fold_keeps_its_points_before_a_wall_of_features():
     rng = np.random.default_rng(3)
     wall_at = [(x, y, 20, 0.01, 0) for x, y in rng.uniform(0, 320, (600, 2)) if abs(x - 160) > 24]
     fold_at = [(x, y, 10, 0.03, 1) for x, y in rng.uniform((136, 0), (184, 320), (60, 2))]
-    assert not is_replaced(*points(*wall_at, *fold_at), 320).any()
+    assert not has_better_neighbours(*points(*wall_at, *fold_at), 320).any()
 
 
 def test_nothing_changes_where_no_point_was_followed():
@@ -102,8 +102,8 @@ def test_it_is_known_after_writing_reading_and_thinning(tmp_path):
     followed = np.arange(50) % 3 == 0
     submap = wall(np.random.default_rng(2).uniform(20, 300, (50, 2)), followed)
     write_model(submap, CAMERA, tmp_path)
-    assert_array_equal(read_submap(tmp_path).is_followed, followed)
+    assert_array_equal(read_submap(tmp_path).is_klt, followed)
     drop = np.arange(50) < 10
-    assert_array_equal(_without_points(submap, drop).is_followed, followed[~drop])
-    write_model(replace(submap, followed=None), CAMERA, tmp_path)
-    assert not read_submap(tmp_path).is_followed.any()
+    assert_array_equal(_without_points(submap, drop).is_klt, followed[~drop])
+    write_model(replace(submap, klt=None), CAMERA, tmp_path)
+    assert not read_submap(tmp_path).is_klt.any()

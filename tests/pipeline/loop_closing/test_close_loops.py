@@ -222,9 +222,9 @@ def test_uniting_keeps_who_saw_what(workspace):
     whole = drifting_submap()
     even, odd = (dense(workspace, whole.without_frames(set(range(k, 48, 2)))) for k in (1, 0))
     followed = np.arange(len(whole.points)) % 2 == 0
-    even = replace(even, submap=replace(even.submap, followed=followed))
+    even = replace(even, submap=replace(even.submap, klt=followed))
     both = united(even, odd)
-    np.testing.assert_array_equal(both.submap.is_followed, [*followed, *np.zeros_like(followed)])
+    np.testing.assert_array_equal(both.submap.is_klt, [*followed, *np.zeros_like(followed)])
     assert both.submap.frames.tolist() == list(range(48))
     np.testing.assert_allclose(both.submap.depths().sum(), whole.depths().sum())
     assert set(both.submap.frames[both.rows]) == {*even.submap.frames[even.rows], *odd.submap.frames[odd.rows]}

@@ -84,15 +84,15 @@ def test_a_bent_scale_is_taken_back(finished):
 
 
 def test_features_and_followed_corners_are_told_apart(finished):
-    assert to_submap(finished, CAMERA.params).is_followed.all()
+    assert to_submap(finished, CAMERA.params).is_klt.all()
     local_map = copy.deepcopy(finished)
     assert adjust_to_features(local_map, SiftCache(read))
     submap = to_submap(local_map, CAMERA.params)
-    assert not to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE).is_followed.any()
+    assert not to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE).is_klt.any()
     between = ~np.isin(submap.frames, [keyframe.frame for keyframe in local_map.keyframes])
     seen_between = np.unique(submap.observations[between[submap.observations[:, 0]], 1])
-    assert submap.is_followed[seen_between].all(), "features are looked for in keyframes alone"
-    assert 100 < submap.is_followed.sum() < len(submap.points) - 100
+    assert submap.is_klt[seen_between].all(), "features are looked for in keyframes alone"
+    assert 100 < submap.is_klt.sum() < len(submap.points) - 100
 
 
 def test_the_features_lie_on_the_wall(finished):

@@ -46,7 +46,7 @@ def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
     numbers = [int(k.ids.max()) for k in joined.keyframes]
     assert max(numbers) < len(joined.tracks)
     submap = to_submap(joined, CAMERA.params)
-    followed = submap.is_followed
+    followed = submap.is_klt
     assert min(followed.sum(), (~followed).sum()) > 500, "features of the joined map and followed corners"
     truth = clip[1][[order[k] for k in submap.frames]]
     assert submap.frames[-1] > 38 > submap.frames[0]
