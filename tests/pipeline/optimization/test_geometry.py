@@ -211,8 +211,8 @@ def starts_right(kind, seed):
     found = start_pose(first, second, third, brightness, FOCAL, np.random.default_rng(seed))
     if found is None:
         return False
-    assert np.degrees(angle_between(found.camera_from_world, poses[2])) < 1.0
-    assert direction_error_deg(found.camera_from_world, poses[2]) < 8
+    assert np.degrees(angle_between(found.second_from_first, poses[2])) < 1.0
+    assert direction_error_deg(found.second_from_first, poses[2]) < 8
     assert found.lighting < -0.5
     return True
 

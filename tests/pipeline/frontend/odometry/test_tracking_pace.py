@@ -124,7 +124,7 @@ def test_libraries_keep_to_one_thread_while_frames_are_tracked_and_get_theirs_ba
         seen.append(threads())
         raise InterruptedError
 
-    monkeypatch.setattr(Odometry, "feed", asked)
+    monkeypatch.setattr(Odometry, "process", asked)
     monkeypatch.setattr(front_end, "adjust_maps", stop)
     workspace, frames = stored(tmp_path, [render(camera_at(k)) for k in range(8)])
     try:
