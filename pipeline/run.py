@@ -48,7 +48,7 @@ def reconstruct(
         coverage = judge_coverage(frames, completed, surfaces, workspace)
         write_report(frames, completed, surfaces, coverage, workspace, progress)
         run = Run(workspace)
-        progress.say(str(run))
+        progress.log(str(run))
         return run
 
 

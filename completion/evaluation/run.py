@@ -31,7 +31,7 @@ from completion.evaluation.plots import attention_sheet, calibration_plot, compa
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.evaluation.uncertainty import Calibration
 from haustra.core.errors import CompletionError
-from haustra.core.progress import Advance, Progress
+from haustra.core.progress import Progress, ProgressCallback
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def _run(
     predictor: Predictor,
     protocol: Protocol,
     tally: Tally,
-    bar: AbstractContextManager[Advance],
+    bar: AbstractContextManager[ProgressCallback],
 ) -> str:
     """Judge every frame, one in memory at a time; returns the unit of the truth."""
     unit = ""

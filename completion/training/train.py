@@ -41,7 +41,7 @@ from completion.training.tasks import make_task
 from haustra.core.errors import CompletionError
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
-Advance = Callable[[int, int | None], None]
+ProgressCallback = Callable[[int, int | None], None]
 
 
 class Run:
@@ -173,7 +173,7 @@ def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -
     return loss.item()
 
 
-def train(config: TrainConfig, advance: Advance | None = None, say: Say = print) -> Path:
+def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say = print) -> Path:
     """Run to the end (or on from the last checkpoint) and write the averaged weights."""
     torch.set_num_threads(config.threads)
     shards = [Shard.open(folder) for folder in config.shards]

@@ -8,32 +8,32 @@ from typing import Protocol
 logger = logging.getLogger(__name__)
 
 
-class Advance(Protocol):
+class ProgressCallback(Protocol):
     """Told how many steps are done, their number if it was not known before, and a few words on how it goes."""
 
     def __call__(self, done: int, total: int | None = None, note: str = "") -> None: ...
 
 
-def unheard(done: int, total: int | None = None, note: str = "") -> None:
-    """Nobody is told."""
+def no_progress(done: int, total: int | None = None, note: str = "") -> None:
+    """Null progress callback."""
 
 
 class Progress(Protocol):
-    """What a stage may say while it works."""
+    """How a stage reports what it does."""
 
-    def bar(self, label: str, total: int | None) -> AbstractContextManager[Advance]: ...
+    def bar(self, label: str, total: int | None) -> AbstractContextManager[ProgressCallback]: ...
 
-    def say(self, sentence: str) -> None: ...
+    def log(self, sentence: str) -> None: ...
 
 
 class SilentProgress:
     """The null object: sentences go to the log."""
 
     @contextmanager
-    def bar(self, label: str, total: int | None) -> Iterator[Advance]:
-        yield unheard
+    def bar(self, label: str, total: int | None) -> Iterator[ProgressCallback]:
+        yield no_progress
 
-    def say(self, sentence: str) -> None:
+    def log(self, sentence: str) -> None:
         logger.info(sentence)
 
 
@@ -46,7 +46,7 @@ class TerminalProgress:
         self.console = Console(stderr=True, highlight=False)
 
     @contextmanager
-    def bar(self, label: str, total: int | None) -> Iterator[Advance]:
+    def bar(self, label: str, total: int | None) -> Iterator[ProgressCallback]:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as RichProgress
 
@@ -63,5 +63,5 @@ class TerminalProgress:
             reached = bars.tasks[0].completed or 1
             bars.update(task, completed=reached, total=reached)
 
-    def say(self, sentence: str) -> None:
+    def log(self, sentence: str) -> None:
         self.console.print(f"  {sentence}", soft_wrap=True, markup=False)  # brackets in data are no markup

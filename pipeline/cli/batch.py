@@ -86,7 +86,7 @@ def run_batch(
                 for outcome in running:
                     outcomes[Path(outcome.folder)] = outcome
                     write_table(rows(), output)
-                    progress.say(outcome.sentence)
+                    progress.log(outcome.sentence)
                     advance(len(outcomes))
         finally:
             running.close()  # type: ignore[attr-defined] # pools are generators

@@ -180,7 +180,7 @@ def train(
     config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:
-        print(run(config, advance, progress.say))
+        print(run(config, advance, progress.log))
 
 
 @app.command()

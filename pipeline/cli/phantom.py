@@ -53,10 +53,10 @@ def render(sequences: Mapping[Path, PhantomConfig], progress: Progress, overwrit
             _refuse_strangers(folder, config, overwrite)
     for folder, config in sequences.items():
         if is_finished(folder, config) and not overwrite:
-            progress.say(f"{folder}: already there, left as it is")
+            progress.log(f"{folder}: already there, left as it is")
             continue
         clear(folder)
-        progress.say(f"{folder.name}: growing {config.anatomy.length_mm:.0f} mm of gut, seed {config.seed}")
+        progress.log(f"{folder.name}: growing {config.anatomy.length_mm:.0f} mm of gut, seed {config.seed}")
         with progress.bar(folder.name, config.motion.frames) as advance:
             generate(config, folder, progress=advance)
     return list(sequences)

@@ -88,7 +88,7 @@ def _complete_all(
                 advance(done)
     workspace.finish(STAGE, keyframe_rows=kept, kept_share=[round(s.rectifier.kept_share, 4) for s in planned])
     skipped = total - sum(len(rows) for rows in kept)
-    progress.say(f"{total - skipped} keyframes completed" + (f", {skipped} had too few points" if skipped else ""))
+    progress.log(f"{total - skipped} keyframes completed" + (f", {skipped} had too few points" if skipped else ""))
 
 
 def _complete(

@@ -104,9 +104,9 @@ def _solve(
         warnings=warnings,
     )
     for sentence in (_sentence(kept, mapper, total), *warnings):
-        progress.say(sentence)
+        progress.log(sentence)
     if not frames.camera.trusted:
-        progress.say(camera_trust(frames.camera, kept[0].submap))
+        progress.log(camera_trust(frames.camera, kept[0].submap))
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,11 @@ def _run(
     results, total = {FIRST: run(FIRST)}, len(frames.index)
     found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
     if total <= MOST_SFM_FRAMES and needs_second_opinion(found, total):
-        progress.say(f"{_why(found, total)}; running COLMAP for comparison")
+        progress.log(f"{_why(found, total)}; running COLMAP for comparison")
         try:
             results[SECOND] = run(SECOND)
         except HaustraError as error:
-            progress.say(str(error))
+            progress.log(str(error))
     return results
 
 

@@ -70,7 +70,7 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
     workspace.finish(STAGE, camera_origin=calibration.origin, notes=source.notes, content_box=list(area.box))
     for note in (f"camera: {calibration.origin}", *source.notes):
-        progress.say(note)
+        progress.log(note)
 
 
 def _working_scale(box: tuple[int, int], long_side: int) -> float:

@@ -86,7 +86,7 @@ def _refine(
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
     moved = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
     for sentence in (*map(_sentence, moved), *warnings):
-        progress.say(sentence)
+        progress.log(sentence)
     workspace.finish(STAGE, submaps=records, warnings=warnings)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from haustra.core.progress import Advance, unheard
+from haustra.core.progress import ProgressCallback, no_progress
 from haustra.core.se3 import Array, in_camera, inverse, scaled
 from pipeline.mapping.feature_matching import MatchedFeatures, incidence, match_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
@@ -27,7 +27,9 @@ MIN_COMMON = 12  # features that hold two keyframes together
 MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 
 
-def adjust_to_features(local_map: LocalMap, find: FindFeatures, advance: Advance = unheard) -> float | None:
+def adjust_to_features(
+    local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress
+) -> float | None:
     """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
     None if they do not hold it, which leaves it as it was.
 
@@ -56,7 +58,7 @@ def widest_narrow(width: int) -> float:
 
 
 def _adjusted(
-    local_map: LocalMap, matched: MatchedFeatures, world: list[Array], widest: float, advance: Advance
+    local_map: LocalMap, matched: MatchedFeatures, world: list[Array], widest: float, advance: ProgressCallback
 ) -> bool:
     """Whether features of at most `widest` pixels hold the map, which is then adjusted to them; what they left behind,
     if they do not, is for the caller to undo."""

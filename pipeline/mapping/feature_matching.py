@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from haustra.core.progress import Advance
+from haustra.core.progress import ProgressCallback
 from haustra.core.se3 import Array, in_camera
 from pipeline.mapping.lift_features import features_of_keyframe
 from pipeline.mapping.local_map import LocalMap
@@ -55,7 +55,7 @@ class MatchedFeatures:
         return np.unique(tracks.track[guessed[starts[tracks.place] + tracks.feature]])
 
 
-def match_features(local_map: LocalMap, find: FindFeatures, advance: Advance) -> MatchedFeatures:
+def match_features(local_map: LocalMap, find: FindFeatures, advance: ProgressCallback) -> MatchedFeatures:
     """Find features in all keyframes and match them between keyframes that are near in time or share points."""
     keyframes = range(len(local_map.keyframes))
     with ThreadPoolExecutor(THREADS) as threads:
@@ -127,7 +127,7 @@ def _elsewhere(radius: float, features: KeyframeFeatures) -> Array:
     return likeness_elsewhere(features.pixels, features.rootsift, radius)
 
 
-def _counted(results: Iterable[T], total: int, note: str, advance: Advance) -> Iterator[T]:
+def _counted(results: Iterable[T], total: int, note: str, advance: ProgressCallback) -> Iterator[T]:
     """The same; progress is reported as they come."""
     for done, result in enumerate(results, start=1):
         advance(done, total, note)

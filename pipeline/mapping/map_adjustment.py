@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.progress import Advance, unheard
+from haustra.core.progress import ProgressCallback, no_progress
 from haustra.core.se3 import Array, compose, in_camera
 from pipeline.mapping.local_map import WINDOW, Keyframe, LocalMap
 from pipeline.optimization.bundle_adjustment import DAMPING, TOLERANCE, Bundle, adjust
@@ -66,7 +66,7 @@ def adjust_window(
 
 
 def adjust_all(
-    local_map: LocalMap, changed: bool = False, advance: Advance = unheard, among: Mask | None = None
+    local_map: LocalMap, changed: bool = False, advance: ProgressCallback = no_progress, among: Mask | None = None
 ) -> None:
     """Adjust all keyframes and points together, cull, and adjust what is left.
 
@@ -136,7 +136,7 @@ def _final(
     )
 
 
-def _adjust_progressively(local_map: LocalMap, advance: Advance, among: Mask | None) -> None:
+def _adjust_progressively(local_map: LocalMap, advance: ProgressCallback, among: Mask | None) -> None:
     """Adjust a long map from its beginning on, half a piece at a time; what lies ahead is carried along.
 
     Where the scale drifts by half over a long film, the far end must come back by a factor and a turn. To an adjustment

@@ -77,7 +77,7 @@ def _fuse_all(
         write_mesh(surface.mesh, mesh_path(workspace, number))
         surfaces.append(surface)
     workspace.finish(STAGE, surfaces=[_record(surface) for surface in surfaces])
-    progress.say(_sentence(surfaces[0]))
+    progress.log(_sentence(surfaces[0]))
 
 
 def _record(surface: Surface) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def map_by_colmap(mapper: str, job: dict[str, object], workspace: Workspace, pro
     try:
         run_isolated(COLMAP_WORKER, "map", job, workspace.log / f"{mapper}.log", f"structure ({mapper})", progress)
     except HaustraError as error:
-        progress.say(str(error))
+        progress.log(str(error))
         failed.write_text(str(error))
     found = [FoundSubmap(read_submap(p.parent), p.parent) for p in sorted(output.glob("*/model.npz"))]
     return sorted(found, key=lambda one: -len(one.submap.frames))

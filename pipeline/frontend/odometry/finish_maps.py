@@ -35,7 +35,7 @@ def refit_maps(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> 
             held.append(adjust_to_features(local_map, find, advance))
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
-        progress.say(
+        progress.log(
             f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
         )
     return held
@@ -65,7 +65,7 @@ def join_maps(
             if by is None:
                 adjust_all(whole.map, changed=True)
         elif by is None or by > max(before):
-            progress.say(f"{len(before)} submaps look alike, but their features do not hold together; they stay apart")
+            progress.log(f"{len(before)} submaps look alike, but their features do not hold together; they stay apart")
             result += [apart[number] for number in whole.members]
             continue
         result.append(whole.map)

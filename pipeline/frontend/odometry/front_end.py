@@ -39,7 +39,7 @@ class OdometryFrontEnd:
         self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
         tracked = track_frames(frames, settings, workspace, progress)
-        progress.say(tracked.sentence)
+        progress.log(tracked.sentence)
         shutil.rmtree(workspace.log / NAME, ignore_errors=True)
         shutil.rmtree(scratch(workspace), ignore_errors=True)
         return FrontEndResult({NAME: [FoundSubmap(submap) for submap in tracked.submaps]}, tracked.stats)
@@ -94,7 +94,7 @@ def _tracked(
     rays = RayTable(frames.camera)
     pieces = cut(len(frames.index), settings.odometry.chunks)
     if settings.odometry.chunks > 1 and len(pieces) == 1:
-        progress.say(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")
+        progress.log(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")
     if len(pieces) > 1:
         run = local_run(processors()) if settings.odometry.ray is None else ray_run(settings.odometry.ray)
         jobs = jobs_of(frames.index, frames.camera, pieces, settings, workspace)

@@ -124,7 +124,7 @@ def refine_lens(
     try:
         run_isolated(COLMAP_WORKER, "calibrate", job, scratch / "lens.log", "lens", progress)
     except HaustraError as error:
-        progress.say(f"{error}; the guessed lens stays")
+        progress.log(f"{error}; the guessed lens stays")
         return unknown
     found = json.loads((folder / "lens.json").read_text())
     params, sigma = tuple(map(float, found["params"])), tuple(map(float, found["sigma"]))

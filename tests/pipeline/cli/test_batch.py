@@ -195,7 +195,7 @@ def test_brackets_in_names_are_no_markup(tmp_path, capsys):
     assert "scan[left].mp4" in told
     assert "lost [/tmp/x] and [b]" in told
     progress = TerminalProgress()
-    progress.say(outcome.sentence)
+    progress.log(outcome.sentence)
     with progress.bar("of [/tmp/x]", 2) as advance:
         advance(1, note="[/tmp/y]")
     told = capsys.readouterr().err

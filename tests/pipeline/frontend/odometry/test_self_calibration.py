@@ -80,7 +80,7 @@ def test_a_failing_adjustment_is_a_sentence(tmp_path, monkeypatch):
     said = []
 
     class Listening(SilentProgress):
-        def say(self, sentence):
+        def log(self, sentence):
             said.append(sentence)
 
     lens = refine_lens(filmed(*wandering()), GUESS, 0, tmp_path, Listening())
