@@ -23,7 +23,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.cli.batch_table import KEPT, Outcome, finished_outcome, write_table
 from pipeline.config import Config
-from pipeline.run_folder.subprocesses import Children, tied_command
+from pipeline.run_folder.subprocesses import ProcessGroup, parent_bound_command
 from pipeline.run_folder.workspace import Workspace, is_same_run, open_workspace
 
 MODULE = "pipeline"  # that reconstructs one video
@@ -187,26 +187,26 @@ def kept_outcome(job: Job, config: Config) -> Outcome | None:
     return outcome if outcome.status == KEPT else None
 
 
-def run_job(job: Job, words: list[str], children: Children | None = None) -> Outcome:
+def run_job(job: Job, words: list[str], processes: ProcessGroup | None = None) -> Outcome:
     """Reconstruct one video in a process of its own; goes on where an earlier one stopped. Whatever fails is a row."""
     begin = time.monotonic()
     try:
-        return _run_job(job, words, children or Children(), begin)
+        return _run_job(job, words, processes or ProcessGroup(), begin)
     except Exception as error:  # noqa: BLE001 # the other videos go on
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         return Outcome(str(job.video), str(job.folder), "failed", (time.monotonic() - begin) / 60, message=reason)
 
 
-def _run_job(job: Job, words: list[str], children: Children, begin: float) -> Outcome:
+def _run_job(job: Job, words: list[str], processes: ProcessGroup, begin: float) -> Outcome:
     how = ["--overwrite"] if job.overwrite else ["--resume"] if has_run(job) else []
     with job.log.open("w") as log:
-        code = children.run(
-            tied_command(MODULE, str(job.video), "-o", str(job.folder), "-q", *how, *words), log.fileno()
+        code = processes.run(
+            parent_bound_command(MODULE, str(job.video), "-o", str(job.folder), "-q", *how, *words), log.fileno()
         )
     minutes = (time.monotonic() - begin) / 60
     if code == 0:
         return finished_outcome(job.video, job.folder, "done", minutes)
-    status = "stopped" if children.stopping else "failed"
+    status = "stopped" if processes.stopping else "failed"
     return Outcome(str(job.video), str(job.folder), status, minutes, message=_last_words(code, job.log))
 
 
@@ -226,15 +226,15 @@ def process_pool(workers: int) -> Pool:
     """So many reconstructions at a time on this machine."""
 
     def pool(jobs: list[Job], words: list[str]) -> Iterator[Outcome]:
-        children = Children()
+        processes = ProcessGroup()
         with ThreadPoolExecutor(workers) as threads:
-            futures = [threads.submit(run_job, job, words, children) for job in jobs]
+            futures = [threads.submit(run_job, job, words, processes) for job in jobs]
             try:
                 for future in as_completed(futures):
                     yield future.result()
             finally:
                 for future in futures:
                     future.cancel()
-                children.stop()
+                processes.stop()
 
     return pool

@@ -30,11 +30,11 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
     job_file.write_text(json.dumps(job, indent=1))
     with log.open("w") as errors, progress.bar(label, None) as advance:
         child = subprocess.Popen(
-            tied_command(module, action, str(job_file)),
+            parent_bound_command(module, action, str(job_file)),
             stdout=subprocess.PIPE,
             stderr=errors,
             text=True,
-            env=tied_environment(),
+            env=parent_bound_environment(),
             start_new_session=True,
         )
         try:
@@ -52,18 +52,18 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
         raise HaustraError(f"{label} failed (exit code {code}); its log is {log}")
 
 
-def tied_command(module: str, *words: str) -> list[str]:
+def parent_bound_command(module: str, *words: str) -> list[str]:
     """`python -m module words` that, started with `tied_environment`, on Linux dies with the thread that starts it."""
     # -P: the working directory must not shadow installed packages.
     return [sys.executable, "-P", "-m", __name__, module, *words]
 
 
-def tied_environment() -> dict[str, str]:
+def parent_bound_environment() -> dict[str, str]:
     """Of a child of this process."""
     return os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
 
 
-class Children:
+class ProcessGroup:
     """The processes that run now, so that all of them can be stopped."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class Children:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                env=tied_environment(),
+                env=parent_bound_environment(),
                 start_new_session=True,
             )
             self._alive.add(child)

@@ -27,7 +27,7 @@ from pipeline.frontend.odometry.chunk_stitching import first_from_second, sewn
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_io import load_maps
 from pipeline.run_folder import ray_cluster
-from pipeline.run_folder.subprocesses import Children, tied_command
+from pipeline.run_folder.subprocesses import ProcessGroup, parent_bound_command
 from pipeline.run_folder.workspace import Workspace, write_json
 
 OVERLAP = 60  # frames worth tracking: a start takes some twenty of them, and ten must be posed by both sides
@@ -152,18 +152,18 @@ def local_run(workers: int) -> Run:
     """So many chunks at a time on this machine."""
 
     def run(jobs: list[Job]) -> Iterator[int]:
-        children, failures = Children(), list[str]()
+        processes, failures = ProcessGroup(), list[str]()
         threads = ThreadPoolExecutor(max(1, workers))
         for job in jobs:
             _log_of(job).unlink(missing_ok=True)
-        waiting = {threads.submit(_track_apart, job, children) for job in jobs}
+        waiting = {threads.submit(_track_apart, job, processes) for job in jobs}
         try:
             while waiting:
                 done, waiting = wait(waiting, POLL_S)
                 failures += [failure for future in done if (failure := future.result()) is not None]
                 yield sum(_reached(job) for job in jobs)
         finally:  # nothing runs any more, but after an interrupt
-            children.stop()
+            processes.stop()
             threads.shutdown(cancel_futures=True)
         _raise(failures)
 
@@ -176,12 +176,12 @@ def _raise(failures: list[str]) -> None:
         raise HaustraError("; ".join(sorted(failures)))
 
 
-def _track_apart(job: Job, children: Children) -> str | None:
+def _track_apart(job: Job, processes: ProcessGroup) -> str | None:
     """In a process of its own; what went wrong, if anything did."""
     task, log = Path(job["output"]).with_suffix(".job.json"), _log_of(job)
     write_json(task, job)
     with log.open("w") as file:
-        code = children.run(tied_command(WORKER, "track", str(task)), file.fileno())
+        code = processes.run(parent_bound_command(WORKER, "track", str(task)), file.fileno())
     return f"chunk {job['number']} failed (exit code {code}); its log is {log}" if code != 0 else None
 
 

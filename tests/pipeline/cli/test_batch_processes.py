@@ -12,7 +12,7 @@ import pytest
 from pipeline.cli import batch
 from pipeline.cli.batch import Job, process_pool, run_job
 from pipeline.cli.batch_table import Outcome
-from pipeline.run_folder.subprocesses import Children
+from pipeline.run_folder.subprocesses import ProcessGroup
 from tests.helpers.processes import alive, wait_for
 
 
@@ -27,7 +27,7 @@ from tests.helpers.processes import alive, wait_for
 )
 def test_however_a_process_ends_there_is_one_sentence(tmp_path, monkeypatch, program, words):
     monkeypatch.setattr(
-        Children, "run", lambda self, _, log: subprocess.run([sys.executable, "-c", program], stderr=log).returncode
+        ProcessGroup, "run", lambda self, _, log: subprocess.run([sys.executable, "-c", program], stderr=log).returncode
     )
     outcome = run_job(Job(tmp_path / "a.mp4", tmp_path / "a"), [])
     assert outcome.status == "failed"
@@ -41,20 +41,22 @@ def test_stopping_ends_every_child_as_ctrl_c_would(tmp_path):
         " time.sleep(600)\n"
         "except KeyboardInterrupt:\n raise SystemExit(130)"
     )
-    children, codes = Children(), []
+    processes, codes = ProcessGroup(), []
     asleep = tmp_path / "asleep"
     asleep.mkdir()
 
     with (tmp_path / "log").open("w") as log:
         command = [sys.executable, "-c", script, str(asleep)]
-        threads = [threading.Thread(target=lambda: codes.append(children.run(command, log.fileno()))) for _ in range(2)]
+        threads = [
+            threading.Thread(target=lambda: codes.append(processes.run(command, log.fileno()))) for _ in range(2)
+        ]
         for thread in threads:
             thread.start()
         wait_for(lambda: len(list(asleep.iterdir())) == 2, 60)
-        children.stop()
+        processes.stop()
         for thread in threads:
             thread.join()
-        assert children.run(command, log.fileno()) == -signal.SIGINT  # and none starts any more
+        assert processes.run(command, log.fileno()) == -signal.SIGINT  # and none starts any more
     assert len(codes) == 2
     assert set(codes) == {130}
 
@@ -102,7 +104,7 @@ def test_no_reconstruction_outlives_its_batch(tmp_path, number):
 
 
 def test_the_pool_gives_outcomes_as_they_come(tmp_path, monkeypatch):
-    def slow_first(job, words, children):
+    def slow_first(job, words, processes):
         time.sleep(0.3 if job.video.name == "a" else 0)
         return Outcome(str(job.video), str(job.folder), "done")
 
