@@ -21,7 +21,7 @@ from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames, load_frames
 from pipeline.loop_closing.close_loops import load_refined
 from pipeline.mapping.submap import Submap
-from pipeline.run_folder.workspace import Workspace, damage_named, open_workspace
+from pipeline.run_folder.workspace import Workspace, open_workspace, report_corruption
 from pipeline.surface.coverage_stage import measure_submap
 from pipeline.surface.fusion_stage import Surface, load_surfaces
 from reconstruction.coverage.coverage import Coverage
@@ -75,7 +75,7 @@ class Run:
         """Contents of `metrics.json`. Raises `HaustraError` where the report was not written yet."""
         if not self.workspace.is_done("report"):
             raise HaustraError(f"the run {self.folder} is not finished; go on with --resume")
-        with damage_named(self.workspace.metrics):
+        with report_corruption(self.workspace.metrics):
             return dict(json.loads(self.workspace.metrics.read_text()))
 
     @cached_property
@@ -104,7 +104,7 @@ class Run:
         """Seconds (N,) and world_from_camera (N,4,4) of all posed frames, in the output unit."""
         path = self.workspace.trajectory
         path = path if submap == 0 else path.with_name(f"{path.stem}_{submap}{path.suffix}")
-        with damage_named(path):
+        with report_corruption(path):
             return read_tum(path)
 
     def keyframes(self, submap: int = 0) -> Iterator[RunKeyframe]:

@@ -168,7 +168,7 @@ def holds_another(job: Job, config: Config) -> bool:
     return has_run(job) and not is_same(job, config)
 
 
-def how_to_go_on(videos: list[Path], output: Path, config: Config) -> str:
+def resume_hint(videos: list[Path], output: Path, config: Config) -> str:
     """What to do about failures: nothing tries a video again whose folder holds a run of something else."""
     others = sum(holds_another(job, config) for job in plan_jobs(videos, output))
     if not others:

@@ -50,7 +50,7 @@ def render(sequences: Mapping[Path, PhantomConfig], progress: Progress, overwrit
     for folder, config in sequences.items():
         check(config)
         if not is_finished(folder, config):
-            _refuse_strangers(folder, config, overwrite)
+            _refuse_foreign_files(folder, config, overwrite)
     for folder, config in sequences.items():
         if is_finished(folder, config) and not overwrite:
             progress.log(f"{folder}: already there, left as it is")
@@ -85,7 +85,7 @@ def render_training(out: Path, frames: int, options: PhantomOptions, workers: in
     return out
 
 
-def _refuse_strangers(folder: Path, config: PhantomConfig, overwrite: bool) -> None:
+def _refuse_foreign_files(folder: Path, config: PhantomConfig, overwrite: bool) -> None:
     """An unfinished film of the same phantom is begun anew; another film goes with --overwrite; the rest never."""
     standing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
     if not standing.is_dir():

@@ -135,7 +135,7 @@ def batch(
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
     from haustra.core.progress import SilentProgress, TerminalProgress
-    from pipeline.cli.batch import how_to_go_on, process_pool, run_batch
+    from pipeline.cli.batch import process_pool, run_batch
     from pipeline.cli.batch_ray import ray_pool
     from pipeline.cli.batch_table import print_table
     from pipeline.config import load_config

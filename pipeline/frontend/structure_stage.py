@@ -25,7 +25,7 @@ from pipeline.frontend.scoring import (
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.run_folder.stage import load_or_make
-from pipeline.run_folder.workspace import Workspace, damage_named
+from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "structure"
 MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` does not ask it of longer videos
@@ -46,7 +46,7 @@ def solve_structure(
 def load_structure(workspace: Workspace) -> list[Submap]:
     """The submaps of a finished stage, scaled to units of median depth."""
     units = workspace.result(STAGE)["units"]
-    with damage_named(workspace.models):
+    with report_corruption(workspace.models):
         read = [read_submap(workspace.models / str(k)) for k in range(len(units))]
     return [submap.scaled(1 / unit) for submap, unit in zip(disjoint(read), units, strict=True)]
 

@@ -20,7 +20,7 @@ from pipeline.input.content_area import ContentArea, find_content, highlight_mas
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.video import RawFrame, Source
 from pipeline.run_folder.stage import load_or_make
-from pipeline.run_folder.workspace import Workspace, damage_named, write_json
+from pipeline.run_folder.workspace import Workspace, report_corruption, write_json
 
 CONTENT_SAMPLES = 24  # frames looked at for the content area,
 CONTENT_STRIDE = 25  # of which 25 apart are 20 s: long enough for the view to move over all of it
@@ -174,7 +174,7 @@ def _too_few(verdicts: Counter[str]) -> str:
 
 def load_frames(workspace: Workspace) -> Frames:
     """The frames that an earlier call stored."""
-    with damage_named(workspace.frames):
+    with report_corruption(workspace.frames):
         state = json.loads(workspace.frames.read_text())
         used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
         camera = Camera.from_dict(state["camera"])

@@ -27,7 +27,7 @@ from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import read_submap, refined_camera
-from pipeline.run_folder.workspace import Workspace, damage_named
+from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "refinement"  # its name in run.yaml since version 0.1
 FAILURES = (np.linalg.LinAlgError, QhullError, ValueError)
@@ -184,7 +184,7 @@ def _loaded(
     if not record["moved"]:
         return part
     folder = _folder(workspace, number)
-    with damage_named(folder), np.load(folder / "depth_scale.npz", allow_pickle=False) as arrays:
+    with report_corruption(folder), np.load(folder / "depth_scale.npz", allow_pickle=False) as arrays:
         submap = replace(read_submap(folder), camera_sigma=part.submap.camera_sigma)
         return replace(part, submap=submap, rows=arrays["rows"], depth_scale=arrays["depth_scale"])
 

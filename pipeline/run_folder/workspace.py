@@ -102,8 +102,8 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
     if root.exists() and not root.is_dir():
         raise HaustraError(f"the output {root} is a file; give a folder")
     workspace = Workspace(root)
-    strangers = root.exists() and any(path.name not in UNFINISHED_START for path in root.iterdir())
-    if strangers and not workspace.record_path.exists():
+    foreign_files = root.exists() and any(path.name not in UNFINISHED_START for path in root.iterdir())
+    if foreign_files and not workspace.record_path.exists():
         raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
     try:
         root.mkdir(parents=True, exist_ok=True)
@@ -233,7 +233,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 @contextmanager
-def damage_named(path: Path) -> Iterator[None]:
+def report_corruption(path: Path) -> Iterator[None]:
     """What goes wrong while reading a run's own file becomes one sentence that names it."""
     try:
         yield

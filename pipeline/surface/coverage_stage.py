@@ -14,7 +14,7 @@ from pipeline.input.frames import Frames
 from pipeline.mapping.submap import refined_camera
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.fusion_stage import Surface
-from pipeline.surface.scale import in_words
+from pipeline.surface.scale import unit_label
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.coverage.coverage import Coverage, MissedRegion, Segment, measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
@@ -49,7 +49,7 @@ class Judgement:
         record = self.record
         if not record["judged"]:
             return str(record["reason"])
-        regions, unit = record["missed_regions"], in_words(record["unit"])
+        regions, unit = record["missed_regions"], unit_label(record["unit"])
         return (
             f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
             f"lumen{_unmeasured(record)}; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and "

@@ -12,7 +12,7 @@ from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 
-def in_words(unit: str) -> str:
+def unit_label(unit: str) -> str:
     """An output unit as a person reads it."""
     return "mm" if unit == "mm" else "scene units"
 

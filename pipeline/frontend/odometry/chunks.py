@@ -57,7 +57,7 @@ def jobs_of(
     index: NDArray[np.int64], camera: Camera, chunks: list[range], settings: FrontEndSettings, workspace: Workspace
 ) -> list[Job]:
     """What each chunk's process needs to know."""
-    folder = scratch(workspace).resolve()
+    folder = temp_dir(workspace).resolve()
     about: Job = {"run": str(workspace.root.resolve()), "camera": camera.to_dict(), "stride": settings.stride}
     about |= {"seed": settings.seed, "keyframe_motion": settings.odometry.keyframe_motion}
     return [
@@ -66,7 +66,7 @@ def jobs_of(
     ]
 
 
-def scratch(workspace: Workspace) -> Path:
+def temp_dir(workspace: Workspace) -> Path:
     """Where chunks leave their maps until the structure is finished."""
     return workspace.log / "chunks"
 

@@ -11,11 +11,20 @@ from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
-from pipeline.frontend.odometry.chunks import Seams, cut, jobs_of, local_run, processors, ray_run, scratch, track_chunks
+from pipeline.frontend.odometry.chunks import (
+    Seams,
+    cut,
+    jobs_of,
+    local_run,
+    processors,
+    ray_run,
+    temp_dir,
+    track_chunks,
+)
 from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
 from pipeline.frontend.odometry.klt import TrackerImage
-from pipeline.frontend.odometry.prefetch import made_ahead
+from pipeline.frontend.odometry.prefetch import prefetched
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames
@@ -41,7 +50,7 @@ class OdometryFrontEnd:
         tracked = track_frames(frames, settings, workspace, progress)
         progress.log(tracked.sentence)
         shutil.rmtree(workspace.log / NAME, ignore_errors=True)
-        shutil.rmtree(scratch(workspace), ignore_errors=True)
+        shutil.rmtree(temp_dir(workspace), ignore_errors=True)
         return FrontEndResult({NAME: [FoundSubmap(submap) for submap in tracked.submaps]}, tracked.stats)
 
 
@@ -108,7 +117,7 @@ def _tracked(
 
     started = time.perf_counter()
     with progress.bar("odometry", len(frames.index)) as advance:
-        for done, (index, rgb, view) in enumerate(made_ahead(look, frames.index.tolist()), start=1):
+        for done, (index, rgb, view) in enumerate(prefetched(look, frames.index.tolist()), start=1):
             state = odometry.process(index, rgb, view)
             if odometry.keyframe == index:
                 features.begin(index)

@@ -9,7 +9,7 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-def made_ahead(make: Callable[[Item], Made], items: Sequence[Item], count: int = 2) -> Iterator[Made]:
+def prefetched(make: Callable[[Item], Made], items: Sequence[Item], count: int = 2) -> Iterator[Made]:
     """What `make` gives of each item, in their order; a thread makes up to `count` of them before they are asked for.
 
     What `make` raises is raised where its item would have come. Nothing is made after the iterator is closed.

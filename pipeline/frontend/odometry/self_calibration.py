@@ -111,18 +111,18 @@ def _with_lens(
 
 
 def refine_lens(
-    submap: Submap, camera: Camera, seed: int, scratch: Path, progress: Progress, widest_step: int = FRAME_STEP
+    submap: Submap, camera: Camera, seed: int, temp_dir: Path, progress: Progress, widest_step: int = FRAME_STEP
 ) -> Lens:
     """Adjust `submap` with the lens free; the guess comes back if that fails or the motion does not determine it."""
     unknown = Lens(camera, (float("nan"),), False)
     thin = thinned(submap, MOST_FRAMES, widest_step)
     if len(thin.frames) < MIN_VIEWS or len(thin.points) == 0:
         return unknown
-    folder = scratch / "lens"
+    folder = temp_dir / "lens"
     write_model(thin, camera, folder)
     job = {"model": str(folder), "output": str(folder / "lens.json"), "loss_px": LOSS_PX, "seed": seed}
     try:
-        run_isolated(COLMAP_WORKER, "calibrate", job, scratch / "lens.log", "lens", progress)
+        run_isolated(COLMAP_WORKER, "calibrate", job, temp_dir / "lens.log", "lens", progress)
     except HaustraError as error:
         progress.log(f"{error}; the guessed lens stays")
         return unknown

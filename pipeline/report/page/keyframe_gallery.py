@@ -13,7 +13,7 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.input.frames import Frames
 from pipeline.surface.fusion_stage import Surface
-from pipeline.surface.scale import in_words
+from pipeline.surface.scale import unit_label
 
 MOST_KEYFRAMES = 60
 MOST_SUBMAPS = 12  # largest first, that have keyframes and maps of coverage
@@ -172,7 +172,7 @@ def _webp(picture: Image, quality: int) -> bytes:
 def _legend(number: int, limits: tuple[float, float], unit: str) -> str:
     """The two colour bars of a submap's keyframes."""
     low, high = limits
-    word = in_words(unit)
+    word = unit_label(unit)
     return (
         f'<div class="legend" data-submap="{number}">{_bar(DEPTH_MAP, f"{low:.3g}", f"depth [{word}]", f"{high:.3g}")}'
         f"{_bar(CONFIDENCE_MAP, '0', 'confidence', '1')}</div>"

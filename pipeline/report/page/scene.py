@@ -12,7 +12,7 @@ from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import Shown
 from pipeline.surface.coverage_stage import Judgement
 from pipeline.surface.fusion_stage import Surface
-from pipeline.surface.scale import in_words
+from pipeline.surface.scale import unit_label
 from reconstruction.mesh.decimation import decimated
 from reconstruction.mesh.rendering import brightened
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -76,7 +76,7 @@ def _submap(
     limits: Limits,
     shown: list[tuple[int, int]],
 ) -> dict[str, Any]:
-    submap, unit = part.submap.scaled(surface.scale.factor), in_words(surface.scale.unit)
+    submap, unit = part.submap.scaled(surface.scale.factor), unit_label(surface.scale.unit)
     coarse = decimated(surface.mesh, limits.triangles)
     rows = np.arange(0, len(submap.frames), max(1, -(-len(submap.frames) // limits.path_points)))
     world_from_camera = submap.world_from_camera

@@ -7,7 +7,7 @@ from typing import Any
 from pipeline.report.page.keyframe_gallery import data_uri
 from pipeline.report.page.scene import clock_words
 from pipeline.surface.coverage_stage import Judgement
-from pipeline.surface.scale import in_words
+from pipeline.surface.scale import unit_label
 
 Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
 
@@ -22,7 +22,7 @@ def cards(metrics: dict[str, Any]) -> str:
     """The handful of figures that a reader looks for first; of the largest submap where there are several."""
     frames, main = metrics["frames"], metrics["submaps"][0]
     unit, seen = main["unit"], main["coverage"]
-    word = in_words(unit)
+    word = unit_label(unit)
     several = len(metrics["submaps"]) > 1
     where = f", largest of {len(metrics['submaps'])} submaps" if several else ""
     if seen["judged"]:
@@ -145,7 +145,7 @@ def coverage_section(judgement: Judgement, link: Link | None = None) -> str:
     if judgement.picture is None:
         reason = judgement.sentence
         return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
-    unit = in_words(record["unit"])
+    unit = unit_label(record["unit"])
     head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
     rows = [
         "".join(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, Shown
-from pipeline.run_folder.workspace import Workspace, damage_named
+from pipeline.run_folder.workspace import Workspace, report_corruption
 
 MOST_COLUMNS = 600
 WIDTH = 1000.0  # of the drawing, stretched to the page
@@ -44,7 +44,7 @@ class FrameStates:
 
 def frame_states(workspace: Workspace, dense: list[CompletedSubmap]) -> FrameStates:
     """From `frames.json` and the poses."""
-    with damage_named(workspace.frames):
+    with report_corruption(workspace.frames):
         rows = json.loads(workspace.frames.read_text())["frames"]
     index = np.array([row[0] for row in rows], dtype=np.int64)
     submap = np.full(len(rows), UNPOSED)

@@ -13,7 +13,7 @@ from haustra.core.progress import SilentProgress, TerminalProgress
 from pipeline.cli import batch
 from pipeline.cli import main as cli
 from pipeline.cli import run_commands as cli_runs
-from pipeline.cli.batch import Job, ProcessGroup, how_to_go_on, kept_outcome, plan_jobs, process_pool, run_batch
+from pipeline.cli.batch import Job, ProcessGroup, kept_outcome, plan_jobs, process_pool, resume_hint, run_batch
 from pipeline.cli.batch_table import Outcome, finished_outcome, print_table, write_table
 from pipeline.config import load_config
 from pipeline.run_folder import inputs as run_inputs
@@ -229,8 +229,8 @@ def test_overwrite_replaces_what_is_of_other_settings_or_another_video_alone(vid
 
     every = {"b": "", "new": "", "stopped": "--resume"}
     assert how(False) == every | dict.fromkeys(("other", "replaced", "damaged"), "--resume")
-    assert how_to_go_on(given, out, config).startswith("3 because of a run of another video or with other settings")
-    assert how_to_go_on([tmp_path / "stopped.mp4", videos[2]], out, config) == "the same command tries them again"
+    assert resume_hint(given, out, config).startswith("3 because of a run of another video or with other settings")
+    assert resume_hint([tmp_path / "stopped.mp4", videos[2]], out, config) == "the same command tries them again"
     assert how(True) == every | dict.fromkeys(("other", "replaced", "damaged"), "--overwrite")
 
 

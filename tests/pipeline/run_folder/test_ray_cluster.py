@@ -10,7 +10,7 @@ from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from pipeline.cli.batch import run_batch
 from pipeline.config import Config, load_config
-from pipeline.frontend.odometry.chunks import jobs_of, local_run, ray_run, scratch, track_chunks
+from pipeline.frontend.odometry.chunks import jobs_of, local_run, ray_run, temp_dir, track_chunks
 from pipeline.mapping.submap_of_map import to_submap
 from tests.helpers.textured_tube import CAMERA, camera_at, render, stored
 from tests.helpers.videos import textured_frames, write_video
@@ -52,7 +52,7 @@ def test_chunks_on_a_local_cluster_are_those_of_processes(tmp_path):
         jobs = jobs_of(frames.index, CAMERA, [range(18), range(8, 30)], Config().front_end_settings, workspace)
         maps, seams = track_chunks(jobs, RAYS, run, SilentProgress())
         assert seams.chunks == 2
-        assert len(list(scratch(workspace).glob("*.npz"))) == 2
+        assert len(list(temp_dir(workspace).glob("*.npz"))) == 2
         found.append([to_submap(m, CAMERA.params) for m in maps])
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)

@@ -16,7 +16,7 @@ from haustra.core.sim3 import transform_points
 from pipeline.config import Config, OdometrySettings, load_config
 from pipeline.frontend.odometry import chunks, finish_maps
 from pipeline.frontend.odometry.chunk_stitching import first_from_second
-from pipeline.frontend.odometry.chunks import cut, jobs_of, local_run, scratch, sew, track_chunks
+from pipeline.frontend.odometry.chunks import cut, jobs_of, local_run, sew, temp_dir, track_chunks
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import solve_structure
@@ -141,7 +141,7 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
 
     again, _ = track_chunks(jobs, RAYS, refuse, SilentProgress())
     assert [m.keyframes[0].frame for m in again] == [0]
-    (scratch(workspace) / "0.npz").write_bytes(b"PK\3\4 damaged")
+    (temp_dir(workspace) / "0.npz").write_bytes(b"PK\3\4 damaged")
     asked = []
 
     def remember(waiting):
@@ -151,7 +151,7 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     with pytest.raises(HaustraError, match="chunks 0 left no maps"):
         track_chunks(jobs, RAYS, remember, SilentProgress())
     assert asked == [0]
-    assert json.loads((scratch(workspace) / "1.json").read_text())["number"] == 1
+    assert json.loads((temp_dir(workspace) / "1.json").read_text())["number"] == 1
 
 
 def test_a_stub_in_the_overlap_hides_no_seam(monkeypatch):
@@ -180,7 +180,7 @@ def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
     assert len(submaps) == 2
     assert min(len(submap.frames) for submap in submaps) >= 3
     assert sorted(np.concatenate([submap.frames for submap in submaps])) == list(range(72))
-    assert not scratch(workspace).exists()
+    assert not temp_dir(workspace).exists()
 
 
 def test_settings_that_contradict_one_another_are_refused():
@@ -201,20 +201,20 @@ def test_the_others_end_where_one_chunk_fails(tmp_path):
     jobs = jobs_of(np.append(frames.index, 100), CAMERA, [range(20, 21), range(20)], SETTINGS, workspace)
     with pytest.raises(HaustraError, match="chunk 0 failed"):
         track_chunks(jobs, RAYS, local_run(2), SilentProgress())
-    assert (scratch(workspace) / "1.json").exists()
+    assert (temp_dir(workspace) / "1.json").exists()
 
 
 def test_an_interrupt_ends_every_process_and_what_is_done_stays(tmp_path):
     workspace, frames = stored(tmp_path, IMAGES[:20])
     jobs = jobs_of(frames.index, CAMERA, [range(20), range(20)], SETTINGS, workspace)
     running = local_run(1)(jobs)
-    while not (scratch(workspace) / "0.json").exists():
-        scratch(workspace).mkdir(exist_ok=True)
+    while not (temp_dir(workspace) / "0.json").exists():
+        temp_dir(workspace).mkdir(exist_ok=True)
         next(running)
     with pytest.raises(KeyboardInterrupt):
         running.throw(KeyboardInterrupt)
     assert alive(tmp_path) == []
-    assert not (scratch(workspace) / "1.json").exists()
+    assert not (temp_dir(workspace) / "1.json").exists()
 
 
 def test_a_chunk_that_fails_names_its_log(tmp_path):
@@ -222,4 +222,4 @@ def test_a_chunk_that_fails_names_its_log(tmp_path):
     (job,) = jobs_of(frames.index + 100, CAMERA, [range(5)], SETTINGS, workspace)  # frames that are not there
     with pytest.raises(HaustraError, match=r"chunk 0 failed .*0\.log"):
         track_chunks([job], RAYS, local_run(1), SilentProgress())
-    assert "missing" in (scratch(workspace) / "0.log").read_text()
+    assert "missing" in (temp_dir(workspace) / "0.log").read_text()

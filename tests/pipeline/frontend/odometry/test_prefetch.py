@@ -7,17 +7,17 @@ from itertools import islice
 
 import pytest
 
-from pipeline.frontend.odometry.prefetch import made_ahead
+from pipeline.frontend.odometry.prefetch import prefetched
 
 
 def test_same_as_one_after_the_other():
-    assert list(made_ahead(lambda k: k * k, range(50))) == [k * k for k in range(50)]
-    assert list(made_ahead(lambda k: k * k, range(2), count=5)) == [0, 1]
-    assert list(made_ahead(lambda k: k, [])) == []
+    assert list(prefetched(lambda k: k * k, range(50))) == [k * k for k in range(50)]
+    assert list(prefetched(lambda k: k * k, range(2), count=5)) == [0, 1]
+    assert list(prefetched(lambda k: k, [])) == []
 
 
 def test_it_is_another_thread_that_makes_them():
-    assert threading.get_ident() not in set(made_ahead(lambda _: threading.get_ident(), range(5)))
+    assert threading.get_ident() not in set(prefetched(lambda _: threading.get_ident(), range(5)))
 
 
 def test_the_next_ones_are_made_while_one_is_in_hand_and_no_more():
@@ -30,7 +30,7 @@ def test_the_next_ones_are_made_while_one_is_in_hand_and_no_more():
             third.set()
         return k
 
-    stream = made_ahead(make, range(10**9), count=2)
+    stream = prefetched(make, range(10**9), count=2)
     assert next(stream) == 0
     assert third.wait(10)
     stream.close()
@@ -50,7 +50,7 @@ def test_nothing_is_made_after_the_end(fails):
         return k
 
     def ask():
-        for _ in made_ahead(make, range(10)):
+        for _ in prefetched(make, range(10)):
             assert begun.wait(10)
             threading.Timer(0.2, go_on.set).start()  # while the end waits for what is in the making
             if fails:
@@ -69,7 +69,7 @@ def test_what_fails_fails_in_its_turn():
             raise ValueError("no third")
         return k
 
-    stream = made_ahead(make, range(10))
+    stream = prefetched(make, range(10))
     assert list(islice(stream, 3)) == [0, 1, 2]
     with pytest.raises(ValueError, match="no third"):
         next(stream)
