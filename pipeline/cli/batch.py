@@ -53,7 +53,7 @@ Pool = Callable[[list[Job], list[str]], Iterator[Outcome]]  # outcomes in the or
 def run_batch(
     videos: list[Path],
     output: Path,
-    words: list[str],
+    arguments: list[str],
     config: Config,
     pool: Pool,
     progress: Progress,
@@ -79,7 +79,7 @@ def run_batch(
 
     write_table(rows(), output)
     with stop_signals_interrupt():
-        running = pool(waiting, words)
+        running = pool(waiting, arguments)
         try:
             with progress.bar("videos", len(jobs)) as advance:
                 advance(len(outcomes))
@@ -187,30 +187,30 @@ def kept_outcome(job: Job, config: Config) -> Outcome | None:
     return outcome if outcome.status == KEPT else None
 
 
-def run_job(job: Job, words: list[str], processes: ProcessGroup | None = None) -> Outcome:
+def run_job(job: Job, arguments: list[str], processes: ProcessGroup | None = None) -> Outcome:
     """Reconstruct one video in a process of its own; goes on where an earlier one stopped. Whatever fails is a row."""
     begin = time.monotonic()
     try:
-        return _run_job(job, words, processes or ProcessGroup(), begin)
+        return _run_job(job, arguments, processes or ProcessGroup(), begin)
     except Exception as error:  # noqa: BLE001 # the other videos go on
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         return Outcome(str(job.video), str(job.folder), "failed", (time.monotonic() - begin) / 60, message=reason)
 
 
-def _run_job(job: Job, words: list[str], processes: ProcessGroup, begin: float) -> Outcome:
+def _run_job(job: Job, arguments: list[str], processes: ProcessGroup, begin: float) -> Outcome:
     how = ["--overwrite"] if job.overwrite else ["--resume"] if has_run(job) else []
     with job.log.open("w") as log:
         code = processes.run(
-            parent_bound_command(MODULE, str(job.video), "-o", str(job.folder), "-q", *how, *words), log.fileno()
+            parent_bound_command(MODULE, str(job.video), "-o", str(job.folder), "-q", *how, *arguments), log.fileno()
         )
     minutes = (time.monotonic() - begin) / 60
     if code == 0:
         return finished_outcome(job.video, job.folder, "done", minutes)
     status = "stopped" if processes.stopping else "failed"
-    return Outcome(str(job.video), str(job.folder), status, minutes, message=_last_words(code, job.log))
+    return Outcome(str(job.video), str(job.folder), status, minutes, message=_failure_reason(code, job.log))
 
 
-def _last_words(code: int, log: Path) -> str:
+def _failure_reason(code: int, log: Path) -> str:
     """One sentence on a failure: the reconstruction's own, or how its process ended."""
     lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
     told = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
@@ -225,10 +225,10 @@ def _last_words(code: int, log: Path) -> str:
 def process_pool(workers: int) -> Pool:
     """So many reconstructions at a time on this machine."""
 
-    def pool(jobs: list[Job], words: list[str]) -> Iterator[Outcome]:
+    def pool(jobs: list[Job], arguments: list[str]) -> Iterator[Outcome]:
         processes = ProcessGroup()
         with ThreadPoolExecutor(workers) as threads:
-            futures = [threads.submit(run_job, job, words, processes) for job in jobs]
+            futures = [threads.submit(run_job, job, arguments, processes) for job in jobs]
             try:
                 for future in as_completed(futures):
                     yield future.result()

@@ -13,11 +13,11 @@ def ray_pool(address: str, workers: int) -> Pool:
     """One task a video on the cluster at `address`; `workers` is the number of CPUs that a local one may count on."""
     import_ray()  # says at once if it is missing
 
-    def pool(jobs: list[Job], words: list[str]) -> Iterator[Outcome]:
+    def pool(jobs: list[Job], arguments: list[str]) -> Iterator[Outcome]:
         with connected(address, CPUS * workers) as ray:
             # max_retries: a reconstruction that took its node down would do so again.
             task = ray.remote(num_cpus=CPUS, max_retries=0)(run_job)
-            job_of = {task.remote(job, words): job for job in jobs}
+            job_of = {task.remote(job, arguments): job for job in jobs}
             waiting = list(job_of)
             try:
                 while waiting:

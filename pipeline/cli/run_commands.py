@@ -146,12 +146,12 @@ def batch(
     given |= files_in_full(load_config(config, frames=frames, odometry=paced(fast), **given))
     settings = load_config(config, frames=frames, odometry=paced(fast), **given)
     given |= {"start": start, "end": end, "stride": stride}
-    words = options_of(given | {"config": None if config is None else str(config.resolve())}) + fast * ["--fast"]
+    arguments = options_of(given | {"config": None if config is None else str(config.resolve())}) + fast * ["--fast"]
     workers = jobs or max(1, (os.cpu_count() or 2) // 2)
     pool = process_pool(workers) if ray is None else ray_pool(ray, workers)
     try:
         progress = SilentProgress() if quiet else TerminalProgress()
-        outcomes = run_batch(videos, output, words, settings, pool, progress, overwrite)
+        outcomes = run_batch(videos, output, arguments, settings, pool, progress, overwrite)
     except KeyboardInterrupt:
         print(f"what was finished is in {output / 'batch.csv'}")
         raise

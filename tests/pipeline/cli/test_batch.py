@@ -109,7 +109,7 @@ def test_a_run_is_kept_only_while_its_files_are_the_same(videos, tmp_path, monke
 def fake_pool(statuses):
     """A pool that says what it is told, and finishes the runs that it calls done."""
 
-    def pool(jobs, words):
+    def pool(jobs, arguments):
         for job in jobs:
             status = statuses[job.folder.name[0]]
             if status is KeyboardInterrupt:
@@ -242,21 +242,21 @@ def test_files_are_named_in_full_in_options_and_settings(videos, tmp_path, monke
     Path("c.yaml").write_text("scale_file: scale.json\nmodel: net.safetensors\n")
     told = {}
 
-    def look(videos, output, words, config, *_):
-        told.update(words=words, config=config)
+    def look(videos, output, arguments, config, *_):
+        told.update(arguments=arguments, config=config)
         return []
 
     monkeypatch.setattr(batch, "run_batch", look)
-    words = ["haustra", "batch", "b.mp4", "-o", "out", "--camera", "lens.json", "--config", "c.yaml", "-q"]
-    monkeypatch.setattr(sys, "argv", words)
+    arguments = ["haustra", "batch", "b.mp4", "-o", "out", "--camera", "lens.json", "--config", "c.yaml", "-q"]
+    monkeypatch.setattr(sys, "argv", arguments)
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 0
-    config, words = told["config"], told["words"]
+    config, arguments = told["config"], told["words"]
     full = [str(tmp_path / name) for name in ("lens.json", "net.safetensors", "scale.json")]
     assert [config.camera, config.model, config.scale_file] == full
-    assert [words[words.index(option) + 1] for option in ("--camera", "--model", "--scale")] == full
-    assert words[words.index("--config") + 1] == str(tmp_path / "c.yaml")
+    assert [arguments[arguments.index(option) + 1] for option in ("--camera", "--model", "--scale")] == full
+    assert arguments[arguments.index("--config") + 1] == str(tmp_path / "c.yaml")
     assert cli_runs.files_in_full(load_config(None, camera="simcol3d")) == {}, "a preset, whatever lies here"
 
 

@@ -25,13 +25,13 @@ from tests.helpers.processes import alive, wait_for
         ("import sys; sys.exit(3)", "exit code 3"),
     ],
 )
-def test_however_a_process_ends_there_is_one_sentence(tmp_path, monkeypatch, program, words):
+def test_however_a_process_ends_there_is_one_sentence(tmp_path, monkeypatch, program, arguments):
     monkeypatch.setattr(
         ProcessGroup, "run", lambda self, _, log: subprocess.run([sys.executable, "-c", program], stderr=log).returncode
     )
     outcome = run_job(Job(tmp_path / "a.mp4", tmp_path / "a"), [])
     assert outcome.status == "failed"
-    assert words in outcome.message
+    assert arguments in outcome.message
     assert "\n" not in outcome.message
 
 
@@ -104,7 +104,7 @@ def test_no_reconstruction_outlives_its_batch(tmp_path, number):
 
 
 def test_the_pool_gives_outcomes_as_they_come(tmp_path, monkeypatch):
-    def slow_first(job, words, processes):
+    def slow_first(job, arguments, processes):
         time.sleep(0.3 if job.video.name == "a" else 0)
         return Outcome(str(job.video), str(job.folder), "done")
 

@@ -21,8 +21,8 @@ def runs(monkeypatch):
     return started
 
 
-def command(monkeypatch, *words):
-    monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, words)])
+def command(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
         cli.reconstruct_main()
     return stop.value.code or 0
@@ -68,8 +68,8 @@ def test_a_setting_is_a_finite_number(tmp_path, value):
 def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypatch, tmp_path, runs):
     path = tmp_path / "settings.yaml"
     path.write_text("odometry: {keyframe_motion: 0.03}\n")
-    for words in ((), ("--fast",), ("--config", path), ("--config", path, "--fast")):
-        assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
+    for arguments in ((), ("--fast",), ("--config", path), ("--config", path, "--fast")):
+        assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *arguments) == 0
     motions = [config.odometry.keyframe_motion for _, config in runs]
     assert motions == [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION, 0.03, FAST_KEYFRAME_MOTION]
 
@@ -83,17 +83,19 @@ def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys)
 def test_a_batch_hands_the_part_to_every_video(monkeypatch, tmp_path, runs):
     """The words with which each video's own process is started give the settings that the batch compares runs with."""
     given = []
-    words = ["haustra", "batch", "a.mp4", "-o", str(tmp_path), "--start", "1", "--stride", "2", "--fast"]
-    words += ["--jobs", "1", "-q"]
-    monkeypatch.setattr(batch, "run_batch", lambda _, __, words, settings, *___: given.append((words, settings)) or [])
-    monkeypatch.setattr(sys, "argv", words)
+    arguments = ["haustra", "batch", "a.mp4", "-o", str(tmp_path), "--start", "1", "--stride", "2", "--fast"]
+    arguments += ["--jobs", "1", "-q"]
+    monkeypatch.setattr(
+        batch, "run_batch", lambda _, __, arguments, settings, *___: given.append((arguments, settings)) or []
+    )
+    monkeypatch.setattr(sys, "argv", arguments)
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert not stop.value.code
-    words, settings = given[0]
+    arguments, settings = given[0]
     assert (settings.frames.start_s, settings.frames.end_s, settings.frames.stride) == (1.0, None, 2)
     assert settings.odometry.keyframe_motion == FAST_KEYFRAME_MOTION
-    assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *words) == 0
+    assert command(monkeypatch, VIDEO, "-o", tmp_path, "-q", *arguments) == 0
     assert runs[0][1] == settings
 
 
