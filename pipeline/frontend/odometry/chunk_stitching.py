@@ -24,7 +24,7 @@ MAX_SHIFT = 0.05  # and of its place, in its own median depths
 
 
 @dataclass(frozen=True)
-class Sighting:
+class FrameObservation:
     """A frame in a map: camera_from_world (4,4), tracks (N,), pixels (N,2), and whether it is a keyframe there."""
 
     camera_from_world: Array
@@ -33,18 +33,20 @@ class Sighting:
     key: bool
 
 
-def sightings(local_map: LocalMap) -> dict[int, Sighting]:
+def frame_observations(local_map: LocalMap) -> dict[int, FrameObservation]:
     """All frames of a map by their number."""
     found = {
-        p.frame: Sighting(local_map.camera_from_world_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False)
+        p.frame: FrameObservation(
+            local_map.camera_from_world_of(p), p.ids.astype(np.int64), p.pixels.astype(np.float64), False
+        )
         for p in local_map.tracked_frames
     }
-    return found | {k.frame: Sighting(k.camera_from_world, k.ids, k.pixels, True) for k in local_map.keyframes}
+    return found | {k.frame: FrameObservation(k.camera_from_world, k.ids, k.pixels, True) for k in local_map.keyframes}
 
 
 def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
     """Similarity (4,4) of the two worlds by the frames that both posed; None if these are few or do not agree."""
-    here, there = sightings(first), sightings(second)
+    here, there = frame_observations(first), frame_observations(second)
     measured = {f: _scale(first, here[f], second, there[f]) for f in sorted(here.keys() & there.keys())}
     found = {f: scale_and_depth for f, scale_and_depth in measured.items() if scale_and_depth is not None}
     if len(found) < MIN_SHARED:
@@ -68,14 +70,16 @@ def first_from_second(first: LocalMap, second: LocalMap) -> Array | None:
     return similarity
 
 
-def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -> tuple[float, float] | None:
+def _scale(
+    first: LocalMap, here: FrameObservation, second: LocalMap, there: FrameObservation
+) -> tuple[float, float] | None:
     """Depth in the first map over depth in the second, along the rays of the second's points in a shared frame; and the
     frame's median depth in the first."""
     seen = []
-    for local_map, sighting in ((first, here), (second, there)):
-        known = local_map.tracks.has_point[sighting.ids]
-        depth = in_camera(sighting.camera_from_world, local_map.tracks.points[sighting.ids[known]])[:, 2]
-        seen.append((sighting.pixels[known][depth > 0], depth[depth > 0]))
+    for local_map, observation in ((first, here), (second, there)):
+        known = local_map.tracks.has_point[observation.ids]
+        depth = in_camera(observation.camera_from_world, local_map.tracks.points[observation.ids[known]])[:, 2]
+        seen.append((observation.pixels[known][depth > 0], depth[depth > 0]))
     if min(len(depth) for _, depth in seen) < MIN_FEATURES:
         return None
     (pixels, depth), (others, theirs) = seen
@@ -84,10 +88,10 @@ def _scale(first: LocalMap, here: Sighting, second: LocalMap, there: Sighting) -
     return (float(np.median(ratio[good])), float(np.median(depth))) if good.sum() >= MIN_FEATURES else None
 
 
-def sewn(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
+def stitch(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
     """One map in the first one's world, frames in order. What either saw in a frame is seen in it; up to the middle of
     the shared frames poses are the first one's, from there on the second's. Neither map may have features."""
-    here, there = sightings(first), sightings(second)
+    here, there = frame_observations(first), frame_observations(second)
     middle = np.median(sorted(here.keys() & there.keys()))
     offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
     result = LocalMap(first.rays)

@@ -23,7 +23,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.odometry.chunk_stitching import first_from_second, sewn
+from pipeline.frontend.odometry.chunk_stitching import first_from_second, stitch
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_io import load_maps
 from pipeline.run_folder import ray_cluster
@@ -39,14 +39,14 @@ Run = Callable[[list[Job]], Iterator[int]]  # runs the jobs; yields now and then
 
 
 @dataclass(frozen=True)
-class Seams:
+class Stitching:
     """chunks: how many there were; closed: of the seams between them, those where both sides agreed."""
 
     chunks: int
     closed: int
 
 
-def cut(count: int, chunks: int) -> list[range]:
+def split(count: int, chunks: int) -> list[range]:
     """Rows of each chunk, evenly long; fewer chunks where they would be shorter than three overlaps."""
     chunks = max(1, min(chunks, count // (3 * OVERLAP)))
     ends = np.linspace(0, count - OVERLAP, chunks + 1).round().astype(int).tolist()
@@ -71,7 +71,7 @@ def temp_dir(workspace: Workspace) -> Path:
     return workspace.log / "chunks"
 
 
-def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) -> tuple[list[LocalMap], Seams]:
+def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) -> tuple[list[LocalMap], Stitching]:
     """Maps of all chunks in the order of their beginning, sewn where the frames that two have in common agree."""
     for job in jobs:
         Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
@@ -92,10 +92,10 @@ def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) 
     lost = [str(job["number"]) for job, maps in zip(jobs, found, strict=True) if maps is None]
     if lost:
         raise HaustraError(f"chunks {', '.join(lost)} left no maps; --resume goes on with them")
-    return sew([maps for maps in found if maps is not None])
+    return stitch_chunks([maps for maps in found if maps is not None])
 
 
-def sew(chunks: list[list[LocalMap]]) -> tuple[list[LocalMap], Seams]:
+def stitch_chunks(chunks: list[list[LocalMap]]) -> tuple[list[LocalMap], Stitching]:
     """At each seam the two maps that share most frames become one, if they agree. Maps that pose nothing that others do
     not are left out."""
     result: list[LocalMap] = []
@@ -106,13 +106,13 @@ def sew(chunks: list[list[LocalMap]]) -> tuple[list[LocalMap], Seams]:
         for one, other in _sharing(before, here):
             similarity = first_from_second(one, other)
             if similarity is not None:
-                whole = sewn(one, other, similarity)
+                whole = stitch(one, other, similarity)
                 result[_place(result, one)] = here[_place(here, other)] = whole
                 closed += 1
                 break
         result += [local_map for local_map in here if not any(local_map is kept for kept in result)]
         before = here
-    return _without_stubs(result), Seams(len(chunks), closed)
+    return _without_stubs(result), Stitching(len(chunks), closed)
 
 
 def _sharing(first: list[LocalMap], second: list[LocalMap]) -> list[tuple[LocalMap, LocalMap]]:

@@ -12,8 +12,7 @@ from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.chunks import (
-    Seams,
-    cut,
+    Stitching,
     jobs_of,
     local_run,
     processors,
@@ -64,20 +63,22 @@ class Tracked:
     frames_per_second: float
     maps: int
     joins: int
-    seams: Seams | None = None
+    stitching: Stitching | None = None
 
     @property
     def stats(self) -> dict[str, float]:
         """For `run.yaml`."""
-        chunks = {} if self.seams is None else {"chunks": self.seams.chunks, "closed_seams": self.seams.closed}
+        chunks = (
+            {} if self.stitching is None else {"chunks": self.stitching.chunks, "closed_seams": self.stitching.closed}
+        )
         return {"frames_per_second": self.frames_per_second, "maps": self.maps, "joins": self.joins, **chunks}
 
     @property
     def sentence(self) -> str:
         merged = f"; {self.joins} of {self.maps} submaps merged into another" if self.maps > 1 else ""
-        if self.seams is None:
+        if self.stitching is None:
             return f"odometry at {self.frames_per_second:.1f} frames a second{merged}"
-        chunks, closed = self.seams.chunks, self.seams.closed
+        chunks, closed = self.stitching.chunks, self.stitching.closed
         return f"odometry in {chunks} chunks, {closed} of {chunks - 1} joined by the frames that they share{merged}"
 
 
@@ -85,23 +86,23 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
     with single_threaded(), SiftCache(frame_reader(workspace)) as features:
         started = time.perf_counter()
-        maps, seams = _tracked(frames, settings, features, workspace, progress)
+        maps, stitching = _tracked(frames, settings, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
-        held = adjust_maps(maps, features, progress, changed=seams is not None)
+        held = adjust_maps(maps, features, progress, changed=stitching is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
             camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
         merged, joins = join_maps(maps, held, features, settings.seed, progress)
-        return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, seams)
+        return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, stitching)
 
 
 def _tracked(
     frames: Frames, settings: FrontEndSettings, features: SiftCache, workspace: Workspace, progress: Progress
-) -> tuple[list[LocalMap], Seams | None]:
+) -> tuple[list[LocalMap], Stitching | None]:
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
     rays = RayTable(frames.camera)
-    pieces = cut(len(frames.index), settings.odometry.chunks)
+    pieces = split(len(frames.index), settings.odometry.chunks)
     if settings.odometry.chunks > 1 and len(pieces) == 1:
         progress.log(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")
     if len(pieces) > 1:

@@ -50,8 +50,8 @@ def test_chunks_on_a_local_cluster_are_those_of_processes(tmp_path):
         (tmp_path / name).mkdir()
         workspace, frames = stored(tmp_path / name, IMAGES[:30])
         jobs = jobs_of(frames.index, CAMERA, [range(18), range(8, 30)], Config().front_end_settings, workspace)
-        maps, seams = track_chunks(jobs, RAYS, run, SilentProgress())
-        assert seams.chunks == 2
+        maps, stitching = track_chunks(jobs, RAYS, run, SilentProgress())
+        assert stitching.chunks == 2
         assert len(list(temp_dir(workspace).glob("*.npz"))) == 2
         found.append([to_submap(m, CAMERA.params) for m in maps])
     for one, other in zip(*found, strict=True):

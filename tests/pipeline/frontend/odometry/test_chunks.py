@@ -16,7 +16,7 @@ from haustra.core.sim3 import transform_points
 from pipeline.config import Config, OdometrySettings, load_config
 from pipeline.frontend.odometry import chunks, finish_maps
 from pipeline.frontend.odometry.chunk_stitching import first_from_second
-from pipeline.frontend.odometry.chunks import cut, jobs_of, local_run, sew, temp_dir, track_chunks
+from pipeline.frontend.odometry.chunks import jobs_of, local_run, split, stitch_chunks, temp_dir, track_chunks
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import solve_structure
@@ -64,7 +64,7 @@ def elsewhere(local_map, scale):
 
 @given(st.integers(3, 20_000), st.integers(1, 40))
 def test_chunks_cover_the_film_and_overlap(count, wanted):
-    pieces = cut(count, wanted)
+    pieces = split(count, wanted)
     assert 1 <= len(pieces) <= wanted
     assert sorted(set().union(*pieces)) == list(range(count))
     for one, other in pairwise(pieces):
@@ -87,8 +87,8 @@ def test_what_is_kept_is_what_comes_back(tmp_path):
 @pytest.mark.parametrize("scale", [0.5, 1.0, 3.0])
 def test_maps_of_overlapping_stretches_become_one(scale):
     first, second = tracked(0, 28), elsewhere(tracked(14, COUNT), scale)
-    (whole,), seams = sew([[first], [second]])
-    assert (seams.chunks, seams.closed) == (2, 1)
+    (whole,), stitching = stitch_chunks([[first], [second]])
+    assert (stitching.chunks, stitching.closed) == (2, 1)
     submap = to_submap(polished([whole])[0], CAMERA.params)
     assert submap.frames.tolist() == list(range(COUNT))
     assert trajectory_errors(submap.world_from_camera, TRUE).ate_rmse < 0.15
@@ -104,10 +104,10 @@ def test_maps_of_overlapping_stretches_become_one(scale):
 def test_stretches_that_share_too_little_stay_apart():
     first, second = tracked(0, 24), tracked(19, COUNT)
     assert first_from_second(first, second) is None
-    kept, seams = sew([[first], [second]])
+    kept, stitching = stitch_chunks([[first], [second]])
     assert kept == [first, second]
-    assert seams.closed == 0
-    assert sew([[], [first], []]) == ([first], chunks.Seams(3, 0))
+    assert stitching.closed == 0
+    assert stitch_chunks([[], [first], []]) == ([first], chunks.Stitching(3, 0))
 
 
 def test_maps_that_do_not_agree_stay_apart(monkeypatch):
@@ -130,11 +130,11 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     workspace, frames = stored(tmp_path, images)
     settings = Config(odometry=OdometrySettings(chunks=3)).front_end_settings
     result = track_frames(frames, settings, workspace, SilentProgress())
-    assert result.seams == chunks.Seams(2, 1), "three would be too short"
+    assert result.stitching == chunks.Stitching(2, 1), "three would be too short"
     (submap,) = result.submaps
     assert submap.frames.tolist() == list(range(72))
     assert trajectory_errors(submap.world_from_camera, true).ate_rmse < 0.1
-    jobs = jobs_of(frames.index, CAMERA, cut(72, 3), SETTINGS, workspace)
+    jobs = jobs_of(frames.index, CAMERA, split(72, 3), SETTINGS, workspace)
 
     def refuse(waiting):
         raise AssertionError("all chunks are there")
@@ -162,10 +162,10 @@ def test_a_stub_in_the_overlap_hides_no_seam(monkeypatch):
     stub.tracked_frames = []
     assert len(stub.keyframes) >= 2
     for here in ([first, stub], [stub, first]):
-        (whole,), seams = sew([here, [second]])
-        assert seams.closed == 1
+        (whole,), stitching = stitch_chunks([here, [second]])
+        assert stitching.closed == 1
         assert whole.frames == set(range(COUNT))
-    (whole,), _ = sew([[first], [stub, second]])
+    (whole,), _ = stitch_chunks([[first], [stub, second]])
     assert whole.frames == set(range(COUNT))
 
 
