@@ -31,7 +31,7 @@ from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "refinement"  # its name in run.yaml since version 0.1
 FAILURES = (np.linalg.LinAlgError, QhullError, ValueError)
-UNHELD = "too few features hold its keyframes together"
+TOO_FEW_FEATURES = "too few features hold its keyframes together"
 
 
 @dataclass
@@ -84,8 +84,8 @@ def _refine(
     for piece in pieces:
         _close(piece, seed, warnings)
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
-    moved = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
-    for sentence in (*map(_sentence, moved), *warnings):
+    deform = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
+    for sentence in (*map(_sentence, deform), *warnings):
         progress.log(sentence)
     workspace.finish(STAGE, submaps=records, warnings=warnings)
 
@@ -163,14 +163,14 @@ def _close(piece: _Piece, seed: int, warnings: list[str]) -> None:
 
 def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) -> dict[str, Any]:
     """Write a piece that moved, and say what it is; `loops` are pairs of frame numbers."""
-    part, moved = piece.part, piece.part.depth_scale is not None
-    if moved:
+    part, deform = piece.part, piece.part.depth_scale is not None
+    if deform:
         folder = _folder(workspace, number)
         write_model(part.submap, refined_camera(frames.camera, part.submap), folder)
         np.savez(folder / "depth_scale.npz", rows=part.rows, depth_scale=np.asarray(part.depth_scale))
     return {
         "members": piece.members,
-        "moved": moved,
+        "moved": deform,
         "proposed": piece.proposed,
         "supported": piece.supported,
         "loops": [list(pair) for pair in piece.loops],

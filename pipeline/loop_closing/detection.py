@@ -129,8 +129,8 @@ def _contradict(parts: Parts, rows: tuple[int, int], first_from_second: NDArray[
     views = []
     for part, row, factor, world_from_camera in zip(parts, rows, (1.0, scale), (np.eye(4), rigid), strict=True):
         depth, confidence, _ = part.depth(row)
-        believed = np.where(confidence < MIN_CONFIDENCE, np.float32(0), depth * np.float32(factor))
-        views.append(DepthView(believed, part.camera.matrix, world_from_camera))
+        accepted = np.where(confidence < MIN_CONFIDENCE, np.float32(0), depth * np.float32(factor))
+        views.append(DepthView(accepted, part.camera.matrix, world_from_camera))
     for one, other in (views, views[::-1]):
         votes = agreement(one, [other], TOLERANCE, stride=4)
         if votes.voters == 0 or votes.contradicted_share > MAX_CONTRADICTED:

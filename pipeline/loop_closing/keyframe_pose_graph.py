@@ -14,18 +14,20 @@ from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
 from reconstruction.pose_graph import Edge, between, misfit, solve_pose_graph, supported, tie_information
 
-MIN_TIE = 20  # points that two keyframes share; consecutive ones are tied by however few
+MIN_COVISIBLE = 20  # points that two keyframes share for a factor between them; consecutive ones always have one
 PIXEL_NOISE = 0.5  # px, across
-SLACK = 4.0  # on the sigmas of ties: points that keyframes share err together along the path
-FULFILLED = 7.0  # squared sigmas in seven directions: a map that misses a loop by less knows better than the loop
-SETTLED = 0.5  # the same: a map that misses its loops by less than this has closed them itself
+SLACK = 4.0  # factor on the sigmas of odometry factors: shared points err together along the path
+CHI2_SATISFIED = (
+    7.0  # 7 degrees of freedom; below it the pose graph is skipped and bundle adjustment starts from the map
+)
+CHI2_CLOSED = 0.5  # below it, in the median, the map has closed its loops already
 REACH = 12  # keyframes within which two loops can support each other
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Closed:
+class LoopClosingResult:
     """A submap after its loops: `proposed` links fitted two images, `supported` had company, `links` were believed.
 
     `part` did not move where the map fulfils most of its supported loops already; those that it fulfils are believed,
@@ -39,7 +41,7 @@ class Closed:
     kept: tuple[tuple[int, int], ...]  # frame numbers of `links`
 
 
-def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> Closed:
+def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> LoopClosingResult:
     """Move the submap by those of its own links that can be believed; it comes back as it is if there are none."""
     part = seen.part
     world_from_camera = part.submap.world_from_camera[part.rows]
@@ -48,17 +50,17 @@ def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> Closed:
     good, theirs = list(compress(loops, company)), list(compress(links, company))
     off = np.array([misfit(world_from_camera, loop) for loop in good])
     missed = float(np.median(off)) if good else 0.0
-    if missed < SETTLED:
-        return Closed(part, len(links), len(good), (), ())
-    if missed < FULFILLED:
-        near = tuple(compress(theirs, off < FULFILLED))
-        return Closed(part, len(links), len(good), near, _frames_of(seen, near))
-    solution = solve_pose_graph(world_from_camera, point_ties(part), good)
-    believed = tuple(compress(theirs, solution.kept))
-    if not believed:
-        return Closed(part, len(links), len(good), (), ())
-    after = moved(part, part.rows, solution.world_from_node)
-    return Closed(after, len(links), len(good), believed, _frames_of(seen, believed))
+    if missed < CHI2_CLOSED:
+        return LoopClosingResult(part, len(links), len(good), (), ())
+    if missed < CHI2_SATISFIED:
+        near = tuple(compress(theirs, off < CHI2_SATISFIED))
+        return LoopClosingResult(part, len(links), len(good), near, _frames_of(seen, near))
+    solution = solve_pose_graph(world_from_camera, covisibility_factors(part), good)
+    accepted = tuple(compress(theirs, solution.kept))
+    if not accepted:
+        return LoopClosingResult(part, len(links), len(good), (), ())
+    after = deform(part, part.rows, solution.world_from_node)
+    return LoopClosingResult(after, len(links), len(good), accepted, _frames_of(seen, accepted))
 
 
 def _frames_of(seen: SubmapFeatures, links: Iterable[LoopClosure]) -> tuple[tuple[int, int], ...]:
@@ -78,18 +80,19 @@ def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure])
         return None
     start = first_from_second(good, nodes[0], nodes[1])
     offset = len(nodes[0])
-    ties = point_ties(first) + [
-        replace(tie, first=tie.first + offset, second=tie.second + offset) for tie in point_ties(second)
+    odometry_factors = covisibility_factors(first) + [
+        replace(factor, first=factor.first + offset, second=factor.second + offset)
+        for factor in covisibility_factors(second)
     ]
     shifted = [replace(loop, second=loop.second + offset) for loop in good]
-    solution = solve_pose_graph(np.concatenate([nodes[0], start @ nodes[1]]), ties, shifted)
+    solution = solve_pose_graph(np.concatenate([nodes[0], start @ nodes[1]]), odometry_factors, shifted)
     if solution.kept.sum() < 2:
         return None
     first, second = (
-        moved(first, first.rows, solution.world_from_node[:offset]),
-        moved(second, second.rows, solution.world_from_node[offset:]),
+        deform(first, first.rows, solution.world_from_node[:offset]),
+        deform(second, second.rows, solution.world_from_node[offset:]),
     )
-    return united(first, second)
+    return concatenate(first, second)
 
 
 def first_from_second(loops: list[Edge], first_nodes: Array, second_nodes: Array) -> Array:
@@ -103,7 +106,7 @@ def first_from_second(loops: list[Edge], first_nodes: Array, second_nodes: Array
     return guesses[int(np.median(off, axis=1).argmin())]
 
 
-def point_ties(part: CompletedSubmap) -> list[Edge]:
+def covisibility_factors(part: CompletedSubmap) -> list[Edge]:
     """Relations of keyframes as the map has them, with the information of the points that both saw.
 
     A point of m keyframes ties m (m - 1) / 2 pairs, but links m frames: each pair has 2 / m of it. Its sigma along
@@ -113,8 +116,8 @@ def point_ties(part: CompletedSubmap) -> list[Edge]:
     maker = SparseDepthMaker(submap, part.camera)
     seen = [np.unique(maker.seen_by(int(row))) for row in part.rows]
     times = np.bincount(np.concatenate(seen), minlength=len(submap.points))
-    ties = []
-    for one, other in _tied(seen, len(submap.points)):
+    odometry_factors = []
+    for one, other in _covisible_pairs(seen, len(submap.points)):
         shared = np.intersect1d(seen[one], seen[other], assume_unique=True)
         rows = int(part.rows[one]), int(part.rows[other])
         points = submap.points_in_camera(rows[1], submap.points[shared])
@@ -123,22 +126,22 @@ def point_ties(part: CompletedSubmap) -> list[Edge]:
         across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
         information = tie_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
         relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
-        ties.append(Edge(one, other, relation, information))
-    return ties
+        odometry_factors.append(Edge(one, other, relation, information))
+    return odometry_factors
 
 
-def _tied(seen: list[NDArray[np.int64]], points: int) -> list[tuple[int, int]]:
+def _covisible_pairs(seen: list[NDArray[np.int64]], points: int) -> list[tuple[int, int]]:
     """Pairs of keyframes that share `MIN_TIE` points, and all that follow each other; `seen`: the points of each."""
     starts = np.concatenate([[0], np.cumsum([len(s) for s in seen])])
     table = csr_array((np.ones(starts[-1], np.int64), np.concatenate(seen), starts), shape=(len(seen), points))
     shared = coo_array(table @ table.T)
     one, other = shared.coords
-    enough = (shared.data >= MIN_TIE) & (one < other)
+    enough = (shared.data >= MIN_COVISIBLE) & (one < other)
     pairs = set(zip(one[enough].tolist(), other[enough].tolist(), strict=True))
     return sorted(pairs | set(pairwise(range(len(seen)))))
 
 
-def moved(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array) -> CompletedSubmap:
+def deform(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array) -> CompletedSubmap:
     """The submap with those of its frames at the nodes (K,4,4), Sim(3); what else it holds follows.
 
     A frame between two nodes follows both, by its share of the way; a point follows the nearest frame that saw it.
@@ -171,7 +174,7 @@ def nodes_of(before: CompletedSubmap, after: CompletedSubmap) -> Array:
     return nodes
 
 
-def united(first: CompletedSubmap, second: CompletedSubmap) -> CompletedSubmap:
+def concatenate(first: CompletedSubmap, second: CompletedSubmap) -> CompletedSubmap:
     """Two submaps of one frame, scale and camera as one, frames in order."""
     one, other = first.submap, second.submap
     frames = np.concatenate([one.frames, other.frames])

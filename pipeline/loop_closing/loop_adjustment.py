@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from haustra.core.sim3 import scale_of
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.loop_closing.detection import SubmapFeatures, features_of_all
-from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
+from pipeline.loop_closing.keyframe_pose_graph import LoopClosingResult, deform, nodes_of
 from pipeline.mapping.feature_adjustment import widest_narrow
 from pipeline.mapping.map_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
 from pipeline.matching.descriptor_matching import match_descriptors
@@ -30,7 +30,7 @@ AHEAD = 5  # keyframes with which each one's features are compared
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
 LOSS_SCHEDULE = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
 ITERATIONS = 25
-MIN_SEEN = 20  # features of a keyframe in the bundle; another keyframe follows those beside it
+MIN_FEATURES = 20  # features of a keyframe in the bundle; another keyframe follows those beside it
 MIN_TYPICAL_FEATURES = (
     150  # features of the median keyframe; pale films have about 100 and gain nothing, others over 300
 )
@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
 
 
-def adjust_loops(seen: SubmapFeatures, closed: Closed) -> CompletedSubmap | None:
+def adjust_loops(seen: SubmapFeatures, closed: LoopClosingResult) -> CompletedSubmap | None:
     """The submap, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or if the
     adjusted map fulfils its loops no better than before."""
     part, every = seen.part, features_of_all(seen).features
@@ -52,7 +52,7 @@ def adjust_loops(seen: SubmapFeatures, closed: Closed) -> CompletedSubmap | None
     found = adjust_nodes(part, every, matches, nodes_of(part, closed.part))
     if found is None:
         return None
-    adjusted = moved(part, part.rows[found[0]], found[1])
+    adjusted = deform(part, part.rows[found[0]], found[1])
     edges = [
         Edge(match.first, match.second, match.first_from_second, link.information)
         for match, link in zip(matches, closed.links, strict=True)
@@ -72,7 +72,7 @@ def adjust_nodes(
     `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
     places, are believed.
     """
-    found = _held_tracks(part, places, links, world_from_node)
+    found = _constraining_tracks(part, places, links, world_from_node)
     if found is None:
         return None
     tracks, number = found
@@ -103,32 +103,34 @@ def adjust_nodes(
     return _nodes(bundle, depth, number)
 
 
-def _held_tracks(
+def _constraining_tracks(
     part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[Tracks, NDArray[np.int64]] | None:
     """Tracks of narrow features, since wide ones slide and bend the scale (docs/lab/front_end.md); of all where those
     are too few; None if these are, too. And numbers of the places that they fix."""
-    same = same_features(part, places, links)
+    same = match_keyframes(part, places, links)
     for widest in (widest_narrow(part.camera.width), np.inf):
-        tracks = tie_tracks(places, same, world_from_node, widest)
-        number = well_seen(tracks, len(places))
-        if len(number) >= 2 and holds(tracks, number, len(places)):
+        tracks = feature_tracks(places, same, world_from_node, widest)
+        number = well_constrained(tracks, len(places))
+        if len(number) >= 2 and is_held(tracks, number, len(places)):
             return tracks, number
     return None
 
 
-def same_features(part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match]) -> Same:
+def match_keyframes(part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match]) -> Same:
     """Pairs of places, and of each the features (K,2) that look alike and lie where the map has them, or that a link
     matched."""
     pairs, same = [(k.first, k.second) for k in links], [k.rows for k in links]
     for one in range(len(places)):
         for other in range(one + 1, min(len(places), one + AHEAD + 1)):
             pairs.append((one, other))
-            same.append(_followed(part, places[one], places[other]))
+            same.append(_match_near(part, places[one], places[other]))
     return pairs, same
 
 
-def tie_tracks(places: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf) -> Tracks:
+def feature_tracks(
+    places: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf
+) -> Tracks:
     """Features of at most `widest` pixels across that are the same are one point."""
     narrow = both_narrow([place.sizes for place in places], *same, widest)
     chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
@@ -136,12 +138,12 @@ def tie_tracks(places: list[KeyframeFeatures], same: Same, world_from_node: Arra
     return join_features(world, same[0], chosen)
 
 
-def well_seen(tracks: Tracks, count: int) -> NDArray[np.int64]:
+def well_constrained(tracks: Tracks, count: int) -> NDArray[np.int64]:
     """Numbers of the places that enough tracks fix."""
-    return np.flatnonzero(np.bincount(tracks.place, minlength=count) >= MIN_SEEN)
+    return np.flatnonzero(np.bincount(tracks.place, minlength=count) >= MIN_FEATURES)
 
 
-def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
+def is_held(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
     """Whether there are enough, they tie each of the places to the one before, and no long stretch is left out."""
     if np.median(np.bincount(tracks.place, minlength=count)[number]) < MIN_TYPICAL_FEATURES:
         return False
@@ -152,7 +154,7 @@ def holds(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
     return bool((seen[1:].multiply(seen[:-1]).sum(axis=1) >= MIN_SHARED).all())
 
 
-def _followed(part: CompletedSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
+def _match_near(part: CompletedSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
     """(K,2) features of two near keyframes that look alike and lie where the map says."""
     pairs = match_descriptors(here.rootsift, there.rootsift)
     if len(pairs) == 0:
@@ -194,7 +196,7 @@ def _nodes(bundle: Bundle, depth: Array, number: NDArray[np.int64]) -> tuple[NDA
     starts = np.searchsorted(bundle.camera, np.arange(len(number) + 1))
     kept, nodes = [], []
     for camera, (begin, end) in enumerate(pairwise(starts)):
-        if end - begin < MIN_SEEN:
+        if end - begin < MIN_FEATURES:
             continue
         node = np.eye(4)
         scale = np.exp(np.median(np.log(np.maximum(found[begin:end], 1e-9) / depth[begin:end])))

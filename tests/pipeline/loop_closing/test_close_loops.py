@@ -20,7 +20,7 @@ from pipeline.input.frames import Frames
 from pipeline.loop_closing import close_loops as stage
 from pipeline.loop_closing.close_loops import close_loops_stage, load_refined, model_sources
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge, moved, point_ties, united
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, concatenate, covisibility_factors, deform, merge
 from pipeline.mapping.submap import Submap
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sim3_match import Sim3Match
@@ -139,7 +139,7 @@ def test_scale_drift_is_closed_and_everything_follows(workspace):
 def test_moving_keeps_each_point_where_its_nearest_frame_saw_it(workspace):
     part = dense(workspace)
     nodes = part.submap.world_from_camera[part.rows] @ exponential(np.array([0.1, 0, 0.2, 0.3, 0, 0, 0.2]))
-    after = moved(part, part.rows, nodes)
+    after = deform(part, part.rows, nodes)
     before, now = part.submap, after.submap
     np.testing.assert_allclose(np.linalg.det(now.world_from_camera[:, :3, :3]), 1)
     np.testing.assert_allclose(after.depth_scale[part.rows], np.exp(0.2))
@@ -152,11 +152,11 @@ def test_moving_keeps_each_point_where_its_nearest_frame_saw_it(workspace):
 
 
 def test_ties_know_the_scale_better_between_near_keyframes(workspace):
-    ties = {(tie.first, tie.second): tie for tie in point_ties(dense(workspace))}
-    near, far = (np.linalg.inv(ties[pair].information)[6, 6] for pair in ((5, 6), (5, 8)))
+    odometry_factors = {(factor.first, factor.second): factor for factor in covisibility_factors(dense(workspace))}
+    near, far = (np.linalg.inv(odometry_factors[pair].information)[6, 6] for pair in ((5, 6), (5, 8)))
     assert 0 < near < far < 0.05
-    assert (0, 1) in ties
-    assert (0, 20) not in ties
+    assert (0, 1) in odometry_factors
+    assert (0, 20) not in odometry_factors
 
 
 def test_a_map_that_fulfils_its_loops_is_left_alone(workspace):
@@ -223,7 +223,7 @@ def test_uniting_keeps_who_saw_what(workspace):
     even, odd = (dense(workspace, whole.without_frames(set(range(k, 48, 2)))) for k in (1, 0))
     followed = np.arange(len(whole.points)) % 2 == 0
     even = replace(even, submap=replace(even.submap, klt=followed))
-    both = united(even, odd)
+    both = concatenate(even, odd)
     np.testing.assert_array_equal(both.submap.is_klt, [*followed, *np.zeros_like(followed)])
     assert both.submap.frames.tolist() == list(range(48))
     np.testing.assert_allclose(both.submap.depths().sum(), whole.depths().sum())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.loop_closing import detection as loops
-from pipeline.loop_closing.keyframe_pose_graph import MIN_TIE, REACH, _tied
+from pipeline.loop_closing.keyframe_pose_graph import MIN_COVISIBLE, REACH, _covisible_pairs
 
 
 @pytest.mark.parametrize("count", [1, 59, 61, 480, 481, 2000])
@@ -38,10 +38,10 @@ def test_keyframes_that_share_enough_or_follow_each_other_are_tied():
         (one, other)
         for one in range(30)
         for other in range(one + 1, 30)
-        if other == one + 1 or len(np.intersect1d(seen[one], seen[other])) >= MIN_TIE
+        if other == one + 1 or len(np.intersect1d(seen[one], seen[other])) >= MIN_COVISIBLE
     ]
     assert 29 < len(expected) < 400
-    assert _tied(seen, 400) == expected
+    assert _covisible_pairs(seen, 400) == expected
 
 
 def test_points_that_two_places_share_are_counted_once():

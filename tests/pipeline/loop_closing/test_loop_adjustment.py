@@ -15,14 +15,14 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
-from pipeline.loop_closing.keyframe_pose_graph import Closed, moved, nodes_of
+from pipeline.loop_closing.keyframe_pose_graph import LoopClosingResult, deform, nodes_of
 from pipeline.loop_closing.loop_adjustment import (
     adjust_loops,
     adjust_nodes,
-    holds,
-    same_features,
-    tie_tracks,
-    well_seen,
+    feature_tracks,
+    is_held,
+    match_keyframes,
+    well_constrained,
 )
 from pipeline.mapping.submap import Submap
 from pipeline.matching.keyframe_features import KeyframeFeatures
@@ -142,7 +142,7 @@ def test_a_keyframe_without_features_follows_its_neighbours():
     blind = [place if k != 11 else empty(place) for k, place in enumerate(places)]
     number, nodes = adjust_nodes(part, blind, [link], part.submap.world_from_camera)
     assert number.tolist() == [k for k in range(COUNT) if k != 11]
-    followed = moved(part, part.rows[number], nodes)
+    followed = deform(part, part.rows[number], nodes)
     assert ate(followed.submap.world_from_camera) < ate(part.submap.world_from_camera) / 20
 
 
@@ -154,18 +154,18 @@ def test_a_stretch_without_features_is_not_adjusted():
 
 def test_few_may_follow_at_the_ends(monkeypatch):
     part, places, _ = seen()
-    tracks = tie_tracks(places, same_features(part, places, []), part.submap.world_from_camera)
-    assert well_seen(tracks, COUNT).tolist() == list(range(COUNT))
-    assert holds(tracks, np.arange(COUNT - 4), COUNT)
-    assert not holds(tracks, np.arange(COUNT - 7), COUNT)
+    tracks = feature_tracks(places, match_keyframes(part, places, []), part.submap.world_from_camera)
+    assert well_constrained(tracks, COUNT).tolist() == list(range(COUNT))
+    assert is_held(tracks, np.arange(COUNT - 4), COUNT)
+    assert not is_held(tracks, np.arange(COUNT - 7), COUNT)
     monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.MIN_TYPICAL_FEATURES", 1000)
-    assert not holds(tracks, np.arange(COUNT), COUNT)
+    assert not is_held(tracks, np.arange(COUNT), COUNT)
 
 
 def test_two_features_of_one_picture_are_not_one_point():
     part, places, link = seen()
     twice = replace(link, rows=np.array([[0, 0], [1, 0]]))
-    tracks = tie_tracks(places, same_features(part, places, [twice]), part.submap.world_from_camera)
+    tracks = feature_tracks(places, match_keyframes(part, places, [twice]), part.submap.world_from_camera)
     assert len(np.unique(np.column_stack([tracks.track, tracks.place]), axis=0)) == len(tracks.track)
     assert (np.bincount(tracks.track) >= 2).all()
 
@@ -177,7 +177,7 @@ def test_links_between_places_are_those_of_keyframes(monkeypatch):
     monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.features_of_all", lambda *_: everything)
     some = SubmapFeatures(part, [places[0], places[20], places[-1]], RayTable(CAMERA))
     loop = LoopClosure(replace(link, second=2), np.eye(7))
-    closed = Closed(part, 1, 1, (loop,), ((0, COUNT - 1),))
+    closed = LoopClosingResult(part, 1, 1, (loop,), ((0, COUNT - 1),))
     adjusted = adjust_loops(some, closed)
     expected = adjust_nodes(part, places, [link], nodes_of(part, part))[1]
     np.testing.assert_allclose(nodes_of(part, adjusted), expected, atol=1e-9)
