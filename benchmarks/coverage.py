@@ -24,7 +24,7 @@ from haustra.core.camera import read_camera
 from haustra.core.ray_table import RayTable
 from pipeline.compare import compare_run
 from pipeline.depth.rectification import make_rectifier
-from pipeline.surface.coverage_stage import half_view, seen_picture
+from pipeline.surface.coverage_stage import half_field_of_view, lens_field_of_view
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.visibility import Picture
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
@@ -64,7 +64,7 @@ def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageError
     lens = read_camera(folder / "camera.json")
     rays, pinhole = RayTable(lens), make_rectifier(lens, WIDEST_DEG).camera
     (mesh, content), (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
-    half, picture = half_view(rays, pinhole, content), seen_picture(rays, content)
+    half, picture = half_field_of_view(rays, pinhole, content), lens_field_of_view(rays, content)
 
     def errors(fringe: float, picture: Picture | None) -> CoverageErrors:
         return coverage_errors(measure_coverage(mesh, poses, half, "mm", fringe * VOXEL_MM, picture), wall)

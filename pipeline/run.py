@@ -16,7 +16,7 @@ from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.report import write_report
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
-from pipeline.surface.coverage_stage import judge_coverage
+from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
 from pipeline.surface.scale import ScaleSource, check_scale_file
 
@@ -45,7 +45,7 @@ def reconstruct(
         completed = close_loops_stage(frames, completed, config.loop_closing, config.seed, workspace, progress)
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
         surfaces = fuse_depth(completed, surface, workspace, progress)
-        coverage = judge_coverage(frames, completed, surfaces, workspace)
+        coverage = coverage_stage(frames, completed, surfaces, workspace)
         write_report(frames, completed, surfaces, coverage, workspace, progress)
         run = Run(workspace)
         progress.log(str(run))

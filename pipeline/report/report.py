@@ -16,7 +16,7 @@ from pipeline.loop_closing.close_loops import model_sources
 from pipeline.report.page import write_page
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace, write_json
-from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface, mesh_path
 from reconstruction.evaluation.trajectory_io import write_tum
 from reconstruction.mesh.mesh_io import write_mesh
@@ -26,7 +26,7 @@ def write_report(
     frames: Frames,
     dense: list[CompletedSubmap],
     surfaces: list[Surface],
-    coverage: list[Judgement],
+    coverage: list[CoverageResult],
     workspace: Workspace,
     progress: Progress,
 ) -> None:
@@ -85,7 +85,7 @@ def collect_metrics(
     frames: Frames,
     dense: list[CompletedSubmap],
     surfaces: list[Surface],
-    coverage: list[Judgement],
+    coverage: list[CoverageResult],
     workspace: Workspace,
 ) -> dict[str, Any]:
     """Every figure of the run, with unit and count."""

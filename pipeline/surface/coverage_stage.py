@@ -25,7 +25,7 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 # Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
 # depth is unsure, and not fused, within some pixels of every rim. Chosen on benchmarks/coverage_films.yaml.
-FRINGE = 3.0
+EDGE_VOXELS = 3.0
 SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
@@ -35,7 +35,7 @@ NARROWEST_DEG = 10.0  # off the axis; wall where such a picture ends is nearly s
 
 
 @dataclass(frozen=True)
-class Judgement:
+class CoverageResult:
     """Figures of one submap for `metrics.json`; `picture` is None where nothing could be judged. `missed` are the
     closing's surfaces over the listed regions, in their order."""
 
@@ -63,48 +63,48 @@ def _unmeasured(record: dict[str, Any]) -> str:
     return "" if share is None else f" ({share:.1f} % in plain view only, without a surface)"
 
 
-def judge_coverage(
+def coverage_stage(
     frames: Frames, dense: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
-) -> list[Judgement]:
+) -> list[CoverageResult]:
     """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
     return [
-        _judge(frames, part, surface, picture_path(workspace, number))
+        _judge(frames, part, surface, coverage_image_path(workspace, number))
         for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True))
     ]
 
 
-def picture_path(workspace: Workspace, number: int) -> Path:
+def coverage_image_path(workspace: Workspace, number: int) -> Path:
     """`coverage.png` for the first submap, `coverage_1.png` and on for the others."""
     return workspace.coverage if number == 0 else workspace.coverage.with_name(f"coverage_{number}.png")
 
 
 def measure_submap(frames: Frames, part: CompletedSubmap, surface: Surface) -> Coverage:
     """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
-    return measure_believed(frames, part, surface)[0]
+    return measure_supported(frames, part, surface)[0]
 
 
-def measure_believed(frames: Frames, part: CompletedSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
+def measure_supported(frames: Frames, part: CompletedSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
     """The same, and that wall: what is drawn must be what was measured."""
     factor = surface.scale.factor
     submap = part.submap.scaled(factor)
     # Before the depth maps are read: a picture that cannot be judged need not wait for them.
     rays = RayTable(refined_camera(frames.camera, part.submap))
-    half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
+    half, picture = half_field_of_view(rays, part.camera, frames.content), lens_field_of_view(rays, frames.content)
     witness = SurfaceWitness(surface.mesh)
     for row in part.rows:
         depth, confidence, _ = part.depth(int(row))
         witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
     unit, voxel = surface.scale.unit, surface.voxel_size
     believed = witness.believed()
-    return measure_coverage(believed, submap.world_from_camera, half, unit, FRINGE * voxel, picture), believed
+    return measure_coverage(believed, submap.world_from_camera, half, unit, EDGE_VOXELS * voxel, picture), believed
 
 
-def seen_picture(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
+def lens_field_of_view(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
     """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
     return Picture(rays.project_valid, rays.masked(content) > 0)
 
 
-def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:
+def half_field_of_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:
     """Degrees off the axis beyond which wall leaves the picture on some side: where what `content` (H,W) leaves of the
     lens's picture is narrowest, or the `pinhole` picture in which depth is completed, if that is narrower.
 
@@ -124,12 +124,12 @@ def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> fl
     return min(edge, float(np.degrees(np.arctan(side))))
 
 
-def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Path) -> Judgement:
+def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Path) -> CoverageResult:
     try:
-        coverage, believed = measure_believed(frames, part, surface)
+        coverage, believed = measure_supported(frames, part, surface)
     except NotATube as reason:
         picture.unlink(missing_ok=True)  # of a report that was made before
-        return Judgement({"judged": False, "reason": str(reason)}, None)
+        return CoverageResult({"judged": False, "reason": str(reason)}, None)
     unit = surface.scale.unit
     millimetres = unit == "mm"
     smallest = LISTED_MM if millimetres else LISTED_RADII * coverage.radius
@@ -153,7 +153,7 @@ def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Pat
         "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
     }
     patches = tuple(coverage.closure.surface.with_faces(coverage.region == k) for k in range(len(listed)))
-    return Judgement(record, picture, patches)
+    return CoverageResult(record, picture, patches)
 
 
 def _segment(segment: Segment) -> dict[str, float]:

@@ -18,7 +18,7 @@ from pipeline.depth.rectification import make_rectifier
 from pipeline.input.frames import Frames, write_image
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace, write_json
-from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import Scale
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -37,7 +37,7 @@ class TinyRun:
     frames: Frames
     dense: list[CompletedSubmap]
     surfaces: list[Surface]
-    coverage: list[Judgement]
+    coverage: list[CoverageResult]
     metrics: dict[str, Any]
     workspace: Workspace
 
@@ -64,7 +64,7 @@ def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
         Surface(_tube(STEP * len(part) + 2, scale.factor), scale, 0.02 * scale.factor, 0.01)
         for part, scale in zip(dense, scales, strict=True)
     ]
-    coverage = [_judgement(root, int(used[first // 2])), Judgement({"judged": False, "reason": "too short"}, None)]
+    coverage = [_judgement(root, int(used[first // 2])), CoverageResult({"judged": False, "reason": "too short"}, None)]
     submaps = [_figures(part, surface, judged) for part, surface, judged in zip(dense, surfaces, coverage, strict=True)]
     metrics = {
         "source": "tiny <b>&</b> video.mp4",
@@ -122,17 +122,17 @@ def _tube(length: float, factor: float, hours: tuple[float, float] = (0, 12), st
     return inside
 
 
-def _judgement(root: Path, frame: int) -> Judgement:
+def _judgement(root: Path, frame: int) -> CoverageResult:
     patch = _tube(1.0, MM, (2, 4), start=2.0)
     picture = root / "coverage.png"
     cv2.imwrite(str(picture), np.full((40, 120, 3), 200, np.uint8))
     region = {"number": 1, "area": 600.0, "diameter": 27.0, "arc": 60.0, "clock": 3.0, "frame": frame}
     region |= {"seconds": frame / 30, "centre": patch.vertices.mean(axis=0).tolist()}
     record = {"judged": True, "unit": "mm", "covered_percent": 91.2, "stretch": 140.0, "listed_from": 5.0}
-    return Judgement(record | {"smaller_regions": 2, "missed_regions": [region]}, picture, (patch,))
+    return CoverageResult(record | {"smaller_regions": 2, "missed_regions": [region]}, picture, (patch,))
 
 
-def _figures(part: CompletedSubmap, surface: Surface, judged: Judgement) -> dict[str, Any]:
+def _figures(part: CompletedSubmap, surface: Surface, judged: CoverageResult) -> dict[str, Any]:
     return {
         "frames": len(part.submap.frames),
         "keyframes": len(part),

@@ -22,7 +22,7 @@ from pipeline.report.page.scene import finite, scene_data
 from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details
 from pipeline.report.page.timeline import frame_states, timeline_section
 from pipeline.run_folder.workspace import Workspace, write_text
-from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 from reconstruction.mesh.rendering import render_mesh
 
@@ -36,7 +36,7 @@ def write_page(
     frames: Frames,
     dense: list[CompletedSubmap],
     surfaces: list[Surface],
-    coverage: list[Judgement],
+    coverage: list[CoverageResult],
     metrics: dict[str, Any],
     workspace: Workspace,
 ) -> None:
@@ -94,7 +94,7 @@ def _asset(name: str) -> str:
     return (resources.files("pipeline.report.page") / name).read_text(encoding="utf-8")
 
 
-def _coverage(coverage: list[Judgement], link: Link) -> str:
+def _coverage(coverage: list[CoverageResult], link: Link) -> str:
     mapped = _count_mapped(coverage)
     sections = [coverage_section(judgement, link) for judgement in coverage[:mapped]]
     if len(coverage) == 1:
@@ -106,13 +106,13 @@ def _coverage(coverage: list[Judgement], link: Link) -> str:
     return "".join(named) + _coverage_in_words(coverage[mapped:], mapped)
 
 
-def _count_mapped(coverage: list[Judgement]) -> int:
+def _count_mapped(coverage: list[CoverageResult]) -> int:
     """Of how many submaps, largest first, the page has room for the map."""
     sizes = [judged.picture.stat().st_size if judged.picture else 0 for judged in coverage[:MOST_SUBMAPS]]
     return max(1, int((np.cumsum(sizes) <= MAPS_BUDGET).sum()))
 
 
-def _coverage_in_words(rest: list[Judgement], first: int) -> str:
+def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
     """Of the smaller submaps, whose maps would make the page too large."""
     if not rest:
         return ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import Shown
-from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
 from reconstruction.mesh.decimation import decimated
@@ -39,7 +39,7 @@ def scene_data(
     frames: Frames,
     dense: list[CompletedSubmap],
     surfaces: list[Surface],
-    coverage: list[Judgement],
+    coverage: list[CoverageResult],
     shown: list[Shown],
 ) -> list[dict[str, Any]]:
     """One entry a submap; lengths in its output unit, in the axes of its `mesh.ply`."""
@@ -72,7 +72,7 @@ def _submap(
     frames: Frames,
     part: CompletedSubmap,
     surface: Surface,
-    judgement: Judgement,
+    judgement: CoverageResult,
     limits: Limits,
     shown: list[tuple[int, int]],
 ) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _packed(mesh: SurfaceMesh, colours: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def _missed(judgement: Judgement, unit: str, triangles: int) -> dict[str, Any]:
+def _missed(judgement: CoverageResult, unit: str, triangles: int) -> dict[str, Any]:
     """The listed regions: number, words and middle, and the closing surface over them where it is known."""
     regions = judgement.record.get("missed_regions", [])
     patches = [decimated(finite(patch), max(1, triangles // len(judgement.missed))) for patch in judgement.missed]

@@ -6,7 +6,7 @@ from typing import Any
 
 from pipeline.report.page.keyframe_gallery import data_uri
 from pipeline.report.page.scene import clock_words
-from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.scale import unit_label
 
 Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
@@ -139,7 +139,7 @@ def _cut(kept: float) -> str:
     return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
-def coverage_section(judgement: Judgement, link: Link | None = None) -> str:
+def coverage_section(judgement: CoverageResult, link: Link | None = None) -> str:
     """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
     record = judgement.record
     if judgement.picture is None:

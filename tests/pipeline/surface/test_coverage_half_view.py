@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from pipeline.depth.rectification import make_rectifier
-from pipeline.surface.coverage_stage import half_view
+from pipeline.surface.coverage_stage import half_field_of_view
 from reconstruction.coverage.centreline import NotATube
 
 SIZE = 200
@@ -23,7 +23,7 @@ def whole():
 
 
 def measured(camera, content, widest_deg=120.0):
-    return half_view(RayTable(camera), make_rectifier(camera, widest_deg).camera, content)
+    return half_field_of_view(RayTable(camera), make_rectifier(camera, widest_deg).camera, content)
 
 
 def distance_from_axis():
