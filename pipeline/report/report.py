@@ -24,24 +24,24 @@ from reconstruction.mesh.mesh_io import write_mesh
 
 def write_report(
     frames: Frames,
-    dense: list[CompletedSubmap],
+    completed: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     workspace: Workspace,
     progress: Progress,
 ) -> None:
     """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
-    for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True)):
+    for number, (part, surface) in enumerate(zip(completed, surfaces, strict=True)):
         _write_paths(frames, part, surface, number, workspace)
     _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
     workspace.record["submaps"] = [
         _submap_record(camera_path(workspace, number).name, part, surface)
-        for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True))
+        for number, (part, surface) in enumerate(zip(completed, surfaces, strict=True))
     ]
-    metrics = collect_metrics(frames, dense, surfaces, coverage, workspace)
+    metrics = collect_metrics(frames, completed, surfaces, coverage, workspace)
     write_json(workspace.metrics, metrics)
-    write_page(frames, dense, surfaces, coverage, metrics, workspace)
+    write_page(frames, completed, surfaces, coverage, metrics, workspace)
     workspace.finish("report")
 
 
@@ -83,7 +83,7 @@ def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progr
 
 def collect_metrics(
     frames: Frames,
-    dense: list[CompletedSubmap],
+    completed: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     workspace: Workspace,
@@ -95,7 +95,7 @@ def collect_metrics(
     evidence = structure["evidence"][structure["mapper"]]
     evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
     submaps = []
-    for part, surface, judgement, witness in zip(dense, surfaces, coverage, evidence, strict=False):
+    for part, surface, result, witness in zip(completed, surfaces, coverage, evidence, strict=False):
         mesh, submap = surface.mesh, part.submap.scaled(surface.scale.factor)
         steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
         submaps.append(
@@ -111,7 +111,7 @@ def collect_metrics(
                 "contradicted_keyframes": list(surface.left_out),
                 "lamp": None if surface.lamp is None else asdict(surface.lamp),
                 "unit": surface.scale.unit,
-                "coverage": judgement.record,
+                "coverage": result.record,
                 "scale": surface.scale.origin,
                 "evidence": witness,
                 "camera": {
@@ -127,7 +127,7 @@ def collect_metrics(
         "source": workspace.record["source"]["path"],
         "frames": {
             "total": sum(frames.verdicts.values()),
-            "posed": sum(len(part.submap.frames) for part in dense),
+            "posed": sum(len(part.submap.frames) for part in completed),
             "verdicts": frames.verdicts,
             "notes": workspace.result("frames")["notes"],
         },

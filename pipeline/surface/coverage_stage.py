@@ -64,12 +64,12 @@ def _unmeasured(record: dict[str, Any]) -> str:
 
 
 def coverage_stage(
-    frames: Frames, dense: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
+    frames: Frames, completed: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
 ) -> list[CoverageResult]:
     """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
     return [
         _judge(frames, part, surface, coverage_image_path(workspace, number))
-        for number, (part, surface) in enumerate(zip(dense, surfaces, strict=True))
+        for number, (part, surface) in enumerate(zip(completed, surfaces, strict=True))
     ]
 
 

@@ -35,7 +35,7 @@ class TinyRun:
     """Everything that `write_page` takes."""
 
     frames: Frames
-    dense: list[CompletedSubmap]
+    completed: list[CompletedSubmap]
     surfaces: list[Surface]
     coverage: list[CoverageResult]
     metrics: dict[str, Any]
@@ -43,7 +43,7 @@ class TinyRun:
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        return self.frames, self.dense, self.surfaces, self.coverage, self.metrics, self.workspace
+        return self.frames, self.completed, self.surfaces, self.coverage, self.metrics, self.workspace
 
 
 def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
@@ -58,14 +58,16 @@ def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
     write_json(workspace.frames, {"camera": CAMERA.to_dict(), "frames": verdicts})
     used = np.array([index for index, _, verdict in verdicts if verdict == "used"])
     frames = Frames(used, used / 30, CAMERA, np.full((SIDE, SIDE), 255, np.uint8), {"used": len(used), "blurred": 2})
-    dense = [_dense(used[:first], workspace), _dense(used[first + 5 :], workspace)]
+    completed = [_dense(used[:first], workspace), _dense(used[first + 5 :], workspace)]
     scales = [Scale(MM, "mm", "lumen of 50 mm"), Scale(1.0, "scene", "no scale given")]
     surfaces = [
         Surface(_tube(STEP * len(part) + 2, scale.factor), scale, 0.02 * scale.factor, 0.01)
-        for part, scale in zip(dense, scales, strict=True)
+        for part, scale in zip(completed, scales, strict=True)
     ]
     coverage = [_judgement(root, int(used[first // 2])), CoverageResult({"judged": False, "reason": "too short"}, None)]
-    submaps = [_figures(part, surface, judged) for part, surface, judged in zip(dense, surfaces, coverage, strict=True)]
+    submaps = [
+        _figures(part, surface, result) for part, surface, result in zip(completed, surfaces, coverage, strict=True)
+    ]
     metrics = {
         "source": "tiny <b>&</b> video.mp4",
         "frames": {"total": total, "posed": first + second, "verdicts": frames.verdicts, "notes": ["a <i>note</i>"]},
@@ -75,7 +77,7 @@ def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
         "warnings": ["the light contradicts 8 % of the frames"],
         "submaps": submaps,
     }
-    return TinyRun(frames, dense, surfaces, coverage, metrics, workspace)
+    return TinyRun(frames, completed, surfaces, coverage, metrics, workspace)
 
 
 def _dense(frames: np.ndarray, workspace: Workspace) -> CompletedSubmap:
@@ -132,7 +134,7 @@ def _judgement(root: Path, frame: int) -> CoverageResult:
     return CoverageResult(record | {"smaller_regions": 2, "missed_regions": [region]}, picture, (patch,))
 
 
-def _figures(part: CompletedSubmap, surface: Surface, judged: CoverageResult) -> dict[str, Any]:
+def _figures(part: CompletedSubmap, surface: Surface, result: CoverageResult) -> dict[str, Any]:
     return {
         "frames": len(part.submap.frames),
         "keyframes": len(part),
@@ -144,7 +146,7 @@ def _figures(part: CompletedSubmap, surface: Surface, judged: CoverageResult) ->
         "unit": surface.scale.unit,
         "scale": surface.scale.origin,
         "contradicted_keyframes": [],
-        "coverage": judged.record,
+        "coverage": result.record,
         "rectified_share": 1.0,
         "evidence": {"reprojection_px": 0.4, "angle_deg": 6.0, "spearman": -0.9, "contrary": 0.0, "voters": 90},
         "camera": {"trust": "given"},

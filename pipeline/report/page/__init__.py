@@ -34,7 +34,7 @@ __all__ = ["coverage_section", "write_page"]
 
 def write_page(
     frames: Frames,
-    dense: list[CompletedSubmap],
+    completed: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     metrics: dict[str, Any],
@@ -42,15 +42,15 @@ def write_page(
 ) -> None:
     """Write the report of a run."""
     surfaces = [replace(surface, mesh=finite(surface.mesh)) for surface in surfaces]
-    shown = choose_shown(frames, dense)
+    shown = choose_shown(frames, completed)
     frame_of = np.array([keyframe.frame for keyframe in shown])
 
     def link(frame: int) -> str:
         return f"#keyframe-{int(np.abs(frame_of - frame).argmin()) if len(frame_of) else 0}"
 
-    states = frame_states(workspace, dense)
+    states = frame_states(workspace, completed)
     data = {
-        "submaps": scene_data(frames, dense, surfaces, coverage, shown),
+        "submaps": scene_data(frames, completed, surfaces, coverage, shown),
         "shown": [{"submap": k.submap, "frame": k.frame, "seconds": k.seconds} for k in shown],
         "seconds": states.range,
     }
@@ -62,10 +62,12 @@ def write_page(
         "VERSION": html.escape(workspace.record["versions"]["haustra"]),
         "CAUTIONS": cautions(metrics),
         "CARDS": cards(metrics),
-        "STATIC": "".join(_static(frames, *parts) for parts in list(zip(dense, surfaces, strict=True))[:MOST_STATIC]),
-        "COUNT": html.escape(count_sentence(shown, dense)),
-        "BROWSER": browser_section(shown, dense, surfaces),
-        "TIMELINE": timeline_section(states, shown, dense),
+        "STATIC": "".join(
+            _static(frames, *parts) for parts in list(zip(completed, surfaces, strict=True))[:MOST_STATIC]
+        ),
+        "COUNT": html.escape(count_sentence(shown, completed)),
+        "BROWSER": browser_section(shown, completed, surfaces),
+        "TIMELINE": timeline_section(states, shown, completed),
         "COVERAGE": _coverage(coverage, link),
         "DETAILS": details(metrics),
         "STYLE": _asset("report.css"),
@@ -96,7 +98,7 @@ def _asset(name: str) -> str:
 
 def _coverage(coverage: list[CoverageResult], link: Link) -> str:
     mapped = _count_mapped(coverage)
-    sections = [coverage_section(judgement, link) for judgement in coverage[:mapped]]
+    sections = [coverage_section(result, link) for result in coverage[:mapped]]
     if len(coverage) == 1:
         return sections[0]
     named = [
@@ -108,7 +110,7 @@ def _coverage(coverage: list[CoverageResult], link: Link) -> str:
 
 def _count_mapped(coverage: list[CoverageResult]) -> int:
     """Of how many submaps, largest first, the page has room for the map."""
-    sizes = [judged.picture.stat().st_size if judged.picture else 0 for judged in coverage[:MOST_SUBMAPS]]
+    sizes = [result.picture.stat().st_size if result.picture else 0 for result in coverage[:MOST_SUBMAPS]]
     return max(1, int((np.cumsum(sizes) <= MAPS_BUDGET).sum()))
 
 
@@ -118,7 +120,7 @@ def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
         return ""
     items = "".join(
         f"<li>submap {number}: {html.escape(judgement.sentence)}</li>"
-        for number, judgement in enumerate(rest, start=first)
+        for number, result in enumerate(rest, start=first)
     )
     return (
         f"<h2>Coverage of smaller submaps</h2><p>To keep this page small, maps are shown of the {first} largest of "

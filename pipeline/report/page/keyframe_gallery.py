@@ -39,11 +39,11 @@ class Shown:
     seconds: float
 
 
-def choose_shown(frames: Frames, dense: list[CompletedSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
+def choose_shown(frames: Frames, completed: list[CompletedSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
     """At most `most` keyframes, evenly over those of the largest submaps, in the order of submaps and frames."""
     every = [
         Shown(number, int(row), index := int(part.submap.frames[row]), frames.seconds_of(index))
-        for number, part in enumerate(dense[:MOST_SUBMAPS])
+        for number, part in enumerate(completed[:MOST_SUBMAPS])
         for row in part.rows
     ]
     if not every:
@@ -60,11 +60,11 @@ class Panels:
     points: int
 
 
-def browser_section(shown: list[Shown], dense: list[CompletedSubmap], surfaces: list[Surface]) -> str:
+def browser_section(shown: list[Shown], completed: list[CompletedSubmap], surfaces: list[Surface]) -> str:
     """Every shown keyframe as an article. Without script they stand in a list; with it, one at a time is seen."""
-    ranges = {k: _depth_range(dense[k], surfaces[k].scale.factor) for k in sorted({k.submap for k in shown})}
-    panels = _within_budget(shown, dense, surfaces, ranges)
-    several = len(dense) > 1
+    ranges = {k: _depth_range(completed[k], surfaces[k].scale.factor) for k in sorted({k.submap for k in shown})}
+    panels = _within_budget(shown, completed, surfaces, ranges)
+    several = len(completed) > 1
     parts = [_legend(number, limits, surfaces[number].scale.unit) for number, limits in ranges.items()]
     for number, (keyframe, panel) in enumerate(zip(shown, panels, strict=True)):
         where = f", submap {keyframe.submap}" if several else ""
@@ -88,12 +88,15 @@ def data_uri(data: bytes, kind: str) -> str:
 
 
 def _within_budget(
-    shown: list[Shown], dense: list[CompletedSubmap], surfaces: list[Surface], ranges: dict[int, tuple[float, float]]
+    shown: list[Shown],
+    completed: list[CompletedSubmap],
+    surfaces: list[Surface],
+    ranges: dict[int, tuple[float, float]],
 ) -> list[Panels]:
     """All pictures at the best quality that keeps the page small, however noisy the video is."""
     panels: list[Panels] = []
     for quality in QUALITIES:
-        panels = list(_draw(shown, dense, surfaces, ranges, quality))
+        panels = list(_draw(shown, completed, surfaces, ranges, quality))
         if sum(len(picture) for panel in panels for picture in panel.pictures) <= BUDGET:
             break
     return panels
@@ -101,14 +104,14 @@ def _within_budget(
 
 def _draw(
     shown: list[Shown],
-    dense: list[CompletedSubmap],
+    completed: list[CompletedSubmap],
     surfaces: list[Surface],
     ranges: dict[int, tuple[float, float]],
     quality: int,
 ) -> Iterator[Panels]:
     makers: dict[int, SparseDepthMaker] = {}
     for keyframe in shown:
-        part, factor = dense[keyframe.submap], surfaces[keyframe.submap].scale.factor
+        part, factor = completed[keyframe.submap], surfaces[keyframe.submap].scale.factor
         if keyframe.submap not in makers:
             makers[keyframe.submap] = SparseDepthMaker(part.submap, part.camera)
         views, limits = part.keyframe(keyframe.row), ranges[keyframe.submap]
@@ -188,8 +191,8 @@ def _bar(colours: int, low: str, title: str, high: str) -> str:
     )
 
 
-def count_sentence(shown: Iterable[Shown], dense: list[CompletedSubmap]) -> str:
+def count_sentence(shown: Iterable[Shown], completed: list[CompletedSubmap]) -> str:
     """How many of how many keyframes are in the page."""
-    count, total = len(list(shown)), sum(len(part) for part in dense)
-    where = f" over the {MOST_SUBMAPS} largest of {len(dense)} submaps" if len(dense) > MOST_SUBMAPS else ""
+    count, total = len(list(shown)), sum(len(part) for part in completed)
+    where = f" over the {MOST_SUBMAPS} largest of {len(dense)} submaps" if len(completed) > MOST_SUBMAPS else ""
     return f"all {total} keyframes" if count == total else f"{count} of {total} keyframes, evenly spread{where}"

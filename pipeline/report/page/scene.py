@@ -37,7 +37,7 @@ class Limits:
 
 def scene_data(
     frames: Frames,
-    dense: list[CompletedSubmap],
+    completed: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     shown: list[Shown],
@@ -50,7 +50,7 @@ def scene_data(
             frames,
             part,
             surface,
-            judgement,
+            result,
             Limits(
                 max(fewest, TRIANGLES * len(surface.mesh.faces) // total),
                 min(MOST_PATCH_TRIANGLES, PATCH_TRIANGLES // count),
@@ -58,7 +58,7 @@ def scene_data(
             ),
             [(place, keyframe.row) for place, keyframe in enumerate(shown) if keyframe.submap == number],
         )
-        for number, (part, surface, judgement) in enumerate(zip(dense, surfaces, coverage, strict=True))
+        for number, (part, surface, result) in enumerate(zip(completed, surfaces, coverage, strict=True))
     ]
 
 
@@ -72,7 +72,7 @@ def _submap(
     frames: Frames,
     part: CompletedSubmap,
     surface: Surface,
-    judgement: CoverageResult,
+    result: CoverageResult,
     limits: Limits,
     shown: list[tuple[int, int]],
 ) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def _submap(
             "frames": submap.frames[part.rows].tolist(),
         },
         "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown],
-        "missed": _missed(judgement, unit, limits.patch_triangles),
+        "missed": _missed(result, unit, limits.patch_triangles),
     }
 
 
@@ -127,10 +127,10 @@ def _packed(mesh: SurfaceMesh, colours: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def _missed(judgement: CoverageResult, unit: str, triangles: int) -> dict[str, Any]:
+def _missed(result: CoverageResult, unit: str, triangles: int) -> dict[str, Any]:
     """The listed regions: number, words and middle, and the closing surface over them where it is known."""
-    regions = judgement.record.get("missed_regions", [])
-    patches = [decimated(finite(patch), max(1, triangles // len(judgement.missed))) for patch in judgement.missed]
+    regions = result.record.get("missed_regions", [])
+    patches = [decimated(finite(patch), max(1, triangles // len(result.missed))) for patch in result.missed]
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     vertices = [patch.vertices for patch in patches] or [np.empty((0, 3))]
     faces = [patch.faces + start for patch, start in zip(patches, starts)] or [np.empty((0, 3))]

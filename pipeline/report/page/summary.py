@@ -139,11 +139,11 @@ def _cut(kept: float) -> str:
     return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
-def coverage_section(judgement: CoverageResult, link: Link | None = None) -> str:
+def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
     """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
-    record = judgement.record
-    if judgement.picture is None:
-        reason = judgement.sentence
+    record = result.record
+    if result.picture is None:
+        reason = result.sentence
         return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
     unit = unit_label(record["unit"])
     head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")

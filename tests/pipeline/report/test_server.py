@@ -151,7 +151,7 @@ def test_a_recording_holds_the_run(tmp_path, monkeypatch):
     pytest.importorskip("rerun", reason="Rerun's SDK is not installed: pip install 'haustra[rerun]'")
     made = make_tiny_run(tmp_path / "tiny", 20, 6)
     made.workspace.finish("surface")
-    for name, value in (("frames", made.frames), ("completed_submaps", made.dense), ("surfaces", made.surfaces)):
+    for name, value in (("frames", made.frames), ("completed_submaps", made.completed), ("surfaces", made.surfaces)):
         monkeypatch.setattr(Run, name, value)
     target = rerun_export.export_rerun(made.workspace.root, tmp_path / "out.rrd")
 

@@ -76,21 +76,21 @@ def test_names_are_escaped(page):
 
 
 def test_the_keyframes_are_counted_and_bounded(run, page):
-    assert sum(map(len, run.dense)) == 120
+    assert sum(map(len, run.completed)) == 120
     assert page.count('<article class="keyframe"') == browser.MOST_KEYFRAMES == 60
     assert "60 of 120 keyframes, evenly spread" in page
-    shown = choose_shown(run.frames, run.dense)
+    shown = choose_shown(run.frames, run.completed)
     assert {k.submap for k in shown} == {0, 1}
-    assert (shown[0].frame, shown[-1].frame) == (run.dense[0].submap.frames[0], run.dense[1].submap.frames[-1])
+    assert (shown[0].frame, shown[-1].frame) == (run.completed[0].submap.frames[0], run.completed[1].submap.frames[-1])
     assert run.workspace.report.stat().st_size < 15e6
 
 
 def test_noisy_pictures_are_coded_more_coarsely(run, monkeypatch):
-    shown = choose_shown(run.frames, run.dense, 6)
+    shown = choose_shown(run.frames, run.completed, 6)
     limits = [(0.0, 4.0)] * 2
 
     def size():
-        panels = browser._within_budget(shown, run.dense, run.surfaces, limits)
+        panels = browser._within_budget(shown, run.completed, run.surfaces, limits)
         return sum(len(picture) for panel in panels for picture in panel.pictures)
 
     fine = size()
@@ -103,7 +103,7 @@ def test_the_scene_holds_what_the_run_holds(run, page):
     first, second = data["submaps"]
     assert (first["unit"], second["unit"]) == ("mm", "scene units")
     centres = np.frombuffer(base64.b64decode(first["path"]["places"]), "<f4").reshape(-1, 3)
-    np.testing.assert_allclose(centres, 25 * run.dense[0].submap.centres, atol=1e-4)
+    np.testing.assert_allclose(centres, 25 * run.completed[0].submap.centres, atol=1e-4)
     mesh, packed = run.surfaces[0].mesh, first["mesh"]
     steps = np.frombuffer(base64.b64decode(packed["vertices"]), "<u2").reshape(-1, 3) / 65535
     np.testing.assert_allclose(packed["low"] + steps * packed["span"], mesh.vertices, atol=0.01)
@@ -147,8 +147,8 @@ def test_a_vertex_nowhere_and_a_submap_without_keyframes_are_shown_without_them(
     vertices = mesh.vertices.copy()
     vertices[5] = np.nan
     surfaces = [replace(made.surfaces[0], mesh=replace(mesh, vertices=vertices)), made.surfaces[1]]
-    dense = [made.dense[0], replace(made.dense[1], rows=made.dense[1].rows[:0])]
-    write_page(made.frames, dense, surfaces, *made.parts[3:])
+    completed = [made.completed[0], replace(made.completed[1], rows=made.completed[1].rows[:0])]
+    write_page(made.frames, completed, surfaces, *made.parts[3:])
     first, second = scene_of(made.workspace.report.read_text())["submaps"]
     touching = int((mesh.faces == 5).any(axis=1).sum())
     assert first["triangles"] == len(mesh.faces) - touching > 0
@@ -162,14 +162,14 @@ def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
     made, count = make_tiny_run(tmp_path / "tiny", 12, 4), 60
     picture, rng = tmp_path / "coverage.png", np.random.default_rng(0)
     cv2.imwrite(str(picture), rng.integers(0, 256, (200, 300, 3)))  # 180 kB
-    judged = replace(made.coverage[0], picture=picture)
+    result = replace(made.coverage[0], picture=picture)
     monkeypatch.setattr("pipeline.report.page.MOST_STATIC", 1)  # a few small pictures, slowly drawn
     submaps = [made.metrics["submaps"][0]] * count
     write_page(
         made.frames,
-        [made.dense[0]] * count,
+        [made.completed[0]] * count,
         [made.surfaces[0]] * count,
-        [judged] * count,
+        [result] * count,
         made.metrics | {"submaps": submaps},
         made.workspace,
     )
