@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Verdict = Literal["used", "black", "burnt out", "no texture", "blurred", "repeated"]
+Verdict = Literal["used", "black", "overexposed", "no texture", "blurred", "duplicate"]
 HISTORY = 15  # frames over which sharpness is compared
 MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
 SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see
@@ -31,11 +31,11 @@ class FrameJudge:
         if np.median(brightest) < MIN_BRIGHTNESS:
             return "black"
         if (brightest >= SATURATED).mean() > MAX_SATURATED:
-            return "burnt out"
+            return "overexposed"
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
         if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
-            return "repeated"
+            return "duplicate"
         sharpness = _sharpness(grey, inside)
         if sharpness < MIN_TEXTURE:
             return "no texture"

@@ -27,7 +27,7 @@ SIDE = 48
 CAMERA = Camera("PINHOLE", SIDE, SIDE, (SIDE / 2, SIDE / 2, SIDE / 2, SIDE / 2))
 STEP = 0.05  # of the camera along the tube, whose radius is 1
 MM = 25.0
-LEFT_OUT = {3: "blurred", 4: "blurred", 50: "black", 51: "black", 70: "burnt out", 90: "no texture", 91: "repeated"}
+LEFT_OUT = {3: "blurred", 4: "blurred", 50: "black", 51: "black", 70: "overexposed", 90: "no texture", 91: "duplicate"}
 
 
 @dataclass(frozen=True)

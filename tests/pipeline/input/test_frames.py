@@ -174,4 +174,4 @@ def test_each_kind_of_useless_frame_is_named():
     red_out = np.full_like(good[0], (180, 30, 25))
     black, burnt = np.zeros_like(good[0]), np.full_like(good[0], 255)
     verdicts = judge_all([*good[:6], blurred, red_out, black, burnt, good[6], good[6]])
-    assert verdicts == ["used"] * 6 + ["blurred", "no texture", "black", "burnt out", "used", "repeated"]
+    assert verdicts == ["used"] * 6 + ["blurred", "no texture", "black", "overexposed", "used", "duplicate"]
