@@ -135,7 +135,7 @@ def batch(
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
     from haustra.core.progress import SilentProgress, TerminalProgress
-    from pipeline.cli.batch import process_pool, run_batch
+    from pipeline.cli.batch import process_pool, resume_hint, run_batch
     from pipeline.cli.batch_ray import ray_pool
     from pipeline.cli.batch_table import print_table
     from pipeline.config import load_config
@@ -158,7 +158,7 @@ def batch(
     print_table(outcomes)
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if failed:
-        raise HaustraError(f"{failed} of {len(outcomes)} videos failed; {how_to_go_on(videos, output, settings)}")
+        raise HaustraError(f"{failed} of {len(outcomes)} videos failed; {resume_hint(videos, output, settings)}")
 
 
 def paced(fast: bool) -> dict[str, Any]:

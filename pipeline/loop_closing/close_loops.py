@@ -156,7 +156,7 @@ def _close(piece: _Piece, seed: int, warnings: list[str]) -> None:
     if adjusted is None and closed.part is piece.part:
         return  # the map misses its loops by no more than they can tell
     if adjusted is None:
-        warnings.append(f"the loops of submap {piece.members[0]} were not closed: {UNHELD}")
+        warnings.append(f"the loops of submap {piece.members[0]} were not closed: {TOO_FEW_FEATURES}")
         return
     piece.part, piece.loops = adjusted, list(closed.kept)
 

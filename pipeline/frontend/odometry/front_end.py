@@ -17,6 +17,7 @@ from pipeline.frontend.odometry.chunks import (
     local_run,
     processors,
     ray_run,
+    split,
     temp_dir,
     track_chunks,
 )

@@ -119,8 +119,7 @@ def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
     if not rest:
         return ""
     items = "".join(
-        f"<li>submap {number}: {html.escape(judgement.sentence)}</li>"
-        for number, result in enumerate(rest, start=first)
+        f"<li>submap {number}: {html.escape(result.sentence)}</li>" for number, result in enumerate(rest, start=first)
     )
     return (
         f"<h2>Coverage of smaller submaps</h2><p>To keep this page small, maps are shown of the {first} largest of "

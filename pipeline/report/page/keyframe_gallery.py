@@ -194,5 +194,5 @@ def _bar(colours: int, low: str, title: str, high: str) -> str:
 def count_sentence(shown: Iterable[Shown], completed: list[CompletedSubmap]) -> str:
     """How many of how many keyframes are in the page."""
     count, total = len(list(shown)), sum(len(part) for part in completed)
-    where = f" over the {MOST_SUBMAPS} largest of {len(dense)} submaps" if len(completed) > MOST_SUBMAPS else ""
+    where = f" over the {MOST_SUBMAPS} largest of {len(completed)} submaps" if len(completed) > MOST_SUBMAPS else ""
     return f"all {total} keyframes" if count == total else f"{count} of {total} keyframes, evenly spread{where}"

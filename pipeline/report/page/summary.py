@@ -164,8 +164,8 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
     heads = "".join(f"<th>{title}</th>" for title in (*head, "nearest frame"))
     table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
     return (
-        f"<h2>Coverage</h2><p>{html.escape(judgement.sentence)}.</p>"
-        f'<img class="map" alt="unrolled wall" src="{data_uri(judgement.picture.read_bytes(), "png")}">'
+        f"<h2>Coverage</h2><p>{html.escape(result.sentence)}.</p>"
+        f'<img class="map" alt="unrolled wall" src="{data_uri(result.picture.read_bytes(), "png")}">'
         f'<div class="wide">{table}</div>'
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "

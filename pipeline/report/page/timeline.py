@@ -71,7 +71,7 @@ def timeline_section(states: FrameStates, shown: list[Shown], completed: list[Co
         f'aria-label="state of every frame over time">{drawing}'
         f'<rect id="cursor" x="-10" y="0" width="2" height="{HEIGHT}"/></svg>'
         f'<div class="ticks">{ticks}</div></div></div>'
-        f"{_key(states, dense)}"
+        f"{_key(states, completed)}"
     )
 
 

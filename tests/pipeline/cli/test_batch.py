@@ -252,7 +252,7 @@ def test_files_are_named_in_full_in_options_and_settings(videos, tmp_path, monke
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 0
-    config, arguments = told["config"], told["words"]
+    config, arguments = told["config"], told["arguments"]
     full = [str(tmp_path / name) for name in ("lens.json", "net.safetensors", "scale.json")]
     assert [config.camera, config.model, config.scale_file] == full
     assert [arguments[arguments.index(option) + 1] for option in ("--camera", "--model", "--scale")] == full

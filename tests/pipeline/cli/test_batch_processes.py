@@ -17,7 +17,7 @@ from tests.helpers.processes import alive, wait_for
 
 
 @pytest.mark.parametrize(
-    ("program", "words"),
+    ("program", "arguments"),
     [
         ("import sys; print('error: no two frames', file=sys.stderr); sys.exit(1)", "no two frames"),
         ("import os; os.kill(os.getpid(), 9)", "ended by SIGKILL; out of memory?"),

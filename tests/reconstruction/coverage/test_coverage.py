@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.report.page import coverage_section
-from pipeline.surface.coverage_stage import Judgement
+from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage import hole_closing as closure
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
@@ -225,12 +225,12 @@ def test_the_fringe_gives_back_what_voxels_take(holed):
 
 
 def test_the_report_has_a_table_or_one_sentence(tmp_path):
-    section = coverage_section(Judgement({"judged": False, "reason": "there is < no surface"}, None))
+    section = coverage_section(CoverageResult({"judged": False, "reason": "there is < no surface"}, None))
     assert section == "<h2>Coverage</h2><p>There is &lt; no surface.</p>"
     (tmp_path / "coverage.png").write_bytes(b"")
     row = {"number": 1, "area": 50, "diameter": 8, "arc": 3, "clock": 2, "frame": 7, "seconds": 0.2}
     record = {"judged": True, "unit": "mm", "covered_percent": 90.0, "stretch": 80.0, "listed_from": 5.0}
     record |= {"smaller_regions": 4, "missed_regions": [row, row]}
-    section = coverage_section(Judgement(record, tmp_path / "coverage.png"))
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
     assert section.count("<tr>") == 3
     assert "90.0 % of the wall" in section

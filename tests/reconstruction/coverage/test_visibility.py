@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
-from pipeline.surface.coverage_stage import seen_picture
+from pipeline.surface.coverage_stage import lens_field_of_view
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.hole_closing import Closure
@@ -217,7 +217,7 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
     camera = Camera(model, SIZE, SIZE, params, True)
     content = np.zeros((SIZE, SIZE), np.uint8)
     content[20:80, 10:90] = 255
-    picture = seen_picture(RayTable(camera), content)
+    picture = lens_field_of_view(RayTable(camera), content)
     rng = np.random.default_rng(0)
     angle, turn = np.radians(rng.uniform(0, 70, 4000)), rng.uniform(0, 2 * np.pi, 4000)
     rays = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
