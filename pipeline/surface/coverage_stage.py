@@ -18,7 +18,7 @@ from pipeline.surface.scale import in_words
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.coverage.coverage import Coverage, MissedRegion, Segment, measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
-from reconstruction.coverage.depth_support import SurfaceWitness
+from reconstruction.coverage.depth_support import DepthSupport
 from reconstruction.coverage.unrolled_map import unroll
 from reconstruction.coverage.visibility import Picture
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -90,12 +90,12 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
     # Before the depth maps are read: a picture that cannot be judged need not wait for them.
     rays = RayTable(structure_camera(frames.camera, part.submap))
     half, picture = half_view(rays, part.camera, frames.content), seen_picture(rays, frames.content)
-    witness = SurfaceWitness(surface.mesh)
+    witness = DepthSupport(surface.mesh)
     for row in part.rows:
         depth, confidence, _ = part.depth(int(row))
         witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
     unit, voxel = surface.scale.unit, surface.voxel_size
-    believed = witness.believed()
+    believed = witness.supported_faces()
     return measure_coverage(believed, submap.world_from_camera, half, unit, FRINGE * voxel, picture), believed
 
 
