@@ -20,7 +20,7 @@ from reconstruction.coverage.coverage import Coverage, MissedRegion, Segment, me
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.depth_support import DepthSupport
 from reconstruction.coverage.unrolled_map import unroll
-from reconstruction.coverage.visibility import Picture
+from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 # Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
@@ -99,9 +99,9 @@ def measure_believed(frames: Frames, part: DenseSubmap, surface: Surface) -> tup
     return measure_coverage(believed, submap.world_from_camera, half, unit, FRINGE * voxel, picture), believed
 
 
-def seen_picture(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
+def seen_picture(rays: RayTable, content: NDArray[np.uint8]) -> FieldOfView:
     """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
-    return Picture(rays.seen_at, rays.masked(content) > 0)
+    return FieldOfView(rays.seen_at, rays.masked(content) > 0)
 
 
 def half_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:

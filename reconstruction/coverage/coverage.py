@@ -18,7 +18,7 @@ from reconstruction.coverage.centreline import (
     trace_centreline,
 )
 from reconstruction.coverage.hole_closing import Closure, close_wall, connected_faces
-from reconstruction.coverage.visibility import Picture
+from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ def measure_coverage(
     half_fov_deg: float = 45.0,
     unit: str = "mm",
     fringe: float = 0.0,
-    picture: Picture | None = None,
+    field_of_view: FieldOfView | None = None,
 ) -> Coverage:
     """Coverage of the stretch that the cameras (N,4,4, in the order of the video) visited; `unit` is the mesh's.
 
@@ -188,8 +188,8 @@ def measure_coverage(
     visited = tuple((start - begin, end - begin) for start, end in visited)
     closure = close_wall(own, line, (0.0, visited[-1][1]), radius, fringe / scale)
     closure = closure.part(within(closure.arc, visited))
-    if picture is not None:
-        closure = closure.seen_by(own, poses, picture, radius)
+    if field_of_view is not None:
+        closure = closure.seen_by(own, poses, field_of_view, radius)
     region, regions = _find_regions(closure, line, poses, half_fov_deg)
     return Coverage(line, closure, region, regions, visited, radius, unit).transformed(mesh_from_canonical)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from haustra.core.sim3 import scale_of
 from reconstruction.coverage.centreline import Centreline, NotATube
-from reconstruction.coverage.visibility import Picture, Sight, in_plain_view
+from reconstruction.coverage.visibility import FieldOfView, Sight, in_plain_view
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -64,14 +64,14 @@ class Closure:
         rows = {name: getattr(self, name)[kept] for name in ("faces", "unseen", "arc", "angle", "unmeasured")}
         return replace(self, **rows)
 
-    def seen_by(self, mesh: SurfaceMesh, poses: Array, picture: Picture, radius: float) -> Closure:
+    def seen_by(self, mesh: SurfaceMesh, poses: Array, field_of_view: FieldOfView, radius: float) -> Closure:
         """The same closing where what is in plain view of cameras (N,4,4) counts as seen, though it is not in the
         mesh, which alone stands in the way. `radius` is the lumen's."""
         rows = np.flatnonzero(self.unseen)
         normals, centroids = self.surface.face_normals[rows], self.centroids[rows]
         lengths = (length * radius for length in (IN_SIGHT, SLACK, BEHIND, APART))
         sight = Sight(float(np.cos(np.radians(SQUARE_DEG))), *lengths)
-        seen = in_plain_view(centroids, normals, mesh, poses, picture, sight)
+        seen = in_plain_view(centroids, normals, mesh, poses, field_of_view, sight)
         visible = rows[seen]
         unseen, unmeasured = self.unseen.copy(), self.unmeasured.copy()
         unseen[visible], unmeasured[visible] = False, True

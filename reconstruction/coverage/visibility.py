@@ -24,13 +24,13 @@ APART_DEG = 3.0
 
 
 @dataclass(frozen=True)
-class Picture:
+class FieldOfView:
     """What every frame of a camera shows, through its own lens: a rectified picture may have lost its corners."""
 
     project: Callable[[Array], Array]  # points in camera axes (N,3) -> pixels (N,2), NaN where the lens has none
     content: NDArray[np.bool_]  # (H,W): pixels that show the scene, not the border of the picture
 
-    def shows(self, points: Array) -> NDArray[np.bool_]:
+    def in_view(self, points: Array) -> NDArray[np.bool_]:
         """(N,): whether each point, in camera axes (N,3), lies on a pixel that shows the scene."""
         place = np.floor(self.project(points))
         height, width = self.content.shape
@@ -51,7 +51,7 @@ class Sight:
 
 
 def in_plain_view(
-    points: Array, normals: Array, wall: SurfaceMesh, world_from_camera: Array, picture: Picture, sight: Sight
+    points: Array, normals: Array, wall: SurfaceMesh, world_from_camera: Array, field_of_view: FieldOfView, sight: Sight
 ) -> NDArray[np.bool_]:
     """(N,): whether places (N,3) of unit normals (N,3) are in the picture of two cameras (M,4,4) or more, with no
     `wall` between them, and whether fewer than half of those cameras meet `wall` behind the place instead: there they
@@ -67,7 +67,7 @@ def in_plain_view(
         ray = points[near] - pose[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         good = -np.einsum("ni,ni->n", normals[near], ray) >= sight.least_cosine * distance
-        good[good] = picture.shows(ray[good] @ pose[:3, :3])
+        good[good] = field_of_view.in_view(ray[good] @ pose[:3, :3])
         near, ray, distance = near[good], ray[good] / distance[good, None], distance[good]
         met, _ = _cast(scene, np.broadcast_to(pose[:3, 3], ray.shape), ray)
         free = met > distance - sight.slack

@@ -15,7 +15,7 @@ from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.hole_closing import Closure
 from reconstruction.coverage.unrolled_map import MISSED, SEEN, UNMEASURED, unroll
-from reconstruction.coverage.visibility import Picture, Sight, in_plain_view
+from reconstruction.coverage.visibility import FieldOfView, Sight, in_plain_view
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 from tests.helpers.holed_tube import HOLE, RADIUS, cameras, straight, tube
 
@@ -29,7 +29,7 @@ def through_a_pinhole(points):
     return np.where(points[:, 2:] > 0, pixels[:, :2] / np.maximum(pixels[:, 2:], 1e-9), np.nan)
 
 
-PICTURE = Picture(through_a_pinhole, np.ones((SIZE, SIZE), bool))
+FIELD_OF_VIEW = FieldOfView(through_a_pinhole, np.ones((SIZE, SIZE), bool))
 
 
 def distances(origin, ray, triangles):
@@ -59,8 +59,8 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
     poses = np.tile(np.eye(4), (6, 1, 1))
     poses[:, :3, 3] = rng.normal(0, 1, (6, 3))
     content = rng.random((SIZE, SIZE)) > 0.2
-    picture, sight = Picture(through_a_pinhole, content), Sight(0.3, 12.0, 0.05, 3.0, 1e-3)
-    seen = in_plain_view(points, normals, wall, poses, picture, sight)
+    field_of_view, sight = FieldOfView(through_a_pinhole, content), Sight(0.3, 12.0, 0.05, 3.0, 1e-3)
+    seen = in_plain_view(points, normals, wall, poses, field_of_view, sight)
     for row, (point, normal) in enumerate(zip(points, normals, strict=True)):
         free, through = 0, 0
         for pose in poses:
@@ -101,12 +101,12 @@ def moved(*aside):
 
 def is_seen(wall=NOTHING, poses=None, normal=TOWARDS, sight=SIGHT):
     poses = moved(0, 0.1) if poses is None else poses
-    return bool(in_plain_view(POINT, normal, wall, poses, PICTURE, sight)[0])
+    return bool(in_plain_view(POINT, normal, wall, poses, FIELD_OF_VIEW, sight)[0])
 
 
 def test_no_points_and_no_surface_are_answers_too():
     far = SurfaceMesh.from_triangles(corners_at(90, 0, 0), [[0, 1, 2]])
-    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), far, moved(0, 1), PICTURE, SIGHT).shape == (0,)
+    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), far, moved(0, 1), FIELD_OF_VIEW, SIGHT).shape == (0,)
     assert is_seen()
     assert is_seen(far)
     assert not is_seen(far, sight=replace(SIGHT, farthest=4.9))
@@ -145,7 +145,7 @@ def test_what_cameras_look_through_is_no_wall():
 
 def test_a_hole_that_cameras_look_at_is_seen_but_not_measured(tmp_path):
     mesh, poses = tube(straight, HOLE), cameras(straight)
-    bare, viewed = measure_coverage(mesh, poses), measure_coverage(mesh, poses, picture=PICTURE)
+    bare, viewed = measure_coverage(mesh, poses), measure_coverage(mesh, poses, field_of_view=FIELD_OF_VIEW)
     assert bare.whole.unmeasured_share == 0
     assert (viewed.share, viewed.regions) == (1.0, [])
     assert viewed.whole.unmeasured_share == pytest.approx(1 - bare.share, rel=1e-9)
@@ -164,7 +164,7 @@ def test_a_hole_outside_the_picture_is_still_missed():
     mesh, poses = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)
     content[:, SIZE // 2 :] = False
-    half = measure_coverage(mesh, poses, picture=Picture(through_a_pinhole, content))
+    half = measure_coverage(mesh, poses, field_of_view=FieldOfView(through_a_pinhole, content))
     assert half.share == measure_coverage(mesh, poses).share
 
 
@@ -180,7 +180,7 @@ def test_the_pocket_behind_a_fold_stays_missed():
 
     mesh, poses = tube(straight, hidden, radius=fold), cameras(straight)
     (bare,) = [r for r in measure_coverage(mesh, poses).regions if r.diameter > 2]
-    (viewed,) = [r for r in measure_coverage(mesh, poses, picture=PICTURE).regions if r.diameter > 2]
+    (viewed,) = [r for r in measure_coverage(mesh, poses, field_of_view=FIELD_OF_VIEW).regions if r.diameter > 2]
     assert viewed.area > 0.85 * bare.area
     assert viewed.clock == pytest.approx(6, abs=0.2)
 
@@ -189,7 +189,7 @@ def test_the_answer_moves_and_scales_with_the_mesh():
     mesh, poses = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)
     content[40:60] = False
-    here = measure_coverage(mesh, poses, picture=Picture(through_a_pinhole, content))
+    here = measure_coverage(mesh, poses, field_of_view=FieldOfView(through_a_pinhole, content))
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     similarity = np.eye(4)
@@ -197,7 +197,7 @@ def test_the_answer_moves_and_scales_with_the_mesh():
     moved = np.tile(np.eye(4), (len(poses), 1, 1))
     moved[:, :3, :3] = turn @ poses[:, :3, :3]
     moved[:, :3, 3] = poses[:, :3, 3] @ similarity[:3, :3].T + similarity[:3, 3]
-    there = measure_coverage(mesh.transformed(similarity), moved, picture=Picture(through_a_pinhole, content))
+    there = measure_coverage(mesh.transformed(similarity), moved, field_of_view=FieldOfView(through_a_pinhole, content))
     assert there.share == pytest.approx(here.share, abs=0.002)
     assert there.whole.unmeasured_share == pytest.approx(here.whole.unmeasured_share, abs=0.002)
     assert 0 < here.whole.unmeasured_share < 1 - measure_coverage(mesh, poses).share
@@ -217,7 +217,7 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
     camera = Camera(model, SIZE, SIZE, params, True)
     content = np.zeros((SIZE, SIZE), np.uint8)
     content[20:80, 10:90] = 255
-    picture = seen_picture(RayTable(camera), content)
+    field_of_view = seen_picture(RayTable(camera), content)
     rng = np.random.default_rng(0)
     angle, turn = np.radians(rng.uniform(0, 70, 4000)), rng.uniform(0, 2 * np.pi, 4000)
     rays = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
@@ -232,7 +232,7 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
         clear = np.abs(angle - turning) > 0.1
     else:
         clear = np.ones(len(rays), bool)
-    shown = picture.shows(rays * rng.uniform(1, 9, (4000, 1)))
+    shown = field_of_view.in_view(rays * rng.uniform(1, 9, (4000, 1)))
     assert 300 < on[clear].sum() < 3500
     np.testing.assert_array_equal(shown[clear], on[clear])
 
@@ -248,4 +248,4 @@ def test_more_than_sixty_degrees_off_the_normal_is_no_plain_view(slant, seen):
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[1, 1, 3] = 0.1
     behind = SurfaceMesh.from_triangles([[-9.0, -9, -5], [9, -9, -5], [0, 9, -5]], [[0, 1, 2]])
-    assert closure.seen_by(behind, poses, PICTURE, 1.0).unmeasured[0] == seen
+    assert closure.seen_by(behind, poses, FIELD_OF_VIEW, 1.0).unmeasured[0] == seen
