@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from haustra.core.sim3 import scale_of
 from reconstruction.coverage.centreline import Centreline, NotATube
-from reconstruction.coverage.visibility import FieldOfView, Sight, in_plain_view
+from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -70,8 +70,8 @@ class Closure:
         rows = np.flatnonzero(self.unseen)
         normals, centroids = self.surface.face_normals[rows], self.centroids[rows]
         lengths = (length * radius for length in (IN_SIGHT, SLACK, BEHIND, APART))
-        sight = Sight(float(np.cos(np.radians(SQUARE_DEG))), *lengths)
-        seen = in_plain_view(centroids, normals, mesh, poses, field_of_view, sight)
+        limits = VisibilityLimits(float(np.cos(np.radians(SQUARE_DEG))), *lengths)
+        seen = visible_points(centroids, normals, mesh, poses, field_of_view, limits)
         visible = rows[seen]
         unseen, unmeasured = self.unseen.copy(), self.unmeasured.copy()
         unseen[visible], unmeasured[visible] = False, True

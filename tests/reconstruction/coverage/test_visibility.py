@@ -1,4 +1,4 @@
-"""Wall in plain view but in no mesh: against rays and triangles worked out one by one, and in tubes of known shape."""
+"""Visible wall that is in no mesh: against rays and triangles worked out one by one, and in tubes of known shape."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.hole_closing import Closure
 from reconstruction.coverage.unrolled_map import MISSED, SEEN, UNMEASURED, unroll
-from reconstruction.coverage.visibility import FieldOfView, Sight, in_plain_view
+from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 from tests.helpers.holed_tube import HOLE, RADIUS, cameras, straight, tube
 
@@ -59,8 +59,8 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
     poses = np.tile(np.eye(4), (6, 1, 1))
     poses[:, :3, 3] = rng.normal(0, 1, (6, 3))
     content = rng.random((SIZE, SIZE)) > 0.2
-    field_of_view, sight = FieldOfView(through_a_pinhole, content), Sight(0.3, 12.0, 0.05, 3.0, 1e-3)
-    seen = in_plain_view(points, normals, wall, poses, field_of_view, sight)
+    field_of_view, limits = FieldOfView(through_a_pinhole, content), VisibilityLimits(0.3, 12.0, 0.05, 3.0, 1e-3)
+    seen = visible_points(points, normals, wall, poses, field_of_view, limits)
     for row, (point, normal) in enumerate(zip(points, normals, strict=True)):
         free, through = 0, 0
         for pose in poses:
@@ -83,7 +83,7 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
 
 
 POINT, TOWARDS = np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -1]])
-SIGHT = Sight(0.3, 9.0, 0.1, 2.0, 0.05)
+LIMITS = VisibilityLimits(0.3, 9.0, 0.1, 2.0, 0.05)
 NOTHING = SurfaceMesh.from_triangles([], [])
 
 
@@ -99,17 +99,17 @@ def moved(*aside):
     return poses
 
 
-def is_seen(wall=NOTHING, poses=None, normal=TOWARDS, sight=SIGHT):
+def is_seen(wall=NOTHING, poses=None, normal=TOWARDS, limits=LIMITS):
     poses = moved(0, 0.1) if poses is None else poses
-    return bool(in_plain_view(POINT, normal, wall, poses, FIELD_OF_VIEW, sight)[0])
+    return bool(visible_points(POINT, normal, wall, poses, FIELD_OF_VIEW, limits)[0])
 
 
 def test_no_points_and_no_surface_are_answers_too():
     far = SurfaceMesh.from_triangles(corners_at(90, 0, 0), [[0, 1, 2]])
-    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), far, moved(0, 1), FIELD_OF_VIEW, SIGHT).shape == (0,)
+    assert visible_points(np.zeros((0, 3)), np.zeros((0, 3)), far, moved(0, 1), FIELD_OF_VIEW, LIMITS).shape == (0,)
     assert is_seen()
     assert is_seen(far)
-    assert not is_seen(far, sight=replace(SIGHT, farthest=4.9))
+    assert not is_seen(far, limits=replace(LIMITS, max_distance=4.9))
     assert not is_seen(far, normal=-TOWARDS)
 
 
@@ -134,7 +134,7 @@ def test_what_cameras_look_through_is_no_wall():
     facing = SurfaceMesh.from_triangles(corners_at(0, 0, 6), [[0, 1, 2]])
     assert facing.normals[0, 2] < 0
     assert not is_seen(facing)
-    assert is_seen(facing, sight=replace(SIGHT, behind=0.9))
+    assert is_seen(facing, limits=replace(LIMITS, see_through_depth=0.9))
     assert is_seen(SurfaceMesh.from_triangles(corners_at(0, 0, 6), [[0, 2, 1]]))
     small = SurfaceMesh.from_triangles(corners_at(0, 0, 6, 0.02), [[0, 1, 2]])
     assert not is_seen(small, poses=moved(0, 0.1))
@@ -238,7 +238,7 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
 
 
 @pytest.mark.parametrize(("slant", "seen"), [(30, True), (57, True), (63, False), (75, False)])
-def test_more_than_sixty_degrees_off_the_normal_is_no_plain_view(slant, seen):
+def test_more_than_sixty_degrees_off_the_normal_is_not_visible(slant, seen):
     """One triangle ahead of two cameras, which the mesh does not hold and nothing hides."""
     turn = Rotation.from_euler("y", slant, degrees=True).as_matrix()
     corners = np.array([[0, 0.02, 0], [0.02, -0.02, 0], [-0.02, -0.02, 0]]) @ turn.T + (0, 0, 2)
