@@ -152,7 +152,7 @@ def _judge(frames: Frames, part: DenseSubmap, surface: Surface, picture: Path) -
         "segments": [_segment(s) for s in segments],
         "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
     }
-    patches = tuple(coverage.closure.surface.with_faces(coverage.region == k) for k in range(len(listed)))
+    patches = tuple(coverage.closed_wall.surface.with_faces(coverage.region == k) for k in range(len(listed)))
     return Judgement(record, picture, patches)
 
 

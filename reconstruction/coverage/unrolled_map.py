@@ -35,7 +35,7 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMa
     """Lay the wall flat; `mesh` gives colour and confidence, and must be the one that was measured.
 
     A cell looks at all wall between two arc lengths and two angles, folds with both their sides included. It is
-    missed if at least half of the closing's area in it is unseen; a cell in which the closing shows no wall at all
+    missed if at least half of the closing's area in it is unobserved; a cell in which the closing shows no wall at all
     (a fold overhangs it) is like its nearest neighbour. Cells outside the visited stretch are not judged. Of the first
     `listed` regions, one that outweighs seen wall in no cell (it hides beneath a fold) has all cells that it touches
     marked as missed, so that whatever is listed can be found on the map.
@@ -49,18 +49,18 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMa
     middle = (arc_edges[1:] + arc_edges[:-1]) / 2
     judged = coverage.is_visited(middle)[:, None] & np.ones(COLUMNS, bool)
     cells, face = _cells_of_faces(coverage, arc_edges)
-    size, weight = rows * COLUMNS, coverage.closure.areas[face]
-    unseen, unmeasured = coverage.closure.unseen[face], coverage.closure.unmeasured[face]
+    size, weight = rows * COLUMNS, coverage.closed_wall.areas[face]
+    unobserved, unmeasured = coverage.closed_wall.unobserved[face], coverage.closed_wall.unmeasured[face]
     total, dark, bare = (
-        np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unseen, weight * unmeasured)
+        np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unobserved, weight * unmeasured)
     )
     filled = _nearest_known((total > 0).reshape(rows, COLUMNS))
     missed = (2 * dark >= np.maximum(total, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
     # Of what is seen in a cell, half or more without a surface.
     in_view = (2 * bare >= np.maximum(total - dark, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
     owner = np.full(size, -1)
-    order = np.argsort(-coverage.region[face[unseen]], kind="stable")  # the largest region last, so that it stays
-    owner[cells[unseen][order]] = coverage.region[face[unseen]][order]
+    order = np.argsort(-coverage.region[face[unobserved]], kind="stable")  # the largest region last, so that it stays
+    owner[cells[unobserved][order]] = coverage.region[face[unobserved]][order]
     region = np.where(missed, owner.reshape(rows, COLUMNS)[filled], -1)
     for number in np.setdiff1d(np.arange(listed), region):
         touched = np.zeros(size, bool)
@@ -81,9 +81,9 @@ def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMa
 
 def _cells_of_faces(coverage: Coverage, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Flat cell and face of each sample point of the closing."""
-    closure = coverage.closure
-    points = np.einsum("sc,fci->fsi", SAMPLES, closure.vertices[closure.faces]).reshape(-1, 3)
-    face = np.repeat(np.arange(len(closure.faces)), len(SAMPLES))
+    closed_wall = coverage.closed_wall
+    points = np.einsum("sc,fci->fsi", SAMPLES, closed_wall.vertices[closed_wall.faces]).reshape(-1, 3)
+    face = np.repeat(np.arange(len(closed_wall.faces)), len(SAMPLES))
     cells, inside = _cells_of(coverage, points, arc_edges)
     return cells, face[inside]
 

@@ -1,10 +1,10 @@
-"""Estimated coverage against a true wall whose faces know whether any frame saw them.
+"""Coverage metrics: an estimated coverage against a reference wall whose faces know whether any frame saw them.
 
-Definitions. The *stretch* is the estimate's visited stretch, gaps in the poses left out: a true face belongs to it by
-its centroid's arc length on the estimated centreline, within three lumen radii of that line. True coverage is the area
-of the seen faces in it over that of all faces in it. A *true region* is a connected piece (shared vertices) of unseen
-faces in it. A face *counts as estimated missed* if the triangle of the closing nearest to it is unseen, nearest in
-position and normal together, so that the two sides of a fold are not taken for each other.
+Definitions. The *stretch* is the estimate's visited stretch without gaps in the poses: a reference face belongs to it
+by its centroid's arc length on the estimated centreline, within MAX_OFF_LINE lumen radii of that line. True coverage is
+the area of the seen faces in it over that of all faces in it. A *true region* is a connected piece (shared vertices) of
+unseen faces in it. A face *counts as estimated missed* if the triangle of the closed wall nearest to it is unobserved,
+nearest in position and normal together, so that the two sides of a fold are not taken for each other.
 
 A true region over the threshold is *found* if half of its area or more counts as estimated missed. An estimated region
 over the threshold is *false* if less than half of the true area that it is nearest to is unseen.
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
 from reconstruction.coverage.coverage import Coverage
-from reconstruction.coverage.hole_closing import FARTHEST, connected_faces
+from reconstruction.coverage.hole_closing import MAX_OFF_LINE, connected_faces
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -82,7 +82,7 @@ def read_true_wall(path: Path | str) -> TrueWall | None:
 def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) -> CoverageErrors:
     """Errors of a coverage that was measured in the axes and the unit of the true wall."""
     arc, _, off = coverage.line.locate(wall.mesh.vertices[wall.mesh.faces].mean(axis=1))
-    inside = coverage.is_visited(arc) & (off < FARTHEST * coverage.radius)
+    inside = coverage.is_visited(arc) & (off < MAX_OFF_LINE * coverage.radius)
     if not inside.any():
         raise ReconstructionError("the true wall lies nowhere along the reconstructed centreline")
     part, seen = SurfaceMesh.from_triangles(wall.mesh.vertices, wall.mesh.faces[inside]), wall.seen[inside]
@@ -115,7 +115,7 @@ def estimated_labels(coverage: Coverage, wall: SurfaceMesh) -> NDArray[np.int64]
     from scipy.spatial import cKDTree
 
     weight = NORMAL_WEIGHT * coverage.radius
-    tree = cKDTree(_placed(coverage.closure.surface, weight))
+    tree = cKDTree(_placed(coverage.closed_wall.surface, weight))
     return coverage.region[tree.query(_placed(wall, weight))[1]]
 
 

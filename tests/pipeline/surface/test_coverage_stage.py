@@ -11,7 +11,7 @@ from pipeline.surface.coverage_stage import Judgement
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
-from reconstruction.coverage.hole_closing import Closure
+from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, SEEN, unroll
 from tests.helpers.holed_tube import RADIUS, cameras, patch, straight, tube
 
@@ -103,17 +103,17 @@ def test_a_listed_region_shows_on_the_map_even_beneath_a_fold():
     mesh = tube(straight)
     coverage = measure_coverage(mesh, cameras(straight))
     flank = tube(straight, lambda s, a: ~patch(60, 70, 60, 120)(s, a), radius=lambda s, a: RADIUS - 10 + 0 * s)
-    seen, count = coverage.closure, len(flank.faces)
+    seen, count = coverage.closed_wall, len(flank.faces)
     arc, angle, _ = coverage.line.locate(flank.vertices[flank.faces].mean(axis=1))
-    closure = Closure(
+    closed_wall = ClosedWall(
         np.concatenate([seen.vertices, flank.vertices]),
         np.concatenate([seen.faces, flank.faces + len(seen.vertices)]),
-        np.append(seen.unseen, np.ones(count, bool)),
+        np.append(seen.unobserved, np.ones(count, bool)),
         np.append(seen.arc, arc),
         np.append(seen.angle, angle),
         np.zeros(len(seen.faces) + count, bool),
     )
-    hidden = replace(coverage, closure=closure, region=np.append(coverage.region, np.zeros(count, int)))
+    hidden = replace(coverage, closed_wall=closed_wall, region=np.append(coverage.region, np.zeros(count, int)))
     assert (unroll(hidden, mesh).state != MISSED).all()
     unrolled = unroll(hidden, mesh, listed=1)
     rows, columns = np.nonzero(unrolled.state == MISSED)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.report.page import coverage_section
 from pipeline.surface.coverage_stage import Judgement
-from reconstruction.coverage import hole_closing as closure
+from reconstruction.coverage import hole_closing as closed_wall
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
@@ -63,7 +63,7 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
 
 def test_a_needle_of_the_closing_without_area_is_no_region(holed, monkeypatch):
     """Poisson's surface has such triangles; one that stands off the wall was once a region, and its middle 0 / 0."""
-    poisson = closure._poisson
+    poisson = closed_wall._poisson
 
     def with_needle(mesh, cell):
         vertices, faces = poisson(mesh, cell)
@@ -71,14 +71,14 @@ def test_a_needle_of_the_closing_without_area_is_no_region(holed, monkeypatch):
         tip = vertices[foot] * (0.5, 0.5, 1)  # half way to the lumen's middle
         return np.vstack([vertices, tip]), np.vstack([faces, [foot, foot, len(vertices)]])
 
-    monkeypatch.setattr(closure, "_poisson", with_needle)
+    monkeypatch.setattr(closed_wall, "_poisson", with_needle)
     coverage = measure_coverage(holed[0], cameras(straight))
     assert (len(coverage.regions), coverage.share) == (len(holed[1].regions), pytest.approx(holed[1].share))
 
 
 def test_the_pocket_behind_a_fold_is_a_missed_region():
-    """A crescent 8 mm deep; the wall for 10 mm behind it is unseen. A flat lid over the hole would measure a third less
-    than the fold's hidden flank and the wall together."""
+    """A crescent 8 mm deep; the wall for 10 mm behind it is unobserved. A flat lid over the hole would measure a
+    third less than the fold's hidden flank and the wall together."""
 
     def fold(s, angle):
         crescent = np.clip(np.cos(angle - np.pi), 0, 1) ** 0.5
@@ -218,8 +218,8 @@ def _around(mesh):
 
 def test_the_fringe_gives_back_what_voxels_take(holed):
     mesh, bare = holed
-    fringed = measure_coverage(mesh, cameras(straight), fringe=1.5)
-    lost = bare.regions[0].area - fringed.regions[0].area
+    tolerant = measure_coverage(mesh, cameras(straight), edge_tolerance=1.5)
+    lost = bare.regions[0].area - tolerant.regions[0].area
     perimeter = 2 * (15 + np.pi / 3 * RADIUS)
     assert lost == pytest.approx(1.5 * perimeter - 4 * 1.5**2, rel=0.25)
 

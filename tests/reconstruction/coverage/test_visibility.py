@@ -13,7 +13,7 @@ from haustra.core.ray_table import RayTable
 from pipeline.surface.coverage_stage import seen_picture
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
-from reconstruction.coverage.hole_closing import Closure
+from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, SEEN, UNMEASURED, unroll
 from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -243,9 +243,9 @@ def test_more_than_sixty_degrees_off_the_normal_is_not_visible(slant, seen):
     turn = Rotation.from_euler("y", slant, degrees=True).as_matrix()
     corners = np.array([[0, 0.02, 0], [0.02, -0.02, 0], [-0.02, -0.02, 0]]) @ turn.T + (0, 0, 2)
     one = np.array([True])
-    closure = Closure(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one)
-    assert closure.surface.face_normals[0] @ (0, 0, 1) == pytest.approx(-np.cos(np.radians(slant)))
+    closed_wall = ClosedWall(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one)
+    assert closed_wall.surface.face_normals[0] @ (0, 0, 1) == pytest.approx(-np.cos(np.radians(slant)))
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[1, 1, 3] = 0.1
     behind = SurfaceMesh.from_triangles([[-9.0, -9, -5], [9, -9, -5], [0, 9, -5]], [[0, 1, 2]])
-    assert closure.seen_by(behind, poses, FIELD_OF_VIEW, 1.0).unmeasured[0] == seen
+    assert closed_wall.with_visible(behind, poses, FIELD_OF_VIEW, 1.0).unmeasured[0] == seen
