@@ -16,9 +16,10 @@ from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import in_words
 from reconstruction.coverage.centreline import NotATube
-from reconstruction.coverage.coverage import Coverage, MissedRegion, Segment, measure_coverage
+from reconstruction.coverage.coverage import Coverage, Segment, measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.depth_support import DepthSupport
+from reconstruction.coverage.missed_regions import MissedRegion
 from reconstruction.coverage.unrolled_map import unroll
 from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh

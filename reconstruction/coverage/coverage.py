@@ -17,7 +17,8 @@ from reconstruction.coverage.centreline import (
     lumen_radius,
     trace_centreline,
 )
-from reconstruction.coverage.hole_closing import ClosedWall, close_holes, connected_faces
+from reconstruction.coverage.hole_closing import ClosedWall, close_holes
+from reconstruction.coverage.missed_regions import MissedRegion, find_regions
 from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -29,32 +30,7 @@ MIN_WALL_SHARE = 0.5  # mean share of a cross-section's rays that must meet wall
 # Lumen radii between consecutive posed frames up to which the lumen between them counts as passed. No tracker follows
 # a camera farther than about half of that between two frames: what is longer is a gap in the poses.
 MAX_STEP = 1.0
-ONE_SIDED = 0.3  # length of the mean direction (unit circle) below which a region goes all round
 Intervals = tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class MissedRegion:
-    """A connected piece of unobserved wall. Lengths in the mesh's unit, areas in its square."""
-
-    area: float  # of the closed surface over it
-    arc: float  # of its centre, from the start of the visited stretch
-    arc_range: tuple[float, float]
-    clock: float | None  # hours in (0, 12]; None where the region goes all round
-    centre: tuple[float, float, float]
-    frame: int  # row of the nearest camera that had it in its cone of view; a fold may have occluded it
-
-    @property
-    def diameter(self) -> float:
-        """Diameter of the circle of the same area."""
-        return float(2 * np.sqrt(self.area / np.pi))
-
-    def transformed(self, target_from_mesh: Array, scale: float) -> MissedRegion:
-        """A copy moved by the Sim(3) `target_from_mesh` (4,4), whose scale is given."""
-        x, y, z = (target_from_mesh[:3, :3] @ np.array(self.centre) + target_from_mesh[:3, 3]).tolist()
-        start, end = self.arc_range
-        arc_range = (scale * start, scale * end)
-        return replace(self, area=scale**2 * self.area, arc=scale * self.arc, arc_range=arc_range, centre=(x, y, z))
 
 
 @dataclass(frozen=True)
@@ -173,7 +149,7 @@ def measure_coverage(
     closed_wall = closed_wall.with_faces(within(closed_wall.arc, visited))
     if field_of_view is not None:
         closed_wall = closed_wall.with_visible(own, canonical_from_camera, field_of_view, radius)
-    region, regions = _find_regions(closed_wall, line, canonical_from_camera, half_fov_deg)
+    region, regions = find_regions(closed_wall, line, canonical_from_camera, half_fov_deg)
     mesh_from_canonical = world_from_camera[0] @ np.diag([scale, scale, scale, 1])
     return Coverage(line, closed_wall, region, regions, visited, radius, unit).transformed(mesh_from_canonical)
 
@@ -247,50 +223,3 @@ def within(arc: Array, intervals: Intervals) -> NDArray[np.bool_]:
     """(N,) whether each arc length (N,) lies in one of the intervals."""
     start, end = np.array(intervals).T[:, :, None]
     return ((arc >= start) & (arc <= end)).any(axis=0)
-
-
-def _find_regions(
-    closed_wall: ClosedWall, line: Centreline, world_from_camera: Array, half_fov_deg: float
-) -> tuple[NDArray[np.int64], list[MissedRegion]]:
-    """Connected unobserved pieces of the closed wall: number (F,) of each face, -1 if observed; largest first."""
-    region = np.full(len(closed_wall.faces), -1)
-    if not closed_wall.unobserved.any():
-        return region, []
-    piece = connected_faces(closed_wall.faces[closed_wall.unobserved])
-    area = closed_wall.areas[closed_wall.unobserved]
-    rank = np.argsort(np.argsort(-np.bincount(piece, weights=area), kind="stable"))
-    region[closed_wall.unobserved] = rank[piece]
-    centroids, areas, arc_of_vertex = closed_wall.centroids, closed_wall.areas, line.locate(closed_wall.vertices)[0]
-    regions = []
-    for number in range(len(rank)):
-        rows = np.flatnonzero(region == number)
-        centre = np.average(centroids[rows], axis=0, weights=areas[rows])
-        extent = arc_of_vertex[closed_wall.faces[rows]]
-        regions.append(
-            MissedRegion(
-                area=float(areas[rows].sum()),
-                arc=float(np.average(closed_wall.arc[rows], weights=areas[rows])),
-                arc_range=(float(extent.min()), float(extent.max())),
-                clock=_clock(closed_wall.angle[rows], areas[rows]),
-                centre=(float(centre[0]), float(centre[1]), float(centre[2])),
-                frame=_nearest_view(centre, world_from_camera, half_fov_deg),
-            )
-        )
-    return region, regions
-
-
-def _clock(angle: Array, area: Array) -> float | None:
-    """Area-weighted mean direction of angles (K,) rad in hours (0, 12]; None where the directions cancel."""
-    mean = np.sum(area * np.exp(1j * angle)) / area.sum()
-    if np.abs(mean) < ONE_SIDED:
-        return None
-    return float(np.angle(mean) % (2 * np.pi) * 6 / np.pi) or 12.0
-
-
-def _nearest_view(point: Array, world_from_camera: Array, half_fov_deg: float) -> int:
-    """Row of the nearest camera (N,4,4) with the point (3,) in its cone of view; of the nearest of all without one."""
-    offset = point - world_from_camera[:, :3, 3]
-    distance = np.linalg.norm(offset, axis=1)
-    depth = np.einsum("ni,ni->n", offset, world_from_camera[:, :3, 2])
-    inside = depth >= np.cos(np.radians(half_fov_deg)) * distance
-    return int(np.argmin(np.where(inside, distance, np.inf) if inside.any() else distance))
