@@ -22,7 +22,7 @@ SAMPLES_PER_SQUARE_TAU = 16  # mesh points lie about tau/4 apart, so that their 
 MOST_SAMPLES = 2_000_000
 
 
-class TruePoints(Protocol):
+class ReferencePoints(Protocol):
     """Points (N,3) of the true surface: `seen` is all of it, `required` the part that should have been built."""
 
     @property
@@ -62,7 +62,7 @@ class SurfaceErrors:
 
 
 def surface_errors(
-    mesh: SurfaceMesh, truth: TruePoints, tau: float, generator: np.random.Generator, unit: str = "mm"
+    mesh: SurfaceMesh, truth: ReferencePoints, tau: float, generator: np.random.Generator, unit: str = "mm"
 ) -> SurfaceErrors:
     """Errors of points sampled from the mesh by area, `SAMPLES_PER_SQUARE_TAU` in each square of edge `tau`."""
     wanted = SAMPLES_PER_SQUARE_TAU * float(mesh.face_areas.sum()) / tau**2
