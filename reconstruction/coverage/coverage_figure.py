@@ -24,7 +24,7 @@ CLOCK = {0: "12", 3: "3", 6: "6", 9: "9", 12: "12"}  # quarter marks of the angl
 def draw_coverage(
     coverage: Coverage, unrolled: UnrolledMap, segments: list[Segment], listed: int, path: Path | str
 ) -> None:
-    """Write the picture; the first `listed` regions carry their number, counted from 1."""
+    """Write the figure to `path` (PNG); the first `listed` regions carry their number, counted from 1."""
     figure = Figure(figsize=(INCHES, 7.6), layout="constrained")
     FigureCanvasAgg(figure)
     wall, trust, bars = figure.subplots(3, 1, sharex=True, height_ratios=(3.2, 1.6, 1.1))
@@ -64,11 +64,11 @@ def _wall_colours(unrolled: UnrolledMap) -> NDArray[np.float64]:
     seen = unrolled.colour.max(axis=2)[unrolled.state != NOT_JUDGED]
     lit = seen[seen > 0]
     gain = max(1.0, SEEN_BRIGHT / max(1.0, float(np.percentile(lit, 95)))) if len(lit) else 1.0
-    picture = np.minimum(unrolled.colour * gain / 255, 1)
-    picture[unrolled.state == MISSED] = MISSED_COLOUR
-    picture[unrolled.state == UNMEASURED] = UNMEASURED_COLOUR
-    picture[unrolled.state == NOT_JUDGED] = NOT_JUDGED_COLOUR
-    return picture
+    image = np.minimum(unrolled.colour * gain / 255, 1)
+    image[unrolled.state == MISSED] = MISSED_COLOUR
+    image[unrolled.state == UNMEASURED] = UNMEASURED_COLOUR
+    image[unrolled.state == NOT_JUDGED] = NOT_JUDGED_COLOUR
+    return image
 
 
 def _mark_regions(panel: Any, coverage: Coverage, unrolled: UnrolledMap, listed: int) -> None:
