@@ -6,10 +6,6 @@ light surface and takes the colour of the fine mesh's nearest vertices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -19,6 +15,7 @@ from haustra.core.errors import ReconstructionError
 from reconstruction.mesh.decimation import decimated
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
 from reconstruction.mesh.surface_mesh import UNCOLOURED, SurfaceMesh
+from reconstruction.mesh.textured_mesh import TexturedMesh
 
 TEXELS_PER_EDGE = 1.5  # of the fine mesh's median edge: its colours know no more
 FILLED = 0.5  # part of the picture that charts cover, roughly; the rest is gaps
@@ -26,18 +23,6 @@ SMALLEST, LARGEST = 256, 4096  # px; what every viewer takes
 GUTTER = 8  # px around charts that repeat their border, so that filtering finds no seam
 HALVINGS = 5
 NEIGHBOURS = 3  # vertices of the fine mesh that colour a texel
-
-
-@dataclass(frozen=True)
-class TexturedMesh:
-    """Triangles with a picture. vertices (V,3) repeat along the charts' seams; uv (V,2) in [0,1], v upwards as OBJ has
-    it; texture (S,S,3) uint8 sRGB, first row at v = 1."""
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64]
-    uv: NDArray[np.float64]
-    texture: NDArray[np.uint8]
 
 
 def simplified(mesh: SurfaceMesh, max_error: float) -> tuple[SurfaceMesh, float]:
@@ -94,40 +79,6 @@ def textured(light: SurfaceMesh, fine: SurfaceMesh, side: int | None = None) -> 
     known = texel_face >= 0
     picture[known] = _colours_at(places, fine)
     return TexturedMesh(vertices, faces, light.normals[source], uv.astype(np.float64), _with_gutter(picture, known))
-
-
-def check_textured(path: Path) -> None:
-    """Refuse a file that holds no texture, before the minutes that making one takes."""
-    if path.suffix.lower() not in (".glb", ".obj"):
-        raise ReconstructionError(f"{path.name}: a texture goes into .glb or .obj")
-
-
-def write_textured(mesh: TexturedMesh, path: Path) -> Path:
-    """GLB with the picture inside, or OBJ with `NAME.mtl` and `NAME_texture.png` beside it; these must not exist yet
-    unless an export of the same name made them: they are not what the user named."""
-    import trimesh
-    from PIL import Image
-
-    check_textured(path)
-    picture = Image.fromarray(mesh.texture)
-    material: Any
-    if path.suffix.lower() == ".glb":
-        material = trimesh.visual.material.PBRMaterial(
-            baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True
-        )
-    else:
-        material = trimesh.visual.material.SimpleMaterial(image=picture, diffuse=[255, 255, 255, 255])
-        material.name = f"{path.stem}_texture"
-        beside = [path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")]
-        if not path.exists() and (taken := [p.name for p in beside if p.exists()]):
-            raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
-    visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
-    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, visual=visual, process=False)
-    if path.suffix.lower() == ".glb":
-        made.export(path, include_normals=True)
-    else:
-        made.export(path, include_normals=True, mtl_name=f"{path.stem}.mtl")
-    return path
 
 
 def _picture_side(fine: SurfaceMesh) -> int:
