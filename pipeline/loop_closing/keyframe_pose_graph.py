@@ -12,7 +12,7 @@ from haustra.core.sim3 import scale_of
 from pipeline.depth.completion_stage import DenseSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
-from reconstruction.pose_graph import Edge, between, misfit, solve_pose_graph, supported, tie_information
+from reconstruction.pose_graph import Edge, chi2, consistent_loops, interpolate_sim3, sim3_information, solve_pose_graph
 
 MIN_TIE = 20  # points that two keyframes share; consecutive ones are tied by however few
 PIXEL_NOISE = 0.5  # px, across
@@ -44,9 +44,9 @@ def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> Closed:
     part = seen.part
     poses = part.submap.world_from_camera[part.rows]
     loops = _edges(seen, seen, links)
-    company = supported(loops, poses, poses, REACH)
+    company = consistent_loops(loops, poses, poses, REACH)
     good, theirs = list(compress(loops, company)), list(compress(links, company))
-    off = np.array([misfit(poses, loop) for loop in good])
+    off = np.array([chi2(poses, loop) for loop in good])
     missed = float(np.median(off)) if good else 0.0
     if missed < SETTLED:
         return Closed(part, len(links), len(good), (), ())
@@ -54,7 +54,7 @@ def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> Closed:
         near = tuple(compress(theirs, off < FULFILLED))
         return Closed(part, len(links), len(good), near, _frames_of(seen, near))
     solution = solve_pose_graph(poses, point_ties(part), good)
-    believed = tuple(compress(theirs, solution.kept))
+    believed = tuple(compress(theirs, solution.accepted))
     if not believed:
         return Closed(part, len(links), len(good), (), ())
     after = moved(part, part.rows, solution.world_from_node)
@@ -73,7 +73,7 @@ def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure])
         return None  # one pinhole may stand for two lenses, where the field of view is cut
     nodes = [part.submap.world_from_camera[part.rows] for part in parts]
     loops = _edges(*seen, links)
-    good = [loop for loop, yes in zip(loops, supported(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
+    good = [loop for loop, yes in zip(loops, consistent_loops(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
     if not good:
         return None
     start = first_from_second(good, nodes[0], nodes[1])
@@ -83,7 +83,7 @@ def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure])
     ]
     shifted = [replace(loop, second=loop.second + offset) for loop in good]
     solution = solve_pose_graph(np.concatenate([nodes[0], start @ nodes[1]]), ties, shifted)
-    if solution.kept.sum() < 2:
+    if solution.accepted.sum() < 2:
         return None
     first, second = (
         moved(first, first.rows, solution.world_from_node[:offset]),
@@ -121,7 +121,7 @@ def point_ties(part: DenseSubmap) -> list[Edge]:
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
         less = SLACK * np.sqrt(times[shared] / 2) * distance
         across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
-        information = tie_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
+        information = sim3_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
         relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
         ties.append(Edge(one, other, relation, information))
     return ties
@@ -199,7 +199,7 @@ def _spread(change: Array, rows: NDArray[np.int64], count: int) -> Array:
     result[: rows[0]], result[rows[-1] :] = change[0], change[-1]
     for k, (begin, end) in enumerate(pairwise(rows)):
         for row in range(begin, end):
-            result[row] = between(change[k], change[k + 1], (row - begin) / (end - begin))
+            result[row] = interpolate_sim3(change[k], change[k + 1], (row - begin) / (end - begin))
     return result
 
 
