@@ -100,10 +100,10 @@ def test_only_the_visited_stretch_is_judged():
     coverage = measure_coverage(mesh, cameras(straight, end=60))
     assert coverage.stretch[1] == pytest.approx(50, abs=2)
     assert coverage.share > 0.999
-    unrolled = unroll(coverage, mesh)
-    middle = (unrolled.arc_edges[1:] + unrolled.arc_edges[:-1]) / 2
-    assert (unrolled.state[(middle < 0) | (middle > coverage.length)] == NOT_JUDGED).all()
-    assert (unrolled.state[(middle > 0) & (middle < coverage.length)] == SEEN).all()
+    unrolled_map = unroll(coverage, mesh)
+    middle = (unrolled_map.arc_edges[1:] + unrolled_map.arc_edges[:-1]) / 2
+    assert (unrolled_map.state[(middle < 0) | (middle > coverage.length)] == NOT_JUDGED).all()
+    assert (unrolled_map.state[(middle > 0) & (middle < coverage.length)] == SEEN).all()
 
 
 def test_cameras_that_look_the_other_way_turn_the_line_round():
@@ -167,14 +167,14 @@ def test_what_is_no_tube_gets_one_sentence():
 
 def test_the_map_shows_the_hole_where_it_is(holed):
     mesh, coverage = holed
-    unrolled = unroll(coverage, mesh)
-    rows, columns = np.nonzero(unrolled.state == MISSED)
-    arc = (unrolled.arc_edges[rows] + unrolled.arc_edges[rows + 1]) / 2
+    unrolled_map = unroll(coverage, mesh)
+    rows, columns = np.nonzero(unrolled_map.state == MISSED)
+    arc = (unrolled_map.arc_edges[rows] + unrolled_map.arc_edges[rows + 1]) / 2
     assert arc.mean() == pytest.approx(62.5 - 30, abs=2)
-    assert np.degrees(unrolled.angle_edges[columns]).min() == pytest.approx(60, abs=6)
-    assert np.degrees(unrolled.angle_edges[columns + 1]).max() == pytest.approx(120, abs=6)
-    assert set(unrolled.region[rows, columns]) == {0}
-    assert (unrolled.colour[unrolled.state == SEEN] == 200).all()
+    assert np.degrees(unrolled_map.angle_edges[columns]).min() == pytest.approx(60, abs=6)
+    assert np.degrees(unrolled_map.angle_edges[columns + 1]).max() == pytest.approx(120, abs=6)
+    assert set(unrolled_map.region[rows, columns]) == {0}
+    assert (unrolled_map.colour[unrolled_map.state == SEEN] == 200).all()
 
 
 def test_the_picture_is_written(tmp_path, holed):

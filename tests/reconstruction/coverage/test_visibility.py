@@ -149,13 +149,13 @@ def test_a_hole_that_cameras_look_at_is_seen_but_not_measured(tmp_path):
     assert bare.whole.unmeasured_share == 0
     assert (viewed.share, viewed.regions) == (1.0, [])
     assert viewed.whole.unmeasured_share == pytest.approx(1 - bare.share, rel=1e-9)
-    unrolled = unroll(viewed, mesh)
-    missed, open_ = unroll(bare, mesh).state == MISSED, unrolled.state == UNMEASURED
+    unrolled_map = unroll(viewed, mesh)
+    missed, open_ = unroll(bare, mesh).state == MISSED, unrolled_map.state == UNMEASURED
     assert (missed == open_).all()
     assert open_.sum() > 50
-    assert (unrolled.colour[open_] == 0).all()
-    assert (unrolled.colour[unrolled.state == SEEN] > 0).all()
-    draw_coverage(viewed, unrolled, viewed.segments(50), 0, tmp_path / "coverage.png")
+    assert (unrolled_map.colour[open_] == 0).all()
+    assert (unrolled_map.colour[unrolled_map.state == SEEN] > 0).all()
+    draw_coverage(viewed, unrolled_map, viewed.segments(50), 0, tmp_path / "coverage.png")
     assert (tmp_path / "coverage.png").stat().st_size > 10_000
 
 
