@@ -81,7 +81,7 @@ def test_the_same_frames_give_the_same_arrays():
 def test_one_thread_gives_the_same_bytes_as_four(monkeypatch):
     poses = views(4)
     depths = [sphere_depth(pose) for pose in poses]
-    monkeypatch.setattr("reconstruction.fusion.tsdf.BLOCKS_AT_ONCE", 5)
+    monkeypatch.setattr("reconstruction.fusion.tsdf.BLOCKS_PER_TASK", 5)
     meshes = []
     for threads in (1, 4):
         monkeypatch.setattr("reconstruction.fusion.tsdf.THREADS", threads)
