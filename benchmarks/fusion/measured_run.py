@@ -23,7 +23,7 @@ from pipeline.frontend.select import load_structure
 from pipeline.input.frames import Frames
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import fusion_settings
-from reconstruction.evaluation.reference_surface import ReferenceSurface, reference_surface
+from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses, associate
@@ -80,7 +80,7 @@ class MeasuredRun:
 
     @cached_property
     def truth(self) -> ReferenceSurface:
-        return reference_surface(self.folder)
+        return read_reference_surface(self.folder)
 
     @cached_property
     def views(self) -> dict[int, KeyframeView]:

@@ -39,7 +39,7 @@ from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.run_folder.workspace import create_workspace
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import fusion_settings
-from reconstruction.evaluation.reference_surface import ReferenceSurface, reference_surface
+from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses, trajectory_errors
@@ -144,7 +144,7 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     if closed.kept:
         adjusted = adjust_loops(part, closed, places[0], frames)
         states |= {"graph": closed.part} | ({"after": adjusted} if adjusted else {})
-    wall = reference_surface(folder) if with_surface and closed.kept else None
+    wall = read_reference_surface(folder) if with_surface and closed.kept else None
     for name, state in states.items():
         figures[name] = path_figures(state, truth)
         if wall is not None:

@@ -40,7 +40,7 @@ class ReferenceSurface:
     required: Array  # (M,3)
 
 
-def reference_surface(
+def read_reference_surface(
     folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = 0.5
 ) -> ReferenceSurface:
     """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.phantom.imaging.render import Phantom
-from haustra.phantom.motion.camera_path import camera_path
+from haustra.phantom.motion.camera_path import plan_camera_path
 from haustra.phantom.motion.peristalsis import Peristalsis
 from haustra.phantom.timeline import Slot, plan_timeline
 
@@ -26,5 +26,5 @@ def write_script(phantom: Phantom) -> Script:
     """Raises PhantomError where the film is too short for its slots, or the path leaves the lumen."""
     config, colon = phantom.config, phantom.colon
     timeline = plan_timeline(config.motion, config.events, config.seed)
-    poses = camera_path(colon, phantom.caster, config.motion, config.seed, timeline)
+    poses = plan_camera_path(colon, phantom.caster, config.motion, config.seed, timeline)
     return Script(poses, timeline, Peristalsis(colon, config.events, timeline, poses[:, :3, 3]))

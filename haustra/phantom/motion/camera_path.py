@@ -29,7 +29,7 @@ MOST_SIDEWAYS = 0.4  # of the lumen's radius
 TURNING_POINT = 0.06  # of the frames: how gently a loop's way out becomes its way back
 
 
-def camera_path(
+def plan_camera_path(
     colon: Colon, caster: RayCaster, motion: MotionConfig, seed: int, timeline: Sequence[Slot] = ()
 ) -> Array:
     """Poses world_from_camera (N,4,4), mm. The camera looks along increasing arc length, whichever way it moves.
