@@ -66,10 +66,10 @@ def _shares(total: int, parts: int) -> list[int]:
 def _views(config: PhantomConfig, count: int) -> Iterator[Frame]:
     """Frames spread over one film."""
     phantom = Phantom(config)
-    poses = write_script(phantom).poses
+    world_from_camera = write_script(phantom).world_from_camera
     for place in np.linspace(0.1, 0.9, count):
-        index = int(place * (len(poses) - 1))
-        yield next(phantom.film(poses[index : index + 1]))
+        index = int(place * (len(world_from_camera) - 1))
+        yield next(phantom.film(world_from_camera[index : index + 1]))
 
 
 def _events() -> list[Image]:
@@ -81,7 +81,7 @@ def _events() -> list[Image]:
     config = replace(config, camera=lens, imaging=imaging, motion=motion, events=EventsConfig(1, 1, 1, 1, 1))
     phantom = Phantom(config)
     script = write_script(phantom)
-    film = list(phantom.film(script.poses, script.timeline, script.peristalsis))
+    film = list(phantom.film(script.world_from_camera, script.timeline, script.peristalsis))
     middles = {slot.kind: (slot.first + slot.last) // 2 for slot in script.timeline}
     return [film[middles[kind]].image for kind in EVENTS] + [film[-1].image]
 

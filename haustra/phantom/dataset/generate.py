@@ -65,7 +65,7 @@ def generate(
     script = write_script(phantom)
     folder.mkdir(parents=True, exist_ok=True)
     _write_records(folder, phantom)
-    _write_trajectory(folder / "trajectory.txt", script.poses, config.motion.fps)
+    _write_trajectory(folder / "trajectory.txt", script.world_from_camera, config.motion.fps)
     _write_events(folder / "events.json", script, config.motion.fps)
     nearest_mm = film_into(folder, phantom, script, progress, crf, preset)
     motion = script.peristalsis.vertex_properties() if config.events.peristalsis else {}
@@ -86,13 +86,13 @@ def film_into(
         (folder / name).mkdir(exist_ok=True)
     nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
     with _video(folder / "video.mp4", phantom.config, crf, preset) as add_to_video:
-        for index, frame in enumerate(phantom.film(script.poses, script.timeline, script.peristalsis)):
+        for index, frame in enumerate(phantom.film(script.world_from_camera, script.timeline, script.peristalsis)):
             _write_frame(folder, index, frame)
             add_to_video(frame.image)
             hit = frame.triangle >= 0
             np.minimum.at(nearest_mm, frame.triangle[hit], frame.depth[hit])
             if progress:
-                progress(index + 1, len(script.poses))
+                progress(index + 1, len(script.world_from_camera))
     return nearest_mm
 
 
@@ -151,9 +151,11 @@ def _video(path: Path, config: PhantomConfig, crf: int, preset: str) -> Iterator
             container.mux(stream.encode())
 
 
-def _write_trajectory(path: Path, poses: NDArray[np.float64], fps: float) -> None:
-    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()  # x y z w
-    rows = np.concatenate([np.arange(len(poses))[:, None] / fps, poses[:, :3, 3], turns], axis=1)
+def _write_trajectory(path: Path, world_from_camera: NDArray[np.float64], fps: float) -> None:
+    turns = Rotation.from_matrix(world_from_camera[:, :3, :3]).as_quat()  # x y z w
+    rows = np.concatenate(
+        [np.arange(len(world_from_camera))[:, None] / fps, world_from_camera[:, :3, 3], turns], axis=1
+    )
     np.savetxt(path, rows, fmt=["%.6f"] * 4 + ["%.9f"] * 4)
 
 

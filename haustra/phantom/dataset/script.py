@@ -17,7 +17,7 @@ from haustra.phantom.timeline import Slot, plan_timeline
 class Script:
     """A phantom's film as its config wants it: what `Phantom.film` takes, in that order."""
 
-    poses: NDArray[np.float64]  # (N,4,4) world_from_camera, mm
+    world_from_camera: NDArray[np.float64]  # (N,4,4) mm
     timeline: list[Slot]
     peristalsis: Peristalsis
 
@@ -26,5 +26,5 @@ def write_script(phantom: Phantom) -> Script:
     """Raises PhantomError where the film is too short for its slots, or the path leaves the lumen."""
     config, colon = phantom.config, phantom.colon
     timeline = plan_timeline(config.motion, config.events, config.seed)
-    poses = plan_camera_path(colon, phantom.caster, config.motion, config.seed, timeline)
-    return Script(poses, timeline, Peristalsis(colon, config.events, timeline, poses[:, :3, 3]))
+    world_from_camera = plan_camera_path(colon, phantom.caster, config.motion, config.seed, timeline)
+    return Script(world_from_camera, timeline, Peristalsis(colon, config.events, timeline, world_from_camera[:, :3, 3]))

@@ -33,7 +33,7 @@ from haustra.phantom.dataset.scenes import SCENES, film_of, scene_config
 from haustra.phantom.imaging.camera import MODELS
 from haustra.phantom.imaging.render import Phantom
 from haustra.phantom.imaging.sensor import Sensor
-from haustra.phantom.motion.viewpoints import random_pose
+from haustra.phantom.motion.viewpoints import random_viewpoint
 
 FRAMES_PER_COLON = 20  # a colon takes as long to make as about 40 frames
 
@@ -101,11 +101,11 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
     for index in range(first, last):
         # Each frame of a random phantom has a light and a lens of its own.
         view = phantom if plan.scene else phantom.seen_through(random_imaging(rng), random_camera(rng, plan.size))
-        pose = random_pose(view.colon, view.caster, view.rays, rng)
-        drift = pose.copy()
+        world_from_camera = random_viewpoint(view.colon, view.caster, view.rays, rng)
+        drift = world_from_camera.copy()
         drift[:3, 3] += rng.normal(0.0, 0.5, 3)  # where motion blur points
         sensor = Sensor(view.config.imaging, plan.size, plan.size, seed=view.config.seed + index)
-        frame = view.shoot(pose, drift, sensor, rng)
+        frame = view.shoot(world_from_camera, drift, sensor, rng)
         arrays["images"][index] = frame.image
         arrays["depths"][index] = frame.depth
         arrays["intrinsics"][index] = view.camera.params[:4]

@@ -36,7 +36,7 @@ class View:
     camera: Camera
     imaging: ImagingConfig
     rays: Floats  # (H,W,3) unit directions
-    pose: Array  # world_from_camera (4,4)
+    world_from_camera: Array  # (4,4), mm
     points: Floats  # (H,W,3) wall, camera axes
     radiance: Floats  # (H,W,3)
     foam: Array  # (K,4) bubbles on the wall: x y z (world mm) and radius mm
@@ -74,8 +74,8 @@ def bubbles(view: View, slot: Slot, frame: int, rng: np.random.Generator) -> tup
     """Foam that sticks to the wall: each bubble shows a bright rim, a dark ring and the lights' reflections."""
     radiance = view.radiance.copy()
     hidden = np.zeros(radiance.shape[:2], bool)
-    pose = view.pose
-    centres = (view.foam[:, :3] - pose[:3, 3]) @ pose[:3, :3]
+    world_from_camera = view.world_from_camera
+    centres = (view.foam[:, :3] - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
     life = rng.uniform(0.0, 0.35, len(centres))  # they come and burst one after the other
     near_first = np.argsort(-centres[:, 2])
     for index in near_first:
@@ -93,7 +93,7 @@ Obstacle = Callable[[View, Slot, int, np.random.Generator], tuple[Floats, Mask]]
 OBSTACLES: dict[str, Obstacle] = {"red_out": red_out, "water_jet": water_jet, "bubbles": bubbles, "tool": tool}
 
 
-def place_foam(points: Floats, pose: Array, rng: np.random.Generator) -> Array:
+def place_foam(points: Floats, world_from_camera: Array, rng: np.random.Generator) -> Array:
     """Bubbles (K,4) around one place of the wall in the middle of a frame: world x y z and radius, mm."""
     rows, columns = points.shape[0] // 5, points.shape[1] // 5
     middle = points[rows:-rows, columns:-columns]
@@ -106,7 +106,7 @@ def place_foam(points: Floats, pose: Array, rng: np.random.Generator) -> Array:
     seats = near[rng.integers(len(near), size=FOAM)]
     radii = np.exp(rng.uniform(np.log(0.3), np.log(0.05 * seat[2] + 0.6), FOAM))
     lifted = seats - 0.6 * radii[:, None] * seats / np.linalg.norm(seats, axis=1, keepdims=True)
-    return np.concatenate([lifted @ pose[:3, :3].T + pose[:3, 3], radii[:, None]], axis=1)
+    return np.concatenate([lifted @ world_from_camera[:3, :3].T + world_from_camera[:3, 3], radii[:, None]], axis=1)
 
 
 def _one_bubble(view: View, radiance: Floats, hidden: Mask, centre: Array, radius_mm: float) -> None:

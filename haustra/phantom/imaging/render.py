@@ -75,7 +75,7 @@ class Phantom:
         return other
 
     def film(
-        self, poses: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
+        self, world_from_camera: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
     ) -> Iterator[Frame]:
         """Frames along world_from_camera (N,4,4); the gain adapts from one to the next.
 
@@ -83,53 +83,63 @@ class Phantom:
         """
         fps = self.config.motion.fps
         sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed, fps)
-        foams = {slot.number: self._foam(poses, slot) for slot in timeline if slot.kind == "bubbles"}
+        foams = {slot.number: self._foam(world_from_camera, slot) for slot in timeline if slot.kind == "bubbles"}
 
         def look(index: int) -> Look:
             walls = [peristalsis.wall(frame) if peristalsis else None for frame in (index, index + 1)]
-            seen = self.look(poses[index], _upcoming(poses, index), *walls)
+            seen = self.look(world_from_camera[index], _next_camera(world_from_camera, index), *walls)
             for slot in timeline:
                 if slot.kind in OBSTACLES and slot.first <= index <= slot.last:
-                    seen = self._obstructed(seen, poses[index], slot, index, foams.get(slot.number))
+                    seen = self._obstructed(seen, world_from_camera[index], slot, index, foams.get(slot.number))
             return seen
 
-        for index, seen in enumerate(_ahead(look, len(poses), self.threads)):
+        for index, seen in enumerate(_ahead(look, len(world_from_camera), self.threads)):
             yield develop(seen, sensor, np.random.default_rng([self.config.seed, 3, index]))
 
-    def shoot(self, pose: Array, upcoming: Array, sensor: Sensor, rng: np.random.Generator) -> Frame:
-        """One frame from `pose`; `upcoming` is where the camera is one frame later (for motion blur)."""
-        return develop(self.look(pose, upcoming), sensor, rng)
+    def shoot(
+        self, world_from_camera: Array, next_world_from_camera: Array, sensor: Sensor, rng: np.random.Generator
+    ) -> Frame:
+        """One frame from `world_from_camera`; `next_world_from_camera` is one frame later, for motion blur."""
+        return develop(self.look(world_from_camera, next_world_from_camera), sensor, rng)
 
     def look(
-        self, pose: Array, upcoming: Array, moved: MovedWall | None = None, next_moved: MovedWall | None = None
+        self,
+        world_from_camera: Array,
+        next_world_from_camera: Array,
+        moved: MovedWall | None = None,
+        next_moved: MovedWall | None = None,
     ) -> Look:
-        """Light and truth from `pose`, with the wall at rest or moved, and moving on to `next_moved`.
+        """Radiance and truth from one camera (4,4); the wall is at rest, or moved and moving on to `next_moved`.
 
-        The shutter is open from half its time before `pose` to half its time after: truth is that of mid-exposure.
+        `world_from_camera` and truth are those of mid-exposure; `next_world_from_camera` gives the motion blur.
         """
         caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, self.threads)
-        hits = caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+        hits = caster.cast(world_from_camera[:3, 3], self.rays @ world_from_camera[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
-        radiance = self._radiance(pose, hits, points, caster, moved)
+        radiance = self._radiance(world_from_camera, hits, points, caster, moved)
         shutter = self.config.imaging.shutter
         if shutter:
             moving = moved is not None or next_moved is not None
             then = self._wall_points(hits, next_moved) if moving else None
-            radiance = smear(radiance, self._flow(points, hits.valid, pose, upcoming, then), shutter)
+            radiance = smear(
+                radiance, self._flow(points, hits.valid, world_from_camera, next_world_from_camera, then), shutter
+            )
         shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(WIDEST_DEG)))
         wall = np.where(shown, points[..., 2], 0.0).astype(np.float32)
         triangle = np.where(shown, hits.triangle.astype(np.int64), -1)
         return Look(radiance, wall, points, triangle, np.zeros(shown.shape, bool))
 
-    def _radiance(self, pose: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None) -> Floats:
-        rotation = pose[:3, :3].astype(np.float32)
+    def _radiance(
+        self, world_from_camera: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None
+    ) -> Floats:
+        rotation = world_from_camera[:3, :3].astype(np.float32)
         safe = np.where(hits.valid, hits.triangle, 0)
         row, column = self.colon.grid_position(safe, hits.bary)
         albedo, gloss, normals = self.texture.sample(row, column, self._footprint(points))
         if moved is not None:
             normals = normals + self._interpolated(moved.normal_change, safe, hits.bary)
             normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-        lit = self._lit(pose, points, caster)
+        lit = self._lit(world_from_camera, points, caster)
         radiance = shade(points, normals @ rotation, albedo, gloss, lit, self.config.imaging)
         return np.where(hits.valid[..., None], radiance, 0.0).astype(np.float32)
 
@@ -143,17 +153,17 @@ class Phantom:
         """Size of a pixel on the wall (H,W) mm, a compromise between frontal and grazing views."""
         return 1.3 * _distance_ahead(points) / np.float32(self.camera.params[0])
 
-    def _lit(self, pose: Array, points: Floats, caster: RayCaster) -> Floats:
+    def _lit(self, world_from_camera: Array, points: Floats, caster: RayCaster) -> Floats:
         """How much of each light every point sees (L,H,W), tested at every second pixel: shadows are soft."""
         lights = light_positions(self.config.imaging)
         height, width = points.shape[:2]
         if not self.config.imaging.shadows:
             return np.ones((len(lights), height, width), np.float32)
-        rotation = pose[:3, :3].astype(np.float32)
+        rotation = world_from_camera[:3, :3].astype(np.float32)
         tested = points[::2, ::2]
         lit = np.empty((len(lights), height, width), np.float32)
         for index, light in enumerate(lights):
-            origin = (rotation @ light + pose[:3, 3]).astype(np.float32)
+            origin = (rotation @ light + world_from_camera[:3, 3]).astype(np.float32)
             blocked = caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
             soft = cv2.GaussianBlur(1 - blocked.astype(np.float32), (0, 0), PENUMBRA_PX)
             lit[index] = _doubled(soft, width, height)
@@ -165,7 +175,12 @@ class Phantom:
         return self._interpolated(vertices, np.where(hits.valid, hits.triangle, 0), hits.bary)
 
     def _flow(
-        self, points: NDArray[Any], valid: NDArray[np.bool_], pose: Array, upcoming: Array, then: NDArray[Any] | None
+        self,
+        points: NDArray[Any],
+        valid: NDArray[np.bool_],
+        world_from_camera: Array,
+        next_world_from_camera: Array,
+        then: NDArray[Any] | None,
     ) -> Floats:
         """Where each pixel's wall point goes by the next frame (H,W,2) px; 0 where unknown.
 
@@ -173,22 +188,22 @@ class Phantom:
         """
         height, width = valid.shape
         points, valid = points[::2, ::2], valid[::2, ::2]  # motion is smooth: every second pixel tells enough
-        world = points @ pose[:3, :3].T + pose[:3, 3] if then is None else then[::2, ::2]
-        moved = (world - upcoming[:3, 3]) @ upcoming[:3, :3]
+        world = points @ world_from_camera[:3, :3].T + world_from_camera[:3, 3] if then is None else then[::2, ::2]
+        moved = (world - next_world_from_camera[:3, 3]) @ next_world_from_camera[:3, :3]
         flow = self.camera.project(moved) - self.camera.project(points)
         known = np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
         return _doubled(known, width, height)
 
-    def _foam(self, poses: Array, slot: Slot) -> Array:
+    def _foam(self, world_from_camera: Array, slot: Slot) -> Array:
         """Where a slot's bubbles sit on the wall: in view in its middle."""
-        pose = poses[(slot.first + slot.last) // 2]
-        hits = self.caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+        middle = world_from_camera[(slot.first + slot.last) // 2]
+        hits = self.caster.cast(middle[:3, 3], self.rays @ middle[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
-        return place_foam(points, pose, np.random.default_rng([self.config.seed, 9, slot.number + 1]))
+        return place_foam(points, middle, np.random.default_rng([self.config.seed, 9, slot.number + 1]))
 
-    def _obstructed(self, seen: Look, pose: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
+    def _obstructed(self, seen: Look, world_from_camera: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
         nothing = np.empty((0, 4)) if foam is None else foam
-        view = View(self.camera, self.config.imaging, self.rays, pose, seen.points, seen.radiance, nothing)
+        view = View(self.camera, self.config.imaging, self.rays, world_from_camera, seen.points, seen.radiance, nothing)
         rng = np.random.default_rng([self.config.seed, 7, slot.number + 1])
         radiance, hidden = OBSTACLES[slot.kind](view, slot, frame, rng)
         return replace(seen, radiance=radiance.astype(np.float32), hidden=seen.hidden | hidden)
@@ -212,11 +227,13 @@ def _distance_ahead(points: Floats) -> Floats:
     return np.maximum(points[..., 2], np.float32(0.1) * np.sqrt(np.einsum("hwc,hwc->hw", points, points)))
 
 
-def _upcoming(poses: Array, index: int) -> Array:
-    """The next pose; after the last one the motion goes on."""
-    if index + 1 < len(poses):
-        return poses[index + 1]
-    return poses[-1] if len(poses) == 1 else poses[-1] @ np.linalg.inv(poses[-2]) @ poses[-1]
+def _next_camera(world_from_camera: Array, index: int) -> Array:
+    """`world_from_camera` (4,4) one frame later; after the last one, by the same motion as before."""
+    if index + 1 < len(world_from_camera):
+        return world_from_camera[index + 1]
+    if len(world_from_camera) == 1:
+        return world_from_camera[-1]
+    return world_from_camera[-1] @ np.linalg.inv(world_from_camera[-2]) @ world_from_camera[-1]
 
 
 @contextmanager

@@ -7,15 +7,15 @@ if TYPE_CHECKING:
     from haustra.phantom.motion.camera_path import clearance as clearance
     from haustra.phantom.motion.camera_path import plan_camera_path as plan_camera_path
     from haustra.phantom.motion.peristalsis import Peristalsis as Peristalsis
-    from haustra.phantom.motion.viewpoints import random_pose as random_pose
+    from haustra.phantom.motion.viewpoints import random_viewpoint as random_viewpoint
 
 _MODULE_OF = {
     "Peristalsis": "peristalsis",
     "plan_camera_path": "camera_path",
     "clearance": "camera_path",
-    "random_pose": "viewpoints",
+    "random_viewpoint": "viewpoints",
 }
-__all__ = ["Peristalsis", "clearance", "plan_camera_path", "random_pose"]
+__all__ = ["Peristalsis", "clearance", "plan_camera_path", "random_viewpoint"]
 
 
 def __getattr__(name: str) -> Any:

@@ -50,13 +50,13 @@ def plan_camera_path(
     looks = np.radians(motion.look_deg) * _swings(2, motion, clock, rng)
     rolls = np.radians(motion.roll_deg) * _swings(1, motion, clock, rng)
     turns = _look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
-    poses = np.tile(np.eye(4), (motion.frames, 1, 1))
-    poses[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
+    world_from_camera = np.tile(np.eye(4), (motion.frames, 1, 1))
+    world_from_camera[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
     if any(slot.kind in SUDDEN for slot in timeline):
         positions = positions + np.einsum("nij,nj->ni", turns, _bending(colon, motion, timeline, seed))
         positions = _keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
-    poses[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
-    return poses
+    world_from_camera[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
+    return world_from_camera
 
 
 def clearance(colon: Colon, caster: RayCaster, points: Array) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ TRIES = 200
 MOST_MISSES = 0.006  # part of the image that may look out of the open ends
 
 
-def random_pose(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
+def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
     """A world_from_camera (4,4) inside the lumen that sees wall (almost) everywhere. `rays` are (H,W,3)."""
     names = list(KINDS)
     kind = names[rng.choice(len(names), p=[KINDS[name][0] for name in names])]
@@ -32,15 +32,15 @@ def random_pose(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng:
     probe = rays[:: max(1, rays.shape[0] // 24), :: max(1, rays.shape[1] // 24)].reshape(-1, 3)
     best, fewest = None, np.inf
     for _ in range(TRIES):
-        pose = _draw(colon, tilts, rng)
-        if not distances[0] < clearance(colon, caster, pose[None, :3, 3])[0][0] < distances[1]:
+        world_from_camera = _draw(colon, tilts, rng)
+        if not distances[0] < clearance(colon, caster, world_from_camera[None, :3, 3])[0][0] < distances[1]:
             continue
-        hits = caster.cast(pose[:3, 3], probe @ pose[:3, :3].T)
+        hits = caster.cast(world_from_camera[:3, 3], probe @ world_from_camera[:3, :3].T)
         misses = float(np.mean(~hits.valid))
         if misses <= MOST_MISSES:
-            return pose
+            return world_from_camera
         if misses < fewest:
-            best, fewest = pose, misses
+            best, fewest = world_from_camera, misses
     if best is None:
         raise PhantomError(f"no view of kind {kind!r} in {TRIES} tries: the lumen is too narrow")
     return best
@@ -57,6 +57,9 @@ def _draw(colon: Colon, tilts: tuple[float, float], rng: np.random.Generator) ->
     roll, pan = rng.uniform(0, 2 * np.pi, 2)
     tilt = np.radians(rng.uniform(*tilts))
     lean = Rotation.from_rotvec(tilt * np.array([np.cos(pan), np.sin(pan), 0.0]))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = frame @ (lean * Rotation.from_rotvec([0, 0, roll])).as_matrix(), position
-    return pose
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = (
+        frame @ (lean * Rotation.from_rotvec([0, 0, roll])).as_matrix(),
+        position,
+    )
+    return world_from_camera
