@@ -1,4 +1,4 @@
-"""What a film will show, before it is shot: when things happen, where the camera goes, how the wall moves."""
+"""Script of a video before it is rendered: timeline, camera path, motion of the wall."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from haustra.phantom.timeline import Slot, plan_timeline
 
 @dataclass(frozen=True)
 class Script:
-    """A phantom's film as its config wants it: what `Phantom.film` takes, in that order."""
+    """The arguments of `Phantom.film`, in that order."""
 
     world_from_camera: NDArray[np.float64]  # (N,4,4) mm
     timeline: list[Slot]
@@ -23,7 +23,7 @@ class Script:
 
 
 def write_script(phantom: Phantom) -> Script:
-    """Raises PhantomError where the film is too short for its slots, or the path leaves the lumen."""
+    """Script by a phantom's config. PhantomError if the video is too short or the path leaves the lumen."""
     config, colon = phantom.config, phantom.colon
     timeline = plan_timeline(config.motion, config.events, config.seed)
     world_from_camera = plan_camera_path(colon, phantom.caster, config.motion, config.seed, timeline)

@@ -1,6 +1,6 @@
 """Training frames without video: many colons, few views each, in memory-mappable arrays.
 
-    python -m phantom.shards OUT --frames 3000 --size 192 --seed 0 --workers 2
+    python -m haustra.phantom.dataset.shards OUT --frames 3000 --size 192 --seed 0 --workers 2
 
 writes shards.json, the arguments, and
 
@@ -40,21 +40,21 @@ FRAMES_PER_COLON = 20  # a colon takes as long to make as about 40 frames
 
 @dataclass(frozen=True)
 class ShardPlan:
-    """What to render and where to."""
+    """Training frames to render, and the folder they go to."""
 
     folder: Path
     frames: int
     size: int  # px, square
     seed: int
-    scene: str | None = (
-        None  # a named scene, of which only the seed varies; None draws anatomy, looks and lens at random
-    )
+    scene: str | None = None  # named scene with varying seed; None draws anatomy, appearance and lens at random
 
     @property
     def colons(self) -> int:
+        """Number of colons that the frames need."""
         return -(-self.frames // FRAMES_PER_COLON)
 
     def arrays(self) -> dict[str, tuple[type, tuple[int, ...]]]:
+        """Type and shape of each array by its file's stem."""
         count, size = self.frames, self.size
         return {
             "images": (np.uint8, (count, size, size, 3)),
@@ -116,6 +116,7 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
 
 
 def _config(plan: ShardPlan, rng: np.random.Generator) -> PhantomConfig:
+    """Config of one colon: random, or the named scene with a random seed."""
     if plan.scene is None:
         return randomised(rng, plan.size)
     return film_of(scene_config(plan.scene, int(rng.integers(2**31))), size=plan.size)

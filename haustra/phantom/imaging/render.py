@@ -1,4 +1,4 @@
-"""A phantom that can be filmed: mesh, texture, lens and light put together, and what comes in between."""
+"""Rendering of a phantom: mesh, texture, lens and light to images with exact depth and triangle indices."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from haustra.phantom.timeline import Slot
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
-PENUMBRA_PX = 1.2  # light guides are not points
-SHADOW_REACH = 0.99  # shadow rays stop short of the wall they end on
-WIDEST_DEG = 85.0  # off axis: beyond, z-depth shrinks to nothing whatever the distance, and truth is not given
+PENUMBRA_PX = 1.2  # blur of shadows, standard deviation: light guides are not points
+SHADOW_REACH = 0.99  # length of shadow rays over the distance to the wall point, which must not block itself
+MAX_OFF_AXIS_DEG = 85.0  # beyond, z-depth tends to 0 whatever the distance, and no truth is given
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture with its truth."""
+    """One image with its truth."""
 
     image: NDArray[np.uint8]  # (H,W,3) RGB
     depth: Floats  # (H,W) z-depth mm, 0 where no wall is seen
@@ -44,17 +44,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class Look:
-    """What reaches the lens, before any sensor."""
+    """Radiance at the lens and truth of one frame, before the sensor."""
 
     radiance: Floats  # (H,W,3)
     wall: Floats  # (H,W) z-depth of the wall behind whatever hides it, mm; 0 = none, or seen too far off axis
     points: Floats  # (H,W,3) wall in camera axes, mm; zero where the ray leaves through an open end
     triangle: NDArray[np.int64]  # (H,W), -1 where no wall
-    hidden: NDArray[np.bool_]  # (H,W) something is in between
+    hidden: NDArray[np.bool_]  # (H,W) an obstacle hides the wall
 
 
 class Phantom:
-    """One colon, painted, with a camera. Geometry and texture are built once; frames are cheap."""
+    """A textured colon with a camera. Geometry and texture are built once per phantom."""
 
     def __init__(self, config: PhantomConfig, threads: int = 0) -> None:
         """`threads` 0 uses every core; the frames do not depend on it."""
@@ -77,9 +77,9 @@ class Phantom:
     def film(
         self, world_from_camera: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
     ) -> Iterator[Frame]:
-        """Frames along world_from_camera (N,4,4); the gain adapts from one to the next.
+        """Frames along `world_from_camera` (N,4,4); the gain adapts from one to the next.
 
-        What reaches the lens is made a few frames ahead on every core; the sensor takes it in order.
+        Radiance is rendered a few frames ahead on every core; the sensor takes it in order.
         """
         fps = self.config.motion.fps
         sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed, fps)
@@ -124,7 +124,7 @@ class Phantom:
             radiance = smear(
                 radiance, self._flow(points, hits.valid, world_from_camera, next_world_from_camera, then), shutter
             )
-        shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(WIDEST_DEG)))
+        shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(MAX_OFF_AXIS_DEG)))
         wall = np.where(shown, points[..., 2], 0.0).astype(np.float32)
         triangle = np.where(shown, hits.triangle.astype(np.int64), -1)
         return Look(radiance, wall, points, triangle, np.zeros(shown.shape, bool))
@@ -150,11 +150,11 @@ class Phantom:
         return np.einsum("hwkc,hwk->hwc", corners, weights)
 
     def _footprint(self, points: Floats) -> Floats:
-        """Size of a pixel on the wall (H,W) mm, a compromise between frontal and grazing views."""
+        """Footprint of a pixel on the wall (H,W) mm, 1.3 times that of a frontal view."""
         return 1.3 * _distance_ahead(points) / np.float32(self.camera.params[0])
 
     def _lit(self, world_from_camera: Array, points: Floats, caster: RayCaster) -> Floats:
-        """How much of each light every point sees (L,H,W), tested at every second pixel: shadows are soft."""
+        """Visibility (L,H,W) in [0,1] of each light from every point (H,W,3), cast at every second pixel."""
         lights = light_positions(self.config.imaging)
         height, width = points.shape[:2]
         if not self.config.imaging.shadows:
@@ -170,7 +170,7 @@ class Phantom:
         return lit
 
     def _wall_points(self, hits: Hits, moved: MovedWall | None) -> NDArray[Any]:
-        """Where the surface points that were hit are (H,W,3) mm, world, on the wall at rest or moved."""
+        """World positions (H,W,3) mm of the surface points that were hit, on the wall at rest or moved."""
         vertices = self.colon.vertices if moved is None else moved.vertices
         return self._interpolated(vertices, np.where(hits.valid, hits.triangle, 0), hits.bary)
 
@@ -182,12 +182,12 @@ class Phantom:
         next_world_from_camera: Array,
         then: NDArray[Any] | None,
     ) -> Floats:
-        """Where each pixel's wall point goes by the next frame (H,W,2) px; 0 where unknown.
+        """Optical flow (H,W,2) px of each pixel's wall point to the next frame; 0 where unknown.
 
-        `then` (H,W,3) is where in the world it is by that time; None if the wall rests.
+        `then` (H,W,3) is the point's world position in the next frame; None if the wall is at rest.
         """
         height, width = valid.shape
-        points, valid = points[::2, ::2], valid[::2, ::2]  # motion is smooth: every second pixel tells enough
+        points, valid = points[::2, ::2], valid[::2, ::2]  # flow is smooth: every second pixel suffices
         world = points @ world_from_camera[:3, :3].T + world_from_camera[:3, 3] if then is None else then[::2, ::2]
         moved = (world - next_world_from_camera[:3, 3]) @ next_world_from_camera[:3, :3]
         flow = self.camera.project(moved) - self.camera.project(points)
@@ -195,7 +195,7 @@ class Phantom:
         return _doubled(known, width, height)
 
     def _foam(self, world_from_camera: Array, slot: Slot) -> Array:
-        """Where a slot's bubbles sit on the wall: in view in its middle."""
+        """Bubbles (K,4) of a slot, on wall that is in view in its middle frame."""
         middle = world_from_camera[(slot.first + slot.last) // 2]
         hits = self.caster.cast(middle[:3, 3], self.rays @ middle[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
@@ -210,7 +210,7 @@ class Phantom:
 
 
 def develop(seen: Look, sensor: Sensor, rng: np.random.Generator) -> Frame:
-    """Light to picture; truth only where the picture shows wall."""
+    """Radiance to image; truth only where the image shows the wall."""
     shown = sensor.window & ~seen.hidden
     depth, triangle = np.where(shown, seen.wall, np.float32(0)), np.where(shown, seen.triangle, -1)
     return Frame(sensor.expose(seen.radiance, rng, _distance_ahead(seen.points)), depth, triangle)

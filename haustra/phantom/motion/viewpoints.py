@@ -1,4 +1,4 @@
-"""Single camera poses for training: down the lumen, oblique, facing the wall, and close to it."""
+"""Single viewpoints for training: down the lumen, oblique, facing the wall, and close to it."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ KINDS = {
     "en face": (0.12, (70.0, 110.0), (6.0, 100.0)),
     "close": (0.16, (0.0, 80.0), (2.5, 7.0)),
 }
-TRIES = 200
-MOST_MISSES = 0.006  # part of the image that may look out of the open ends
+TRIES = 200  # draws before the best viewpoint so far is taken
+MAX_MISSES = 0.006  # share of the image that may look out of the open ends
 
 
 def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
-    """A world_from_camera (4,4) inside the lumen that sees wall (almost) everywhere. `rays` are (H,W,3)."""
+    """Random `world_from_camera` (4,4) inside the lumen; at most MAX_MISSES of `rays` (H,W,3) leave by open ends."""
     names = list(KINDS)
     kind = names[rng.choice(len(names), p=[KINDS[name][0] for name in names])]
     _, tilts, distances = KINDS[kind]
@@ -37,7 +37,7 @@ def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32],
             continue
         hits = caster.cast(world_from_camera[:3, 3], probe @ world_from_camera[:3, :3].T)
         misses = float(np.mean(~hits.valid))
-        if misses <= MOST_MISSES:
+        if misses <= MAX_MISSES:
             return world_from_camera
         if misses < fewest:
             best, fewest = world_from_camera, misses
@@ -47,7 +47,7 @@ def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32],
 
 
 def _draw(colon: Colon, tilts: tuple[float, float], rng: np.random.Generator) -> Array:
-    """A pose anywhere in the tube, looking either way, tilted by an angle within `tilts` degrees."""
+    """Random `world_from_camera` (4,4) in the lumen, looking either way, tilted by an angle within `tilts` degrees."""
     length = colon.line.arc[-1]
     centre, frame = colon.line.at(np.array(rng.uniform(0.08, 0.92) * length))
     around, out = rng.uniform(0, 2 * np.pi), 0.9 * colon.anatomy.radius_mm * np.sqrt(rng.uniform())
