@@ -28,14 +28,14 @@ def holed():
 @pytest.fixture(scope="module")
 def holed_bend():
     """The same hole in a torus, on the side of the bend's centre."""
-    mesh, poses = tube(bent, HOLE, length=100.0), cameras(bent, end=60.0)
-    return mesh, poses, measure_coverage(mesh, poses)
+    mesh, world_from_camera = tube(bent, HOLE, length=100.0), cameras(bent, end=60.0)
+    return mesh, world_from_camera, measure_coverage(mesh, world_from_camera)
 
 
 def test_a_whole_tube_is_seen_whole():
     """By cameras that go in and come out again: the path is one line all the same."""
-    poses = cameras(straight)
-    coverage = measure_coverage(tube(straight), np.concatenate([poses, poses[::-1]]))
+    world_from_camera = cameras(straight)
+    coverage = measure_coverage(tube(straight), np.concatenate([world_from_camera, world_from_camera[::-1]]))
     assert (coverage.share, coverage.regions) == (1.0, [])
     assert coverage.radius == pytest.approx(RADIUS, rel=0.02)
     # Half a view of 45 degrees: wall leaves the picture one radius ahead of the camera.
@@ -107,17 +107,19 @@ def test_only_the_visited_stretch_is_judged():
 
 
 def test_cameras_that_look_the_other_way_turn_the_line_round():
-    poses = cameras(straight, start=30.0)
-    poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_euler("y", 180, degrees=True).as_matrix()
-    coverage = measure_coverage(tube(straight, patch(35, 50, 60, 120)), poses)
+    world_from_camera = cameras(straight, start=30.0)
+    world_from_camera[:, :3, :3] = (
+        world_from_camera[:, :3, :3] @ Rotation.from_euler("y", 180, degrees=True).as_matrix()
+    )
+    coverage = measure_coverage(tube(straight, patch(35, 50, 60, 120)), world_from_camera)
     (region,) = [r for r in coverage.regions if r.diameter > 2]
     assert region.clock == pytest.approx(9.0, abs=0.2)  # right becomes left
     assert region.arc == pytest.approx(90 - RADIUS - 42.5, abs=2)
 
 
 def test_the_line_of_a_bend_lies_in_its_middle():
-    mesh, poses = tube(bent, patch(20, 45, 100, 200), length=94.0), cameras(bent, end=60, off=6.0)
-    line = trace_centreline(mesh, poses, lumen_radius(WallRays(mesh), poses))
+    mesh, world_from_camera = tube(bent, patch(20, 45, 100, 200), length=94.0), cameras(bent, end=60, off=6.0)
+    line = trace_centreline(mesh, world_from_camera, lumen_radius(WallRays(mesh), world_from_camera))
     inside = (line.points[:, 2] > 10) & (line.points[:, 0] < 45)
     to_centre = np.hypot(line.points[:, 0] - BEND, line.points[:, 2])[inside]
     np.testing.assert_allclose(to_centre, BEND, atol=2.0)
@@ -133,12 +135,12 @@ def test_the_line_of_a_bend_lies_in_its_middle():
     seed=st.integers(0, 99),
 )
 def test_the_answer_moves_turns_and_scales_with_the_mesh(holed_bend, turn, shift, scale, seed):
-    mesh, poses, here = holed_bend
+    mesh, world_from_camera, here = holed_bend
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
     order = np.random.default_rng(seed).permutation(len(mesh.vertices))
     shuffled = SurfaceMesh.from_triangles(mesh.vertices[order], np.argsort(order)[mesh.faces])
-    other_poses = moved @ poses
+    other_poses = moved @ world_from_camera
     other_poses[:, :3, 3] *= scale
     similarity = np.diag([scale, scale, scale, 1.0]) @ moved
     there = measure_coverage(shuffled.transformed(similarity), other_poses)
@@ -154,7 +156,7 @@ def test_the_answer_moves_turns_and_scales_with_the_mesh(holed_bend, turn, shift
 
 def test_what_is_no_tube_gets_one_sentence():
     plane = tube(straight, lambda s, angle: np.abs(angle - np.pi) > 0.9)
-    for mesh, poses, words in (
+    for mesh, world_from_camera, words in (
         (SurfaceMesh.from_triangles([], []), cameras(straight), "no surface"),
         (tube(straight), cameras(straight, count=1), "one camera"),
         (tube(straight), cameras(straight, start=40, end=41, off=0), "hardly moves"),
@@ -162,7 +164,7 @@ def test_what_is_no_tube_gets_one_sentence():
         (tube(straight, lambda s, angle: s > 5), cameras(straight, start=50), "judge"),
     ):
         with pytest.raises(NotATube, match=words):
-            measure_coverage(mesh, poses)
+            measure_coverage(mesh, world_from_camera)
 
 
 def test_the_map_shows_the_hole_where_it_is(holed):
@@ -216,7 +218,7 @@ def _around(mesh):
     return centres[:, 0], -centres[:, 1]
 
 
-def test_the_fringe_gives_back_what_voxels_take(holed):
+def test_the_edge_tolerance_gives_back_what_voxels_take(holed):
     mesh, bare = holed
     tolerant = measure_coverage(mesh, cameras(straight), edge_tolerance=1.5)
     lost = bare.regions[0].area - tolerant.regions[0].area

@@ -91,9 +91,9 @@ def write_folder(folder, model="PINHOLE", distortion=(), frames=2):
     params = [50.0, 50.0, 40.0, 30.0, *distortion]
     camera = {"model": model, "width": 80, "height": 60, "params": params, "fps": 30, "depth_unit_mm": 0.01}
     (folder / "camera.json").write_text(json.dumps(camera))
-    poses = np.tile(np.eye(4), (frames, 1, 1))
-    poses[:, 0, 3] = np.arange(frames)
-    write_tum(folder / "trajectory.txt", np.arange(frames) / 30, poses)
+    world_from_camera = np.tile(np.eye(4), (frames, 1, 1))
+    world_from_camera[:, 0, 3] = np.arange(frames)
+    write_tum(folder / "trajectory.txt", np.arange(frames) / 30, world_from_camera)
     depth = np.repeat(np.array([2000, 8000], np.uint16), 30)[:, None] * np.ones((1, 80), np.uint16)
     for number in range(frames):
         cv2.imwrite(str(folder / "depth" / f"{number:05d}.png"), depth)
@@ -155,12 +155,12 @@ def test_true_depth_of_a_colon_fuses_to_its_surface():
     folder = shared("ctcolon")
     camera = json.loads((folder / "camera.json").read_text())
     fx, fy, cx, cy = camera["params"]
-    _, poses = read_tum(folder / "trajectory.txt")
+    _, world_from_camera = read_tum(folder / "trajectory.txt")
     fusion = SurfaceFusion(FusionSettings(voxel_size=0.7))
     for number in range(0, 80, 4):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
         depth = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / 100
-        fusion.integrate(rgb, depth, None, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), poses[number])
+        fusion.integrate(rgb, depth, None, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), world_from_camera[number])
     mesh, _ = drop_small_components(fusion.extract(), min_fraction=0.01)
     errors = surface_errors(mesh, read_reference_surface(folder, every=4), 1.0, np.random.default_rng(0))
     assert errors.f_score > 0.97
