@@ -26,7 +26,7 @@ from pipeline.compare import compare_run
 from pipeline.depth.rectification import make_rectifier
 from pipeline.surface.coverage_stage import half_field_of_view, lens_field_of_view
 from reconstruction.coverage.coverage import measure_coverage
-from reconstruction.coverage.visibility import Picture
+from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
@@ -66,8 +66,8 @@ def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageError
     (mesh, content), (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
     half, picture = half_field_of_view(rays, pinhole, content), lens_field_of_view(rays, content)
 
-    def errors(fringe: float, picture: Picture | None) -> CoverageErrors:
-        return coverage_errors(measure_coverage(mesh, poses, half, "mm", fringe * VOXEL_MM, picture), wall)
+    def errors(fringe: float, field_of_view: FieldOfView | None) -> CoverageErrors:
+        return coverage_errors(measure_coverage(mesh, poses, half, "mm", fringe * VOXEL_MM, field_of_view), wall)
 
     return {fringe: errors(fringe, picture) for fringe in FRINGES}, errors(USED_FRINGE, None)
 

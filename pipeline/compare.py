@@ -11,7 +11,7 @@ from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
-from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import SurfaceErrors, surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import (
@@ -109,14 +109,14 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
     return coverage_errors(coverage.transformed(truth_from_run), wall)
 
 
-def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], ObservedTruth | None]:
+def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], ReferenceSurface | None]:
     """Seconds, poses, and the surface if there is one."""
     if truth.is_dir():
         trajectory = truth / "trajectory.txt"
         if not trajectory.exists():
             raise HaustraError(f"{truth} is no RGB-D folder with truth: it has no trajectory.txt")
         has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
-        return *read_tum(trajectory), observed_truth(truth) if has_surface else None
+        return *read_tum(trajectory), read_reference_surface(truth) if has_surface else None
     if truth.suffix in (".tum", ".txt") and truth.is_file():
         return *read_tum(truth), None
     if truth.suffix in (".ply", ".obj", ".stl", ".glb") and truth.is_file():

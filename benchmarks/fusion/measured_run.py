@@ -24,7 +24,7 @@ from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
-from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses, associate
@@ -80,8 +80,8 @@ class MeasuredRun:
         self.after = self._posed(refined) if self.moved else self.before
 
     @cached_property
-    def truth(self) -> ObservedTruth:
-        return observed_truth(self.folder)
+    def truth(self) -> ReferenceSurface:
+        return read_reference_surface(self.folder)
 
     @cached_property
     def views(self) -> dict[int, KeyframeView]:
@@ -170,7 +170,7 @@ class FusedMap:
         self.depths = [depth * np.float32(factor) for (depth, _), factor in zip(made, factors, strict=True)]
         self.confidences = [confidence for _, confidence in made]
 
-    def figures(self, weighted: bool, consistent: bool, config: Config, truth: ObservedTruth) -> Figures:
+    def figures(self, weighted: bool, consistent: bool, config: Config, truth: ReferenceSurface) -> Figures:
         """Errors of the fused surface in mm, and how many keyframes were left out as contradicted."""
         part, floor, left_out = self.posed.part, config.fusion.min_confidence, 0
         weights = self._weights(weighted, floor)
@@ -203,7 +203,7 @@ def ranges(part: CompletedSubmap, config: Config) -> FusionSettings:
     return settings
 
 
-def errors_of(mesh: SurfaceMesh, truth: ObservedTruth) -> Figures:
+def errors_of(mesh: SurfaceMesh, truth: ReferenceSurface) -> Figures:
     """As `haustra compare`; an empty mesh has an F of 0 and no distances."""
     if not len(mesh.faces):
         return {"f_score": 0.0, "precision": 0.0, "recall": 0.0, "accuracy_mean": None, "completeness_mean": None}

@@ -47,7 +47,7 @@ from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.run_folder.workspace import create_workspace
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
-from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth
+from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses, trajectory_errors
@@ -112,7 +112,9 @@ def is_false(
     return bool(np.degrees(turn) > FALSE_DEG or shift > FALSE_SHIFT)
 
 
-def surface_figures(part: CompletedSubmap, truth: np.ndarray, wall: ObservedTruth, config: Config) -> dict[str, float]:
+def surface_figures(
+    part: CompletedSubmap, truth: np.ndarray, wall: ReferenceSurface, config: Config
+) -> dict[str, float]:
     settings = fusion_ranges(part, config.fusion)
     assert settings is not None
     fusion, check = SurfaceFusion(settings), ConsistencyCheck(part, config.consistency, config.fusion.min_confidence)
@@ -150,7 +152,7 @@ def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) ->
     if closed.kept:
         adjusted = adjust_loops(places[0], closed)
         states |= {"graph": closed.part} | ({"after": adjusted} if adjusted else {})
-    wall = observed_truth(folder) if with_surface and closed.kept else None
+    wall = read_reference_surface(folder) if with_surface and closed.kept else None
     for name, state in states.items():
         figures[name] = path_figures(state, truth)
         if wall is not None:

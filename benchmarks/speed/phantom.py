@@ -48,14 +48,14 @@ def filmed(phantom: Phantom, script: Script) -> float:
     with tempfile.TemporaryDirectory() as folder:
         start = time.monotonic()
         film_into(Path(folder), phantom, script)
-        return len(script.poses) / (time.monotonic() - start)
+        return len(script.world_from_camera) / (time.monotonic() - start)
 
 
-def cast_only(caster: RayCaster, phantom: Phantom, poses: np.ndarray) -> float:
+def cast_only(caster: RayCaster, phantom: Phantom, world_from_camera: np.ndarray) -> float:
     start = time.monotonic()
-    for pose in poses:
-        caster.cast(pose[:3, 3], phantom.rays @ pose[:3, :3].T.astype(np.float32))
-    return len(poses) / (time.monotonic() - start)
+    for transform in world_from_camera:
+        caster.cast(transform[:3, 3], phantom.rays @ transform[:3, :3].T.astype(np.float32))
+    return len(world_from_camera) / (time.monotonic() - start)
 
 
 def measure_film(label: str, settings: dict[str, Any], runs: int, frames: int) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def measure_film(label: str, settings: dict[str, Any], runs: int, frames: int) -
     rates: dict[str, list[float]] = {label: [], "ray casting alone": []}
     for _ in range(runs):
         rates[label].append(filmed(phantom, script))
-        rates["ray casting alone"].append(cast_only(every_core, phantom, script.poses))
+        rates["ray casting alone"].append(cast_only(every_core, phantom, script.world_from_camera))
     ratios = [ours / theirs for ours, theirs in zip(*rates.values(), strict=True)]
     size = f"{config.camera.width}x{config.camera.height}, {len(phantom.colon.triangles)} triangles"
     for name, values in rates.items():

@@ -1,4 +1,4 @@
-"""What a phantom is made of: every number with its unit and its reason.
+"""Configuration of a phantom: every number with its unit and its reason.
 
 Lengths are millimetres, angles degrees, colours linear RGB in [0, 1]. One seed fixes geometry, texture and path.
 """
@@ -119,7 +119,7 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How the scope travels."""
+    """Motion of the scope."""
 
     frames: int = 160  # 5.3 s at 30 fps
     fps: float = 30.0
@@ -145,7 +145,7 @@ class MotionConfig:
 
 @dataclass(frozen=True)
 class EventsConfig:
-    """What happens in front of the lens: how often, and for how long. Truth stays exact through all of it."""
+    """Events in front of the lens: how many, and how long. Depth and mesh stay exact during them."""
 
     red_outs: int = 0  # mucosa covers the lens: nothing can be measured
     water_jets: int = 0  # rinsing: a spray from the tip hides part of the wall
@@ -158,7 +158,7 @@ class EventsConfig:
 
 @dataclass(frozen=True)
 class PhantomConfig:
-    """A whole phantom. Same config, same bytes."""
+    """All settings of a phantom. The same config gives the same bytes."""
 
     seed: int = 0
     anatomy: AnatomyConfig = field(default_factory=AnatomyConfig)
@@ -183,12 +183,14 @@ class PhantomConfig:
 
 
 def _plain(value: Any) -> Any:
+    """The value with tuples as lists, recursively."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _updated(held: Any, values: Any) -> Any:
+    """A config with the (nested) values of a mapping; PhantomError on unknown keys and wrong types."""
     name = type(held).__name__
     if not isinstance(values, dict):
         raise PhantomError(f"{name}: expected a mapping, got {values!r}")
@@ -199,6 +201,7 @@ def _updated(held: Any, values: Any) -> Any:
 
 
 def _restored(name: str, held: Any, value: Any) -> Any:
+    """The value as the type of the one it replaces; PhantomError names the field where that cannot be."""
     if is_dataclass(held):
         return _updated(held, value)
     if isinstance(held, float) and type(value) is int:

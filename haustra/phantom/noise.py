@@ -1,7 +1,7 @@
-"""Smooth random functions: fields in space, and signals along a path.
+"""Smooth noise: fields in space, and signals along a path.
 
-Texture and relief are functions of the 3-D position, not of the unrolled sheet: a sheet is squeezed at fold
-rims and stretched between them, and has a seam; space has neither.
+Texture and relief are functions of the 3-D position, not of the unrolled sheet, which is distorted at fold rims and
+has a seam.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float32]
-MOST_VOXELS = 96  # per axis; a volume that repeats after 96 voxels is not recognised on a curved wall
+MAX_VOXELS = 96  # per axis of a noise volume; the repetition after 96 voxels does not show on a curved wall
 
 
 class SolidNoise:
     """Zero-mean, unit-variance field in space with wavelengths between two sizes in mm.
 
     Amplitude per octave falls as frequency**-slope. A periodic volume is filtered in the Fourier domain once and
-    looked up by trilinear interpolation; its axes are turned at random, so that its period hides.
+    sampled by trilinear interpolation; its axes are rotated at random, so that its period does not show.
     """
 
     def __init__(self, largest_mm: float, smallest_mm: float, rng: np.random.Generator, slope: float = 0.0) -> None:
         self._voxel_mm = 0.5 * smallest_mm
-        count = int(np.clip(3 * largest_mm / self._voxel_mm, 32, MOST_VOXELS))
+        count = int(np.clip(3 * largest_mm / self._voxel_mm, 32, MAX_VOXELS))
         f = fft.fftfreq(count, self._voxel_mm)
         frequency = np.sqrt(f[:, None, None] ** 2 + f[None, :, None] ** 2 + fft.rfftfreq(count, self._voxel_mm) ** 2)
         frequency = np.maximum(frequency, 1e-9).astype(np.float32)
@@ -44,7 +44,7 @@ class SolidNoise:
         return values.reshape(points.shape[:-1])
 
     def coarsely(self, points: Floats, step: int) -> Floats:
-        """Values (R,C) on a sheet of points (R,C,3): the slow look-up at every `step`-th only, interpolated between."""
+        """Values (R,C) on a sheet of points (R,C,3), evaluated at every `step`-th point and interpolated between."""
         coarse = self(points[step // 2 :: step, step // 2 :: step])
         return cv2.resize(coarse, (points.shape[1], points.shape[0]), interpolation=cv2.INTER_LINEAR)
 

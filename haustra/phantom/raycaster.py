@@ -1,4 +1,4 @@
-"""Rays against a triangle mesh: Open3D's Embree behind four functions.
+"""Ray casting against a triangle mesh, by Open3D's Embree.
 
 Open3D is imported on first use: it takes a second and most of the package does without it.
 """
@@ -18,7 +18,7 @@ Floats = NDArray[np.float32]
 
 @cache
 def _open3d() -> Any:
-    """Open3D needs the system's libusb at import; the wheel `libusb-package` carries one where there is none."""
+    """The open3d module, with libusb of `libusb-package` loaded first, which Open3D needs at import."""
     import libusb_package
 
     ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
@@ -37,11 +37,12 @@ class Hits:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
+        """Rays that hit the mesh."""
         return np.isfinite(self.length)
 
 
 class RayCaster:
-    """A triangle mesh that answers rays. Vertices (V,3) float32 mm, triangles (F,3) int."""
+    """Ray casting, occlusion, crossings and nearest points of vertices (V,3) float32 mm, triangles (F,3) int."""
 
     def __init__(self, vertices: NDArray[Any], triangles: NDArray[Any], threads: int = 0) -> None:
         """`threads` 0 uses every core; worker processes pass 1."""
@@ -60,12 +61,12 @@ class RayCaster:
         return Hits(answer["t_hit"].numpy(), answer["primitive_ids"].numpy(), answer["primitive_uvs"].numpy())
 
     def blocked(self, origins: NDArray[Any], directions: NDArray[Any], reach: float) -> NDArray[np.bool_]:
-        """True where something lies within `reach` times the direction's norm."""
+        """Whether a ray meets the mesh within `reach` times its direction's norm."""
         rays = self._pack(origins, directions)
         return self._scene.test_occlusions(rays, tfar=reach, nthreads=self._threads).numpy()
 
     def crossings(self, origins: NDArray[Any], targets: NDArray[Any]) -> NDArray[np.int64]:
-        """How many triangles lie across each straight way from origins to targets (...,3)."""
+        """Number (...) of triangles that each segment from origins to targets (...,3) crosses."""
         rays = self._pack(origins, targets - origins)
         beyond = self._pack(targets, targets - origins)
         all_along, behind = (self._scene.count_intersections(r, nthreads=self._threads).numpy() for r in (rays, beyond))

@@ -1,4 +1,4 @@
-"""Is a frame worth tracking? Black, burnt-out, red-out, blurred and repeated frames are named and left out."""
+"""Is a frame worth tracking? Black, overexposed, red-out, blurred and duplicate frames are named and left out."""
 
 from collections import deque
 from dataclasses import dataclass, field

@@ -20,7 +20,7 @@ from pipeline.matching.place_recognition import Pair, retrieve, retrieve_within,
 from pipeline.matching.sift import detect_sift
 from pipeline.matching.sim3_match import Sim3Match, verify_match
 from reconstruction.fusion.depth_consistency import DepthView, agreement
-from reconstruction.pose_graph import tie_information, with_common_error
+from reconstruction.pose_graph import sim3_information, with_common_error
 
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MAX_STEP = 8  # keyframes between compared ones; farther apart, two loops do not support each other (REACH of the graph)
@@ -118,7 +118,7 @@ def _verified(
     points = np.asarray(there.points[match.rows[:, 1]], np.float64)
     distance = np.linalg.norm(points, axis=1)
     across = ACROSS_PX / np.mean(second.part.camera.focal) * distance
-    return LoopClosure(match, with_common_error(tie_information(points, across, ALONG * distance), COMMON))
+    return LoopClosure(match, with_common_error(sim3_information(points, across, ALONG * distance), COMMON))
 
 
 def _contradict(parts: Parts, rows: tuple[int, int], first_from_second: NDArray[np.float64]) -> bool:

@@ -12,7 +12,7 @@ from haustra.core.sim3 import scale_of
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
-from reconstruction.pose_graph import Edge, between, misfit, solve_pose_graph, supported, tie_information
+from reconstruction.pose_graph import Edge, chi2, consistent_loops, interpolate_sim3, sim3_information, solve_pose_graph
 
 MIN_COVISIBLE = 20  # points that two keyframes share for a factor between them; consecutive ones always have one
 PIXEL_NOISE = 0.5  # px, across
@@ -46,9 +46,9 @@ def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> LoopClosingRe
     part = seen.part
     world_from_camera = part.submap.world_from_camera[part.rows]
     loops = _edges(seen, seen, links)
-    company = supported(loops, world_from_camera, world_from_camera, REACH)
+    company = consistent_loops(loops, world_from_camera, world_from_camera, REACH)
     good, theirs = list(compress(loops, company)), list(compress(links, company))
-    off = np.array([misfit(world_from_camera, loop) for loop in good])
+    off = np.array([chi2(world_from_camera, loop) for loop in good])
     missed = float(np.median(off)) if good else 0.0
     if missed < CHI2_CLOSED:
         return LoopClosingResult(part, len(links), len(good), (), ())
@@ -56,7 +56,7 @@ def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> LoopClosingRe
         near = tuple(compress(theirs, off < CHI2_SATISFIED))
         return LoopClosingResult(part, len(links), len(good), near, _frames_of(seen, near))
     solution = solve_pose_graph(world_from_camera, covisibility_factors(part), good)
-    accepted = tuple(compress(theirs, solution.kept))
+    accepted = tuple(compress(theirs, solution.accepted))
     if not accepted:
         return LoopClosingResult(part, len(links), len(good), (), ())
     after = deform(part, part.rows, solution.world_from_node)
@@ -75,7 +75,7 @@ def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure])
         return None  # one pinhole may stand for two lenses, where the field of view is cut
     nodes = [part.submap.world_from_camera[part.rows] for part in parts]
     loops = _edges(*seen, links)
-    good = [loop for loop, yes in zip(loops, supported(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
+    good = [loop for loop, yes in zip(loops, consistent_loops(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
     if not good:
         return None
     start = first_from_second(good, nodes[0], nodes[1])
@@ -86,7 +86,7 @@ def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure])
     ]
     shifted = [replace(loop, second=loop.second + offset) for loop in good]
     solution = solve_pose_graph(np.concatenate([nodes[0], start @ nodes[1]]), odometry_factors, shifted)
-    if solution.kept.sum() < 2:
+    if solution.accepted.sum() < 2:
         return None
     first, second = (
         deform(first, first.rows, solution.world_from_node[:offset]),
@@ -124,7 +124,7 @@ def covisibility_factors(part: CompletedSubmap) -> list[Edge]:
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
         less = SLACK * np.sqrt(times[shared] / 2) * distance
         across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
-        information = tie_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
+        information = sim3_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
         relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
         odometry_factors.append(Edge(one, other, relation, information))
     return odometry_factors
@@ -204,7 +204,7 @@ def _spread(change: Array, rows: NDArray[np.int64], count: int) -> Array:
     result[: rows[0]], result[rows[-1] :] = change[0], change[-1]
     for k, (begin, end) in enumerate(pairwise(rows)):
         for row in range(begin, end):
-            result[row] = between(change[k], change[k + 1], (row - begin) / (end - begin))
+            result[row] = interpolate_sim3(change[k], change[k + 1], (row - begin) / (end - begin))
     return result
 
 

@@ -24,7 +24,7 @@ from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
-from reconstruction.pose_graph import Edge, misfit
+from reconstruction.pose_graph import Edge, chi2
 
 AHEAD = 5  # keyframes with which each one's features are compared
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
@@ -58,7 +58,7 @@ def adjust_loops(seen: SubmapFeatures, closed: LoopClosingResult) -> CompletedSu
         for match, link in zip(matches, closed.links, strict=True)
     ]
     before, after = (
-        np.median([misfit(nodes, edge) for edge in edges])
+        np.median([chi2(nodes, edge) for edge in edges])
         for nodes in (part.submap.world_from_camera[part.rows], nodes_of(part, adjusted))
     )
     return adjusted if after < before else None

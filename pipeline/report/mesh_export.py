@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.finished_run import open_run
-from reconstruction.mesh.mesh_io import write_mesh
-from reconstruction.mesh.texture_atlas import check_textured, simplified, textured, write_textured
+from reconstruction.mesh.mesh_io import check_textured, write_mesh, write_textured
+from reconstruction.mesh.texture_atlas import simplified, textured
 
 
 def export_mesh(run: Path, target: Path, max_error: float | None = None, texture: bool = False) -> str:

@@ -16,11 +16,12 @@ from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
 from reconstruction.coverage.centreline import NotATube
-from reconstruction.coverage.coverage import Coverage, MissedRegion, Segment, measure_coverage
+from reconstruction.coverage.coverage import Coverage, Segment, measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
-from reconstruction.coverage.depth_support import SurfaceWitness
+from reconstruction.coverage.depth_support import DepthSupport
+from reconstruction.coverage.missed_regions import MissedRegion
 from reconstruction.coverage.unrolled_map import unroll
-from reconstruction.coverage.visibility import Picture
+from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 # Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
@@ -90,18 +91,18 @@ def measure_supported(frames: Frames, part: CompletedSubmap, surface: Surface) -
     # Before the depth maps are read: a picture that cannot be judged need not wait for them.
     rays = RayTable(refined_camera(frames.camera, part.submap))
     half, picture = half_field_of_view(rays, part.camera, frames.content), lens_field_of_view(rays, frames.content)
-    witness = SurfaceWitness(surface.mesh)
+    witness = DepthSupport(surface.mesh)
     for row in part.rows:
         depth, confidence, _ = part.depth(int(row))
         witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
     unit, voxel = surface.scale.unit, surface.voxel_size
-    believed = witness.believed()
+    believed = witness.supported_faces()
     return measure_coverage(believed, submap.world_from_camera, half, unit, EDGE_VOXELS * voxel, picture), believed
 
 
-def lens_field_of_view(rays: RayTable, content: NDArray[np.uint8]) -> Picture:
+def lens_field_of_view(rays: RayTable, content: NDArray[np.uint8]) -> FieldOfView:
     """All that a lens shows on the pixels of `content` (H,W) and is calibrated for."""
-    return Picture(rays.project_valid, rays.masked(content) > 0)
+    return FieldOfView(rays.project_valid, rays.masked(content) > 0)
 
 
 def half_field_of_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint8]) -> float:
@@ -152,7 +153,7 @@ def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Pat
         "segments": [_segment(s) for s in segments],
         "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
     }
-    patches = tuple(coverage.closure.surface.with_faces(coverage.region == k) for k in range(len(listed)))
+    patches = tuple(coverage.closed_wall.surface.with_faces(coverage.region == k) for k in range(len(listed)))
     return CoverageResult(record, picture, patches)
 
 

@@ -15,7 +15,7 @@ from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.consistency import ConsistencyCheck
 from pipeline.surface.scale import SCENE, Scale, ScaleSource, find_scale
-from reconstruction.fusion.photometry import Lamp, fit_lamp
+from reconstruction.fusion.photometry import Illumination, fit_illumination
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_voxel_size
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
@@ -36,7 +36,7 @@ class Surface:
     voxel_size: float  # output units
     dropped_share: float  # of the area, in pieces too small to keep
     left_out: tuple[int, ...] = ()  # frame numbers of keyframes whose depth the others contradict
-    lamp: Lamp | None = None  # divided out of the colours; None if they are as filmed
+    lamp: Illumination | None = None  # divided out of the colours; None if they are as filmed
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),
-            Lamp(**record["lamp"]) if record.get("lamp") else None,
+            Illumination(**record["lamp"]) if record.get("lamp") else None,
         )
         for number, record in enumerate(workspace.result(STAGE)["surfaces"])
     ]
@@ -125,7 +125,7 @@ def _fuse(part: CompletedSubmap, settings: SurfaceSettings, label: str, progress
             if confidence is None:
                 left_out.append(keyframe.index)
             else:
-                rgb = lamp.delit(keyframe.rgb, keyframe.depth, part.camera.matrix) if lamp else keyframe.rgb
+                rgb = lamp.shading_corrected(keyframe.rgb, keyframe.depth, part.camera.matrix) if lamp else keyframe.rgb
                 fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, world_from_camera)
             advance(place + 1)
     whole = fusion.extract()
@@ -137,11 +137,11 @@ def _fuse(part: CompletedSubmap, settings: SurfaceSettings, label: str, progress
     return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
 
 
-def _lamp(part: CompletedSubmap, seed: int) -> Lamp | None:
+def _lamp(part: CompletedSubmap, seed: int) -> Illumination | None:
     """What the lamp does in this film, from keyframes spread over it."""
     spread = np.unique(np.linspace(0, len(part) - 1, min(LAMP_SAMPLES, len(part))).astype(int))
     keyframes = (part.keyframe(int(part.rows[place])) for place in spread)
-    return fit_lamp(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, seed)
+    return fit_illumination(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, seed)
 
 
 def fusion_ranges(part: CompletedSubmap, settings: FusionConfig) -> FusionSettings | None:

@@ -1,9 +1,9 @@
-"""The line along the middle of a reconstructed lumen, by arc length, with a frame that does not twist.
+"""Centreline of a reconstructed lumen by arc length, with a rotation-minimizing frame.
 
 The cameras were inside the lumen, so their path and the free space ahead of them order it from end to end, however
-holed the mesh is. Cross-sections of the mesh then pull that rough line to the middle. Each station carries two axes
-square to the line, turned along it as little as the line allows: Wang et al., "Computation of rotation minimizing
-frames", TOG 2008 (double reflection). Angles about the line are measured from them.
+many holes the mesh has. Cross-sections of the mesh then centre that rough line. Each station carries two axes square to
+the line, turned along it as little as possible: Wang et al., "Computation of rotation minimizing frames", TOG 2008
+(double reflection). Angles about the line are measured from them.
 """
 
 from __future__ import annotations
@@ -21,21 +21,24 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-# Lengths are shares of the lumen's radius.
+# Lengths are in lumen radii.
 STEP = 0.1  # between stations
-THINNED = 0.3  # edge of the cubes that keep one inner point each
-AHEAD = 2.0  # free space in front of a camera that is taken into the line
-CLEAR = 0.5  # kept from the wall by it
-FARTHEST_WALL = 3.0  # a cross-section's ray that flies farther went through a hole
-END = 0.5  # by which the rough line is continued at either end
+INNER_CELL = 0.3  # edge of the cubes that keep one inner point each
+MAX_AHEAD = 2.0  # free space in front of a camera that is taken into the line
+CLEARANCE = 0.5  # kept from the wall ahead by it
+MAX_WALL_DISTANCE = 3.0  # of a cross-section's ray, beyond which it went through a hole
+END_EXTENSION = 0.5  # by which the rough line is continued at either end
 SMOOTHING = 0.6  # standard deviation along the line; folds, one to three radii apart, must not bend it
-ROUNDS = 5  # of centring; the line moves by less than a hundredth of the radius after four
+CENTRING_ITERATIONS = 5  # the line moves by less than a hundredth of the radius after four
 DIRECTIONS = 60  # rays of a cross-section
-SPHERE = 200  # directions in which a camera measures the lumen
-MAX_CAMERAS = 150  # that do
-MIN_WALL = 0.4  # share of a cross-section's rays that must meet wall before it may pull the line
+SPHERE_DIRECTIONS = 200  # in which a camera measures the lumen
+MAX_CAMERAS = 150  # that measure the lumen
+TUBE_RATIO = 1.15  # median distance of a tube's wall over all directions from its middle, over its radius
+MIN_WALL = 0.4  # share of a cross-section's rays that must meet wall before it may centre the line
+MIN_STATIONS = 4  # of a line
 STANDSTILL = "the camera hardly moves along the lumen, so there is no stretch to judge"
-ASTRAY, MOST_ASTRAY = 1.5, 0.02  # distance of cameras from the line, and the share of them that may be farther
+MAX_OFF_LINE = 1.5  # distance of a camera from the line above which it is on a limb that the line leaves out
+MAX_OFF_LINE_SHARE = 0.02  # share of such cameras above which the line is refused
 
 
 class NotATube(ReconstructionError):
@@ -46,28 +49,28 @@ class NotATube(ReconstructionError):
 class Centreline:
     """Stations at even steps of arc length, in the mesh's unit and axes.
 
-    `twelve` points to 12 o'clock and `three` to 3 o'clock as they are seen when one looks along the tangent, which is
-    the way the cameras mostly looked. `wall` is the share of rays across the station that meet the mesh.
+    The tangent points the way the cameras mostly looked; `twelve` and `three` are 12 and 3 o'clock seen along it.
     """
 
     arc: Array  # (S,)
     points: Array  # (S,3)
-    tangents: Array  # (S,3) unit
+    tangents: Array  # (S,3) unit vectors
     twelve: Array  # (S,3) unit, square to the tangent
     radius: Array  # (S,) median distance to the wall, smoothed along the line
-    wall: Array  # (S,) 0..1
+    wall: Array  # (S,) share in [0,1] of a cross-section's rays that meet the mesh
 
     @property
     def three(self) -> Array:
-        """(S,3) unit; forward x up is right in axes with x right, y down and z forward."""
+        """(S,3) unit vectors; forward x up is right in axes with x right, y down and z forward."""
         return np.cross(self.tangents, self.twelve)
 
     @property
     def step(self) -> float:
+        """Arc length between stations."""
         return float(self.arc[1] - self.arc[0])
 
     def transformed(self, target_from_line: Array) -> Centreline:
-        """The same line moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
+        """A copy moved by a Sim(3), given as (4,4) with scale times rotation in its upper left."""
         linear = target_from_line[:3, :3]
         scale = float(scale_of(linear))
         return Centreline(
@@ -80,16 +83,16 @@ class Centreline:
         )
 
     def stations_of(self, points: Array) -> NDArray[np.int64]:
-        """Row of the station nearest to each point (N,3)."""
+        """Row (N,) of the station nearest to each point (N,3)."""
         from scipy.spatial import cKDTree
 
         return np.asarray(cKDTree(self.points).query(points)[1], np.int64)
 
     def locate(self, points: Array) -> tuple[Array, Array, Array]:
-        """Arc length, angle and distance from the line of points (N,3).
+        """Cylindrical coordinates (N,) of points (N,3): arc length, angle and distance from the line.
 
-        The angle is in radians, 0 at twelve o'clock, growing clockwise, in [0, 2 pi). A point past an end of the line
-        gets an arc length past it.
+        The angle is in radians, 0 at 12 o'clock, growing clockwise, in [0, 2 pi). A point past an end of the line gets
+        an arc length past it.
         """
         row = self.stations_of(points)
         offset = points - self.points[row]
@@ -102,14 +105,14 @@ class Centreline:
 
 
 def lumen_radius(walls: WallRays, world_from_camera: Array) -> float:
-    """Median distance of the wall from the cameras, all around each; in a tube it is 1.15 radii from the middle."""
+    """Lumen radius: median distance of the wall over all directions from the cameras (N,4,4), over TUBE_RATIO."""
     step = -(-len(world_from_camera) // MAX_CAMERAS)
-    poses = world_from_camera[::step]
-    directions = np.einsum("nij,kj->nki", poses[:, :3, :3], _sphere(SPHERE))
-    distance = walls.distance(poses[:, None, :3, 3], directions)
+    thinned = world_from_camera[::step]
+    directions = np.einsum("nij,kj->nki", thinned[:, :3, :3], _sphere(SPHERE_DIRECTIONS))
+    distance = walls.distance(thinned[:, None, :3, 3], directions)
     if not np.isfinite(distance).any():
         raise NotATube("no camera has reconstructed wall around it, so there is no lumen to judge")
-    return float(np.median(distance[np.isfinite(distance)])) / 1.15
+    return float(np.median(distance[np.isfinite(distance)])) / TUBE_RATIO
 
 
 def trace_centreline(mesh: SurfaceMesh, world_from_camera: Array, radius: float) -> Centreline:
@@ -119,39 +122,43 @@ def trace_centreline(mesh: SurfaceMesh, world_from_camera: Array, radius: float)
     """
     walls = WallRays(mesh)
     rough = _ordered(walls, _inner_points(walls, world_from_camera, radius), radius)
-    line = _resampled(_lengthened(rough, END * radius), STEP * radius)
-    for _ in range(ROUNDS):
+    line = _resampled(_extended(rough, END_EXTENSION * radius), STEP * radius)
+    for _ in range(CENTRING_ITERATIONS):
         line = _resampled(_centred(walls, line, radius), STEP * radius)
     _refuse_shortcut(line, world_from_camera[:, :3, 3], radius)
-    row = np.argmin(np.linalg.norm(line[:, None] - world_from_camera[None, :, :3, 3], axis=2), axis=0)
-    looks = np.einsum("ni,ni->n", _tangents(line)[row], world_from_camera[:, :3, 2])
-    if looks.sum() < 0:
-        line = line[::-1]
+    line = _along_view(line, world_from_camera)
     tangents = _tangents(line)
     first = int(np.argmin(np.linalg.norm(world_from_camera[:, :3, 3] - line[0], axis=1)))
-    twelve = _carried(line, tangents, -world_from_camera[first, :3, 1])
+    twelve = _transported(line, tangents, -world_from_camera[first, :3, 1])
     around, met = _cross_sections(walls, line, tangents, radius)
     width = np.array([float(np.median(r[h])) if h.any() else radius for r, h in zip(around, met, strict=True)])
     arc, share = STEP * radius * np.arange(len(line), dtype=np.float64), met.mean(axis=1).astype(np.float64)
     return Centreline(arc, line, tangents, twelve, _smoothed(width, share + 1e-3), share)
 
 
+def _along_view(line: Array, world_from_camera: Array) -> Array:
+    """The line (S,3), reversed if most cameras look against it."""
+    row = np.argmin(np.linalg.norm(line[:, None] - world_from_camera[None, :, :3, 3], axis=2), axis=0)
+    looks = np.einsum("ni,ni->n", _tangents(line)[row], world_from_camera[:, :3, 2])
+    return line[::-1] if looks.sum() < 0 else line
+
+
 def _sphere(count: int) -> Array:
-    """Unit vectors (count,3) spread evenly: a Fibonacci lattice."""
+    """Unit vectors (count,3) spread evenly over the sphere: a Fibonacci lattice."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     return np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
 
 
-def _inner_points(walls: WallRays, poses: Array, radius: float) -> Array:
-    """Points (N,3) inside the lumen: the cameras, and the free space ahead of each; one in each cube."""
-    centres, forward = poses[:, :3, 3], poses[:, :3, 2]
-    free = np.minimum(walls.distance(centres, forward) - CLEAR * radius, AHEAD * radius)
-    steps = np.arange(0, AHEAD, STEP) * radius
+def _inner_points(walls: WallRays, world_from_camera: Array, radius: float) -> Array:
+    """Points (M,3) inside the lumen: the cameras (N,4,4) and the free space ahead of each, one mean per cube."""
+    centres, forward = world_from_camera[:, :3, 3], world_from_camera[:, :3, 2]
+    free = np.minimum(walls.distance(centres, forward) - CLEARANCE * radius, MAX_AHEAD * radius)
+    steps = np.arange(0, MAX_AHEAD, STEP) * radius
     ahead = centres[:, None] + steps[:, None] * forward[:, None]
     points = np.concatenate([centres, ahead[steps < free[:, None]]])
     # Rounded, not floored: a straight path along an axis would otherwise lie on the border of cubes.
-    cube = np.rint(points / (THINNED * radius)).astype(np.int64)
+    cube = np.rint(points / (INNER_CELL * radius)).astype(np.int64)
     _, owner, count = np.unique(cube, axis=0, return_inverse=True, return_counts=True)
     mean = np.zeros((len(count), 3))
     np.add.at(mean, owner.ravel(), points)
@@ -159,6 +166,7 @@ def _inner_points(walls: WallRays, poses: Array, radius: float) -> Array:
 
 
 def _ordered(walls: WallRays, points: Array, radius: float) -> Array:
+    """Inner points in the order of the path through the lumen; `NotATube` if it is shorter than a radius."""
     path = ordered_path(walls, points, radius)
     if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() < radius:
         raise NotATube(STANDSTILL)
@@ -166,36 +174,36 @@ def _ordered(walls: WallRays, points: Array, radius: float) -> Array:
 
 
 def _refuse_shortcut(line: Array, centres: Array, radius: float) -> None:
-    """Cameras away from the line were on a limb that it leaves out, whose wall would silently be missing."""
+    """Raise `NotATube` where camera centres (N,3) lie on a limb that the line leaves out: its wall would be missing."""
     from scipy.spatial import cKDTree
 
-    astray = float((cKDTree(line).query(centres)[0] > ASTRAY * radius).mean())
-    if astray > MOST_ASTRAY:
-        share = f"{100 * astray:.0f} % of the camera's way"
+    off_line = float((cKDTree(line).query(centres)[0] > MAX_OFF_LINE * radius).mean())
+    if off_line > MAX_OFF_LINE_SHARE:
+        share = f"{100 * off_line:.0f} % of the camera's way"
         raise NotATube(f"the lumen's middle line leaves {share} aside, so coverage cannot be judged")
 
 
-def _lengthened(line: Array, length: float) -> Array:
-    """The polyline continued straight past both ends, which thinning and smoothing would cut short of the cameras."""
+def _extended(line: Array, length: float) -> Array:
+    """The polyline continued straight past both ends, which thinning and smoothing cut short of the cameras."""
     first, last = line[0] - line[1], line[-1] - line[-2]
     ends = line[[0, -1]] + length * np.stack([first / np.linalg.norm(first), last / np.linalg.norm(last)])
     return np.concatenate([ends[:1], line, ends[1:]])
 
 
 def _resampled(line: Array, step: float) -> Array:
-    """The polyline at even steps; what is left over at the end is cut."""
+    """The polyline at even steps (S,3); a rest shorter than `step` at the end is cut."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     places = np.arange(0, arc[-1], step)
-    if len(places) < 4:
+    if len(places) < MIN_STATIONS:
         raise NotATube(STANDSTILL)
     return np.column_stack([np.interp(places, arc, line[:, axis]) for axis in range(3)])
 
 
 def _centred(walls: WallRays, line: Array, radius: float) -> Array:
-    """Every station moved to the centroid of its cross-section, where enough of it is wall; then smoothed."""
+    """One centring iteration: stations moved to the centroid of their cross-section, weighted by its wall, smoothed."""
     smooth = _smoothed(line, np.ones(len(line)))
     tangents = _tangents(smooth)
-    first, second = _carried_axes(smooth, tangents)
+    first, second = _frame(smooth, tangents)
     around, met = _cross_sections(walls, smooth, tangents, radius)
     trust = np.where(met.mean(axis=1) >= MIN_WALL, met.mean(axis=1), 0)
     if not trust.any():
@@ -211,17 +219,19 @@ def _centred(walls: WallRays, line: Array, radius: float) -> Array:
 
 
 def _cross_sections(walls: WallRays, line: Array, tangents: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Distance of the wall (S, DIRECTIONS) square to the line, and where there is one within reach."""
-    first, second = _carried_axes(line, tangents)
+    """Distance of the wall (S, DIRECTIONS) square to the line, and where there is one within MAX_WALL_DISTANCE."""
+    first, second = _frame(line, tangents)
     angle = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     rays = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
     distance = walls.distance(line[:, None], rays)
-    return distance, distance <= FARTHEST_WALL * radius
+    return distance, distance <= MAX_WALL_DISTANCE * radius
 
 
 def _smoothed(values: Array, weight: Array) -> Array:
-    """Gaussian mean along the stations (S,...) with weights (S,); ends are continued by point reflection, so that a
-    straight end stays where it is."""
+    """Weighted Gaussian smoothing of values (S,...) along the stations, weights (S,).
+
+    Ends are continued by point reflection, so that a straight end stays where it is.
+    """
     from scipy.ndimage import gaussian_filter1d
 
     pad = min(len(values) - 1, round(3 * SMOOTHING / STEP))
@@ -235,25 +245,27 @@ def _smoothed(values: Array, weight: Array) -> Array:
 
 
 def _tangents(line: Array) -> Array:
+    """Unit tangents (S,3) by central differences."""
     slope = np.gradient(line, axis=0)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
 
 
-def _carried_axes(line: Array, tangents: Array) -> tuple[Array, Array]:
-    first = _carried(line, tangents, np.eye(3)[np.abs(tangents[0]).argmin()])
+def _frame(line: Array, tangents: Array) -> tuple[Array, Array]:
+    """Two axes (S,3) square to the line and to each other, without twist; where they begin is arbitrary."""
+    first = _transported(line, tangents, np.eye(3)[np.abs(tangents[0]).argmin()])
     return first, np.cross(tangents, first)
 
 
-def _carried(line: Array, tangents: Array, up: Array) -> Array:
-    """`up`, made square to the first tangent, carried along the line by double reflection: (S,3) unit vectors."""
+def _transported(line: Array, tangents: Array, up: Array) -> Array:
+    """Parallel transport of `up` (3,), made square to the first tangent, by double reflection: (S,3) unit vectors."""
     axis = up - (up @ tangents[0]) * tangents[0]
     if np.linalg.norm(axis) < 1e-6:
         axis = np.cross(tangents[0], np.eye(3)[np.abs(tangents[0]).argmin()])
-    carried = [axis / np.linalg.norm(axis)]
+    transported = [axis / np.linalg.norm(axis)]
     for chord, here, there in zip(np.diff(line, axis=0), tangents[:-1], tangents[1:], strict=True):
-        mirrored, tangent = (v - 2 * (chord @ v) / (chord @ chord) * chord for v in (carried[-1], here))
+        mirrored, tangent = (v - 2 * (chord @ v) / (chord @ chord) * chord for v in (transported[-1], here))
         bend = there - tangent
         across = mirrored - 2 * (bend @ mirrored) / max(float(bend @ bend), 1e-300) * bend
         across -= (across @ there) * there
-        carried.append(across / np.linalg.norm(across))
-    return np.array(carried)
+        transported.append(across / np.linalg.norm(across))
+    return np.array(transported)

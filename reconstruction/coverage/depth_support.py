@@ -1,7 +1,8 @@
-"""Which parts of a fused surface its own depth maps bear out: seen square enough by one, looked through by few.
+"""Depth support of a fused surface: which vertices its own depth maps saw squarely, and which they saw through.
 
-A network that completes depth bridges the step at a fold's rim with a ramp. Seen from where it arose, a ramp runs
-along the rays; and other frames, which look past the rim, see through it. Real wall behind the fold is neither.
+A completion network bridges the depth step at a fold's rim with a ramp. In the depth map that it arose in, a ramp is
+seen at a grazing angle, and other depth maps, which look past the rim, see through it. Real wall behind the fold has
+neither property.
 """
 
 from __future__ import annotations
@@ -14,32 +15,33 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-AGREEMENT = 0.05  # of the depth; a map that puts its surface within this of a vertex has seen it
-BEST_ANGLE_DEG = 70.0  # between ray and normal: wall that no frame saw squarer is not believed
-MOST_CONTRADICTION = 0.2  # share of the confidence of those frames that saw a vertex or through it
-# Both were chosen on runs of two films, of seeds 11 and 12; docs/lab/coverage.md marks their figures as not held out.
+DEPTH_TOLERANCE = 0.05  # relative depth difference up to which a depth map supports a vertex
+MAX_ANGLE_DEG = 70.0  # best angle between ray and normal above which a vertex is dropped
+MAX_CONTRADICTION = 0.2  # confidence share of frames that see through a vertex, above which it is dropped
+# The last two were chosen on two phantom videos, seeds 11 and 12; docs/lab/coverage.md marks them as not held out.
 
 
-class SurfaceWitness:
-    """Shows every keyframe's depth to the vertices of a mesh; all lengths in one unit."""
+class DepthSupport:
+    """Accumulates support and contradiction of a mesh's vertices over keyframe depth maps; all lengths in one unit."""
 
     def __init__(self, mesh: SurfaceMesh) -> None:
         self._mesh = mesh
         count = len(mesh.vertices)
-        self.best_cosine = np.zeros(count)  # between normal and ray, of the frames that saw the vertex
-        self._seen = np.zeros(count)  # sums of confidence
-        self._through = np.zeros(count)
+        self.best_cosine = np.zeros(count)  # (V,) largest cosine between normal and ray over the supporting frames
+        self._supporting = np.zeros(count)  # (V,) sums of confidence
+        self._seen_through = np.zeros(count)
 
     @property
     def contradiction(self) -> Array:
-        """(V,) share of the witnesses, by confidence, that saw through the vertex; 1 where there are none."""
-        total = self._seen + self._through
-        return np.divide(self._through, total, out=np.ones_like(total), where=total > 0)
+        """(V,) confidence share of frames that see through a vertex, of all that support it or do so; 1 if none."""
+        total = self._supporting + self._seen_through
+        return np.divide(self._seen_through, total, out=np.ones_like(total), where=total > 0)
 
     def add(
         self, depth: NDArray[np.float32], confidence: NDArray[np.float32], intrinsics: Array, world_from_camera: Array
     ) -> None:
-        """A keyframe: z-depth (H,W), 0 = none; confidence (H,W); `intrinsics` with pixel centres at half integers."""
+        """Accumulate a keyframe: z-depth (H,W), 0 = none; confidence (H,W); intrinsics (3,3), the top-left pixel's
+        centre at (0.5, 0.5); world_from_camera (4,4)."""
         rotation, centre = world_from_camera[:3, :3], world_from_camera[:3, 3]
         points = (self._mesh.vertices - centre) @ rotation
         ahead = np.flatnonzero(points[:, 2] > 0)
@@ -49,19 +51,19 @@ class SurfaceWitness:
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         vertex, row, column = ahead[inside], row[inside], column[inside]
         weight = confidence[row, column] * (depth[row, column] > 0)
-        slack = AGREEMENT * points[vertex, 2]
-        seen = (np.abs(depth[row, column] - points[vertex, 2]) <= slack) & (weight > 0)
-        self._seen[vertex] += weight * seen
-        # A fold's crest is never met to the pixel: only what every pixel around looks past was looked through.
-        self._through[vertex] += weight * (_nearest_around(depth)[row, column] - points[vertex, 2] > slack)
-        ray = points[vertex[seen]]
-        normal = self._mesh.normals[vertex[seen]] @ rotation
+        tolerance = DEPTH_TOLERANCE * points[vertex, 2]
+        supports = (np.abs(depth[row, column] - points[vertex, 2]) <= tolerance) & (weight > 0)
+        self._supporting[vertex] += weight * supports
+        # Reprojection may miss a fold's crest by a pixel: seen through only if all 3x3 pixels look past the vertex.
+        self._seen_through[vertex] += weight * (_nearest_around(depth)[row, column] - points[vertex, 2] > tolerance)
+        ray = points[vertex[supports]]
+        normal = self._mesh.normals[vertex[supports]] @ rotation
         cosine = -np.einsum("ni,ni->n", ray, normal) / np.linalg.norm(ray, axis=1)
-        self.best_cosine[vertex[seen]] = np.maximum(self.best_cosine[vertex[seen]], cosine)
+        self.best_cosine[vertex[supports]] = np.maximum(self.best_cosine[vertex[supports]], cosine)
 
-    def believed(self) -> SurfaceMesh:
-        """The mesh without the faces that have a corner which the depth maps do not bear out."""
-        good = (self.best_cosine >= np.cos(np.radians(BEST_ANGLE_DEG))) & (self.contradiction <= MOST_CONTRADICTION)
+    def supported_faces(self) -> SurfaceMesh:
+        """The mesh of those faces whose three vertices pass both thresholds."""
+        good = (self.best_cosine >= np.cos(np.radians(MAX_ANGLE_DEG))) & (self.contradiction <= MAX_CONTRADICTION)
         return self._mesh.with_faces(good[self._mesh.faces].all(axis=1))
 
 

@@ -1,4 +1,4 @@
-"""The lumen's wall laid flat: a map over arc length and angle of what was seen, what was missed, what is not judged."""
+"""Unrolled map of the lumen's wall: state, region, colour and confidence over arc length and angle."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-NOT_JUDGED, SEEN, MISSED, UNMEASURED = 0, 1, 2, 3  # the last was in plain view, but is in no mesh
+NOT_JUDGED, SEEN, MISSED, UNMEASURED = 0, 1, 2, 3  # the last was visible, but is in no mesh
 COLUMNS = 120  # cells around; a cell is as long as it is wide at the lumen's median radius
-BEYOND = 0.4  # radii shown on either side of the visited stretch
-# Six points of a triangle, one for each third of an edge: closer together than the cells are wide.
+MARGIN = 0.4  # lumen radii shown on either side of the visited stretch
+MAX_OFF_LINE = 3.0  # lumen radii from the centreline beyond which a surface is not drawn
+# Barycentric sample points of a triangle, one for each third of an edge: closer together than the cells are wide.
 SAMPLES = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (3, 3, 0), (3, 0, 3), (0, 3, 3)]) / 6
 
 
 @dataclass(frozen=True)
 class UnrolledMap:
-    """Cells (A,B): A steps of arc length, B steps of angle, clockwise from twelve o'clock."""
+    """Cells (A,B): A steps of arc length, B steps of angle, clockwise from 12 o'clock."""
 
-    arc_edges: Array  # (A+1,) unit of the coverage
+    arc_edges: Array  # (A+1,) in the coverage's unit
     angle_edges: Array  # (B+1,) radians
     state: NDArray[np.uint8]  # (A,B) NOT_JUDGED, SEEN, MISSED or UNMEASURED
     region: NDArray[np.int64]  # (A,B) row of `Coverage.regions`, -1 elsewhere
@@ -32,66 +33,85 @@ class UnrolledMap:
 
 
 def unroll(coverage: Coverage, mesh: SurfaceMesh, listed: int = 0) -> UnrolledMap:
-    """Lay the wall flat; `mesh` gives colour and confidence, and must be the one that was measured.
+    """Unrolled map of a coverage; `mesh` gives colour and confidence, and must be the one that was measured.
 
-    A cell looks at all wall between two arc lengths and two angles, folds with both their sides included. It is
-    missed if at least half of the closing's area in it is unseen; a cell in which the closing shows no wall at all
-    (a fold overhangs it) is like its nearest neighbour. Cells outside the visited stretch are not judged. Of the first
-    `listed` regions, one that outweighs seen wall in no cell (it hides beneath a fold) has all cells that it touches
-    marked as missed, so that whatever is listed can be found on the map.
+    A cell collects all wall between two arc lengths and two angles, folds with both their sides included. It is missed
+    if at least half of the closed wall's area in it is unobserved; a cell without any closed wall (a fold overhangs it)
+    takes its nearest neighbour's state. Cells outside the visited stretch are not judged. Of the first `listed`
+    regions, one that is the larger part of no cell (it hides beneath a fold) has all cells that it touches marked as
+    missed, so that whatever is listed can be found on the map.
     """
-    cell = 2 * np.pi * coverage.radius / COLUMNS
-    past = BEYOND * coverage.radius
-    end = coverage.stretch[1] + past
-    rows = max(1, round((end + past) / cell))
-    arc_edges = np.linspace(-past, end, rows + 1)
-    angle_edges = np.linspace(0, 2 * np.pi, COLUMNS + 1)
+    arc_edges = _arc_edges(coverage)
     middle = (arc_edges[1:] + arc_edges[:-1]) / 2
     judged = coverage.is_visited(middle)[:, None] & np.ones(COLUMNS, bool)
     cells, face = _cells_of_faces(coverage, arc_edges)
-    size, weight = rows * COLUMNS, coverage.closure.areas[face]
-    unseen, unmeasured = coverage.closure.unseen[face], coverage.closure.unmeasured[face]
-    total, dark, bare = (
-        np.bincount(cells, weights=w, minlength=size) for w in (weight, weight * unseen, weight * unmeasured)
-    )
-    filled = _nearest_known((total > 0).reshape(rows, COLUMNS))
-    missed = (2 * dark >= np.maximum(total, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
-    # Of what is seen in a cell, half or more without a surface.
-    in_view = (2 * bare >= np.maximum(total - dark, 1e-300)).reshape(rows, COLUMNS)[filled] & judged
-    owner = np.full(size, -1)
-    order = np.argsort(-coverage.region[face[unseen]], kind="stable")  # the largest region last, so that it stays
-    owner[cells[unseen][order]] = coverage.region[face[unseen]][order]
-    region = np.where(missed, owner.reshape(rows, COLUMNS)[filled], -1)
+    missed, unmeasured, filled = _states(coverage, cells, face, judged)
+    region = _regions(coverage, cells, face, missed, filled)
     for number in np.setdiff1d(np.arange(listed), region):
-        touched = np.zeros(size, bool)
+        touched = np.zeros(judged.size, bool)
         touched[cells[coverage.region[face] == number]] = True
-        region[touched.reshape(rows, COLUMNS) & judged] = number
+        region[touched.reshape(judged.shape) & judged] = number
     missed |= region >= 0
-    colour, confidence = _paint(mesh, coverage, arc_edges, missed | in_view)
-    state = np.where(judged, np.where(missed, MISSED, np.where(in_view, UNMEASURED, SEEN)), NOT_JUDGED).astype(np.uint8)
-    return UnrolledMap(
-        arc_edges,
-        angle_edges,
-        state,
-        region,
-        colour,
-        confidence,
+    colour, confidence = _paint(mesh, coverage, arc_edges, missed | unmeasured)
+    state = np.where(judged, np.where(missed, MISSED, np.where(unmeasured, UNMEASURED, SEEN)), NOT_JUDGED)
+    angle_edges = np.linspace(0, 2 * np.pi, COLUMNS + 1)
+    return UnrolledMap(arc_edges, angle_edges, state.astype(np.uint8), region, colour, confidence)
+
+
+def _arc_edges(coverage: Coverage) -> Array:
+    """(A+1,) arc lengths from MARGIN before the visited stretch to MARGIN behind it."""
+    cell = 2 * np.pi * coverage.radius / COLUMNS
+    past = MARGIN * coverage.radius
+    end = coverage.stretch[1] + past
+    return np.linspace(-past, end, max(1, round((end + past) / cell)) + 1)
+
+
+def _states(
+    coverage: Coverage, cells: NDArray[np.int64], face: NDArray[np.int64], judged: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Missed and unmeasured cells (A,B), and for each cell the nearest one with closed wall.
+
+    cells, face: (S,) of the closed wall's sample points.
+    """
+    weight = coverage.closed_wall.areas[face]
+    unobserved, unmeasured = coverage.closed_wall.unobserved[face], coverage.closed_wall.unmeasured[face]
+    total, unobserved_area, unmeasured_area = (
+        np.bincount(cells, weights=w, minlength=judged.size) for w in (weight, weight * unobserved, weight * unmeasured)
     )
+    filled = _nearest_known((total > 0).reshape(judged.shape))
+    missed = 2 * unobserved_area >= np.maximum(total, 1e-300)
+    pale = 2 * unmeasured_area >= np.maximum(total - unobserved_area, 1e-300)  # half of what is observed, or more
+    return missed.reshape(judged.shape)[filled] & judged, pale.reshape(judged.shape)[filled] & judged, filled
+
+
+def _regions(
+    coverage: Coverage,
+    cells: NDArray[np.int64],
+    face: NDArray[np.int64],
+    missed: NDArray[np.bool_],
+    filled: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> NDArray[np.int64]:
+    """(A,B) row of `Coverage.regions` in missed cells, -1 elsewhere; of several regions in a cell the largest."""
+    unobserved = coverage.closed_wall.unobserved[face]
+    owner = np.full(missed.size, -1)
+    order = np.argsort(-coverage.region[face[unobserved]], kind="stable")  # the largest region last, so that it stays
+    owner[cells[unobserved][order]] = coverage.region[face[unobserved]][order]
+    return np.where(missed, owner.reshape(missed.shape)[filled], -1)
 
 
 def _cells_of_faces(coverage: Coverage, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Flat cell and face of each sample point of the closing."""
-    closure = coverage.closure
-    points = np.einsum("sc,fci->fsi", SAMPLES, closure.vertices[closure.faces]).reshape(-1, 3)
-    face = np.repeat(np.arange(len(closure.faces)), len(SAMPLES))
+    """Flat cell (S,) and face (S,) of each sample point of the closed wall that lies on the map."""
+    closed_wall = coverage.closed_wall
+    points = np.einsum("sc,fci->fsi", SAMPLES, closed_wall.vertices[closed_wall.faces]).reshape(-1, 3)
+    face = np.repeat(np.arange(len(closed_wall.faces)), len(SAMPLES))
     cells, inside = _cells_of(coverage, points, arc_edges)
     return cells, face[inside]
 
 
 def _cells_of(coverage: Coverage, points: Array, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Flat cells of those points (N,3) that lie on the map, and which those are (N,)."""
+    """Flat cells (K,) of those points (N,3) that lie on the map, and which those are (N,)."""
     arc, angle, off = coverage.line.locate(points)
-    inside = (arc >= arc_edges[0]) & (arc < arc_edges[-1]) & (off < 3 * coverage.radius)
+    inside = (arc >= arc_edges[0]) & (arc < arc_edges[-1]) & (off < MAX_OFF_LINE * coverage.radius)
     row = ((arc[inside] - arc_edges[0]) / (arc_edges[1] - arc_edges[0])).astype(np.int64)
     column = (angle[inside] / (2 * np.pi) * COLUMNS).astype(np.int64) % COLUMNS
     return np.minimum(row, len(arc_edges) - 2) * COLUMNS + column, inside
@@ -100,8 +120,10 @@ def _cells_of(coverage: Coverage, points: Array, arc_edges: Array) -> tuple[NDAr
 def _paint(
     mesh: SurfaceMesh, coverage: Coverage, arc_edges: Array, bare: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Mean colour (A,B,3) and confidence (A,B) of the mesh's faces in each cell that is not bare; a cell between
-    faces takes its nearest neighbour's."""
+    """Mean colour (A,B,3) and confidence (A,B) of the mesh's faces in each cell, 0 and NaN in `bare` cells (A,B).
+
+    A cell without a sample point takes its nearest neighbour's.
+    """
     rows = len(arc_edges) - 1
     points = np.einsum("sc,fci->fsi", SAMPLES, mesh.vertices[mesh.faces]).reshape(-1, 3)
     cells, inside = _cells_of(coverage, points, arc_edges)
@@ -116,7 +138,7 @@ def _paint(
 
 
 def _nearest_known(known: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row and column of the nearest known cell to each cell; across the seam at twelve o'clock, too."""
+    """Row and column (A,B) of the nearest known cell to each cell; distances wrap around at 12 o'clock."""
     from scipy.ndimage import distance_transform_edt
 
     width = known.shape[1]

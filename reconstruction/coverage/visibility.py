@@ -1,8 +1,8 @@
-"""Which places of a wall stood in plain view: in the pictures of cameras, turned towards them, with nothing in between.
+"""Visibility of wall points from posed cameras: in the field of view, facing the camera, not occluded.
 
-A surface is fused only where depth is sure and several frames agree. Beside and behind the rims of folds neither is
-so, though the camera looks at the wall there: it was not missed, it was not measured. Poses and the surface that stands
-in the way, or behind, tell the two apart without asking the depth.
+A surface is fused only where depth is confident and several frames agree. Beside and behind the rims of folds this
+fails although the camera looks at the wall there: such wall was observed, but not measured. Visibility from the poses
+and the surface that may occlude the wall, or lie behind it, tells observed from missed wall without using the depth.
 """
 
 from __future__ import annotations
@@ -19,78 +19,99 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-FEWEST_VIEWS = 2  # one wrong pose must not show hidden wall
-APART_DEG = 3.0
+MIN_VIEWS = 2  # cameras from which a point must be visible: one wrong pose must not show hidden wall
+MIN_TURN_DEG = 3.0  # rotation above which two cameras at one place count as two
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What every frame of a camera shows, through its own lens: a rectified picture may have lost its corners."""
+class FieldOfView:
+    """Pixels on which a camera sees the scene, through its own lens: a rectified image may have lost its corners."""
 
-    project: Callable[[Array], Array]  # points in camera axes (N,3) -> pixels (N,2), NaN where the lens has none
-    content: NDArray[np.bool_]  # (H,W): pixels that show the scene, not the border of the picture
+    project: Callable[[Array], Array]  # points in camera axes (N,3) -> pixels (N,2), NaN outside the lens model
+    content: NDArray[np.bool_]  # (H,W): pixels that show the scene, not the border of the image
 
-    def shows(self, points: Array) -> NDArray[np.bool_]:
-        """(N,): whether each point, in camera axes (N,3), lies on a pixel that shows the scene."""
-        place = np.floor(self.project(points))
+    def in_view(self, points: Array) -> NDArray[np.bool_]:
+        """(N,): whether each point, in camera axes (N,3), projects to a pixel of `content`."""
+        pixel = np.floor(self.project(points))
         height, width = self.content.shape
-        on: NDArray[np.bool_] = np.asarray(((place >= 0) & (place < (width, height))).all(axis=1))
-        column, row = np.where(on[:, None], place, 0).astype(np.int64).T
+        on: NDArray[np.bool_] = np.asarray(((pixel >= 0) & (pixel < (width, height))).all(axis=1))
+        column, row = np.where(on[:, None], pixel, 0).astype(np.int64).T
         return on & self.content[row, column]
 
 
 @dataclass(frozen=True)
-class Sight:
-    """When a place is in plain view; lengths in the mesh's unit."""
+class VisibilityLimits:
+    """Thresholds of visibility; lengths in the mesh's unit."""
 
-    least_cosine: float  # between the wall's normal and the ray back to the camera
-    farthest: float  # from the camera
-    slack: float  # before the place, where a surface does not yet stand in the way
-    behind: float  # the place, where a surface that faces the camera says that it looks through
-    apart: float  # of two cameras that count as two
+    min_cosine: float  # between the wall's normal and the ray back to the camera
+    max_distance: float  # from the camera
+    occlusion_tolerance: float  # a hit nearer to the point than this does not occlude it
+    see_through_depth: float  # a camera-facing hit at most this far behind the point: the camera sees through a hole
+    min_baseline: float  # distance above which two cameras count as two
 
 
-def in_plain_view(
-    points: Array, normals: Array, wall: SurfaceMesh, world_from_camera: Array, picture: Picture, sight: Sight
+def visible_points(
+    points: Array,
+    normals: Array,
+    wall: SurfaceMesh,
+    world_from_camera: Array,
+    field_of_view: FieldOfView,
+    limits: VisibilityLimits,
 ) -> NDArray[np.bool_]:
-    """(N,): whether places (N,3) of unit normals (N,3) are in the picture of two cameras (M,4,4) or more, with no
-    `wall` between them, and whether fewer than half of those cameras meet `wall` behind the place instead: there they
-    look into the mouth of a pocket, not at wall. Of cameras that hardly moved, one counts."""
+    """(N,): whether points (N,3) of unit normals (N,3) are visible from MIN_VIEWS of the cameras (M,4,4) or more.
+
+    `wall` occludes. A point that half or more of those cameras see through, meeting `wall` behind it, is the mouth of
+    a pocket and not visible wall. Of consecutive cameras that hardly moved, one counts.
+    """
     from scipy.spatial import cKDTree
 
-    views, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    views, see_through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     if not len(points):
         return views > 0
     scene, tree = ray_scene(wall.vertices, wall.faces), cKDTree(points)
-    for pose in distinct(world_from_camera, sight.apart, APART_DEG):
-        near = np.array(tree.query_ball_point(pose[:3, 3], sight.farthest, return_sorted=True), np.int64)
-        ray = points[near] - pose[:3, 3]
-        distance = np.linalg.norm(ray, axis=1)
-        good = -np.einsum("ni,ni->n", normals[near], ray) >= sight.least_cosine * distance
-        good[good] = picture.shows(ray[good] @ pose[:3, :3])
-        near, ray, distance = near[good], ray[good] / distance[good, None], distance[good]
-        met, _ = _cast(scene, np.broadcast_to(pose[:3, 3], ray.shape), ray)
-        free = met > distance - sight.slack
-        near, ray = near[free], ray[free]
-        views[near] += 1
-        met, facing = _cast(scene, points[near] - sight.slack * ray, ray)
-        through[near] += (met < sight.slack + sight.behind) & facing
-    return (views >= FEWEST_VIEWS) & (2 * through < views)
+    for camera in distinct_cameras(world_from_camera, limits.min_baseline, MIN_TURN_DEG):
+        rows, ray, distance = _in_view(points, normals, tree, camera, field_of_view, limits)
+        hit, _ = _cast(scene, np.broadcast_to(camera[:3, 3], ray.shape), ray)
+        free = hit > distance - limits.occlusion_tolerance
+        rows, ray = rows[free], ray[free]
+        views[rows] += 1
+        hit, facing = _cast(scene, points[rows] - limits.occlusion_tolerance * ray, ray)
+        see_through[rows] += (hit < limits.occlusion_tolerance + limits.see_through_depth) & facing
+    return (views >= MIN_VIEWS) & (2 * see_through < views)
 
 
-def distinct(world_from_camera: Array, apart: float, apart_deg: float) -> Array:
-    """Of cameras (M,4,4) in the order of the film, the first, and each that moved or turned on since the last."""
+def _in_view(
+    points: Array,
+    normals: Array,
+    tree: Any,
+    world_from_camera: Array,
+    field_of_view: FieldOfView,
+    limits: VisibilityLimits,
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Rows (K,) of the points near enough, facing and in view of one camera (4,4); unit rays (K,3), distances (K,)."""
+    centre = world_from_camera[:3, 3]
+    rows = np.array(tree.query_ball_point(centre, limits.max_distance, return_sorted=True), np.int64)
+    ray = points[rows] - centre
+    distance = np.linalg.norm(ray, axis=1)
+    good = -np.einsum("ni,ni->n", normals[rows], ray) >= limits.min_cosine * distance
+    good[good] = field_of_view.in_view(ray[good] @ world_from_camera[:3, :3])
+    return rows[good], ray[good] / distance[good, None], distance[good]
+
+
+def distinct_cameras(world_from_camera: Array, min_baseline: float, min_turn_deg: float) -> Array:
+    """Of cameras (M,4,4) in the order of the video, the first, and each that moved or turned on since the last kept."""
     kept = [0]
     for number in range(1, len(world_from_camera)):
         here, last = world_from_camera[number], world_from_camera[kept[-1]]
-        turn = (np.trace(here[:3, :3].T @ last[:3, :3]) - 1) / 2
-        if np.linalg.norm(here[:3, 3] - last[:3, 3]) > apart or turn < np.cos(np.radians(apart_deg)):
+        cosine = (np.trace(here[:3, :3].T @ last[:3, :3]) - 1) / 2
+        moved = np.linalg.norm(here[:3, 3] - last[:3, 3]) > min_baseline
+        if moved or cosine < np.cos(np.radians(min_turn_deg)):
             kept.append(number)
     return world_from_camera[kept]
 
 
 def _cast(scene: Any, origin: Array, ray: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Distance (N,) along unit rays to the first surface, infinite where there is none, and whether it faces them."""
+    """Distance (N,) along unit rays (N,3) to the first hit, infinite without one, and whether it faces the ray (N,)."""
     if not len(ray):
         return np.zeros(0), np.zeros(0, bool)
     o3d = import_open3d()

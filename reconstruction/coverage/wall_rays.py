@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 
 class WallRays:
-    """Rays against a mesh; only faces met from the lumen's side count as wall."""
+    """Ray casting against a mesh of which only front faces, seen from the lumen's side, count as wall."""
 
     def __init__(self, mesh: SurfaceMesh) -> None:
         self._core = import_open3d().core
         self._scene = ray_scene(mesh.vertices, mesh.faces)
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """Length (...) of unit rays (...,3) to the wall; infinite where they meet none or the outer side of one."""
+        """Distance (...) along unit rays (...,3) to the wall; infinite where the first hit is a back face or none."""
         rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=-1).astype(np.float32)
         answer: dict[str, Any] = self._scene.cast_rays(self._core.Tensor(rays))
         inner = np.sum(answer["primitive_normals"].numpy() * rays[..., 3:], axis=-1) < 0

@@ -1,10 +1,10 @@
-"""Estimated coverage against a true wall whose faces know whether any frame saw them.
+"""Coverage metrics: an estimated coverage against a reference wall whose faces know whether any frame saw them.
 
-Definitions. The *stretch* is the estimate's visited stretch, gaps in the poses left out: a true face belongs to it by
-its centroid's arc length on the estimated centreline, within three lumen radii of that line. True coverage is the area
-of the seen faces in it over that of all faces in it. A *true region* is a connected piece (shared vertices) of unseen
-faces in it. A face *counts as estimated missed* if the triangle of the closing nearest to it is unseen, nearest in
-position and normal together, so that the two sides of a fold are not taken for each other.
+Definitions. The *stretch* is the estimate's visited stretch without gaps in the poses: a reference face belongs to it
+by its centroid's arc length on the estimated centreline, within MAX_OFF_LINE lumen radii of that line. True coverage is
+the area of the seen faces in it over that of all faces in it. A *true region* is a connected piece (shared vertices) of
+unseen faces in it. A face *counts as estimated missed* if the triangle of the closed wall nearest to it is unobserved,
+nearest in position and normal together, so that the two sides of a fold are not taken for each other.
 
 A true region over the threshold is *found* if half of its area or more counts as estimated missed. An estimated region
 over the threshold is *false* if less than half of the true area that it is nearest to is unseen.
@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
 from reconstruction.coverage.coverage import Coverage
-from reconstruction.coverage.hole_closing import FARTHEST, connected_faces
+from reconstruction.coverage.hole_closing import MAX_OFF_LINE, connected_faces
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-NORMAL_WEIGHT = 0.2  # lumen radii that one unit of normal difference counts as; opposite sides then differ by 0.4
-OVERLAP = 0.5  # share of a region's area
+NORMAL_WEIGHT = 0.2  # lumen radii per unit of normal difference in the nearest-face distance; opposite sides: 0.4
+MIN_OVERLAP = 0.5  # share of a region's area from which it counts as found, or as true
 
 
 @dataclass(frozen=True)
@@ -66,23 +66,26 @@ class CoverageErrors:
 
 @dataclass(frozen=True)
 class TrueWall:
-    """A true mesh (normals towards the lumen, mm) and which of its faces were seen, (F,)."""
+    """A reference wall whose faces know whether any frame saw them."""
 
-    mesh: SurfaceMesh
-    seen: NDArray[np.bool_]
+    mesh: SurfaceMesh  # mm, normals towards the lumen
+    seen: NDArray[np.bool_]  # (F,)
 
 
 def read_true_wall(path: Path | str) -> TrueWall | None:
-    """The wall of a `mesh.ply` with the face property `seen`; None where it has none, or where all of it was seen: such
-    a mesh was cut to what the camera saw, and does not know what it missed."""
+    """The wall of a `mesh.ply` with the face property `seen`.
+
+    None where it has none, or where all of it was seen: such a mesh was cut to what the camera saw, and does not hold
+    what it missed.
+    """
     seen = read_face_property(path, "seen")
     return None if seen is None or (seen == 1).all() else TrueWall(read_mesh(path), seen == 1)
 
 
 def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) -> CoverageErrors:
-    """Errors of a coverage that was measured in the axes and the unit of the true wall."""
+    """Errors of a coverage in the axes and unit of the true wall (mm); `threshold`: equivalent diameter of a region."""
     arc, _, off = coverage.line.locate(wall.mesh.vertices[wall.mesh.faces].mean(axis=1))
-    inside = coverage.is_visited(arc) & (off < FARTHEST * coverage.radius)
+    inside = coverage.is_visited(arc) & (off < MAX_OFF_LINE * coverage.radius)
     if not inside.any():
         raise ReconstructionError("the true wall lies nowhere along the reconstructed centreline")
     part, seen = SurfaceMesh.from_triangles(wall.mesh.vertices, wall.mesh.faces[inside]), wall.seen[inside]
@@ -98,24 +101,24 @@ def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) 
         true=float(area[seen].sum() / area.sum()),
         length=coverage.length,
         true_regions=int(large.sum()),
-        found=int((large & (overlap >= OVERLAP)).sum()),
+        found=int((large & (overlap >= MIN_OVERLAP)).sum()),
         estimated_regions=len(reported),
         false=sum(not _is_true(label == row, seen, area) for row in reported),
         threshold=threshold,
         true_area=float(area.sum()),
         estimated_area=coverage.whole.seen_area + coverage.whole.missed_area,
-        missed_diameters=tuple(np.round(_diameter(sizes[large & (overlap < OVERLAP)]), 1).tolist()),
+        missed_diameters=tuple(np.round(_diameter(sizes[large & (overlap < MIN_OVERLAP)]), 1).tolist()),
         hidden_called_seen=_share(area, label < 0, ~seen),
         seen_called_missed=_share(area, label >= 0, seen),
     )
 
 
 def estimated_labels(coverage: Coverage, wall: SurfaceMesh) -> NDArray[np.int64]:
-    """For each face of a true wall, the missed region (a row of `coverage.regions`) it lies in, or -1."""
+    """(F,) estimated missed region (a row of `coverage.regions`) of each face of a true wall, or -1."""
     from scipy.spatial import cKDTree
 
     weight = NORMAL_WEIGHT * coverage.radius
-    tree = cKDTree(_placed(coverage.closure.surface, weight))
+    tree = cKDTree(_placed(coverage.closed_wall.surface, weight))
     return coverage.region[tree.query(_placed(wall, weight))[1]]
 
 
@@ -125,14 +128,15 @@ def _placed(mesh: SurfaceMesh, weight: float) -> Array:
 
 
 def _diameter(area: NDArray[Any]) -> Array:
-    """Of circles of these areas."""
+    """Equivalent diameters of areas, any shape."""
     return np.asarray(2 * np.sqrt(area / np.pi), np.float64)
 
 
 def _share(area: Array, part: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
-    """Of the area in `of`, how much is also in `part`; 0 where there is none."""
+    """Share of the area (F,) in mask `of` (F,) that is also in mask `part` (F,); 0 where `of` has none."""
     return float(area[part & of].sum() / max(area[of].sum(), 1e-300))
 
 
 def _is_true(part: NDArray[np.bool_], seen: NDArray[np.bool_], area: Array) -> bool:
-    return _share(area, ~seen, part) >= OVERLAP
+    """Whether MIN_OVERLAP or more of the area in mask `part` (F,) is truly unseen."""
+    return _share(area, ~seen, part) >= MIN_OVERLAP

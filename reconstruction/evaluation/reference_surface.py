@@ -1,10 +1,10 @@
-"""The part of the true surface that the camera saw: what a reconstruction can fairly be asked for.
+"""Reference surface: the part of the true surface that the camera saw, which a reconstruction is measured against.
 
 Protocol. Of every `every`-th frame of an RGB-D folder, each pixel's true depth becomes a world point by the true
-pose; points are thinned to one, the mean, per cube of `spacing_mm`. `seen` keeps them all: a reconstructed point far
-from every one of them is wrong. `required` keeps those that came nearer than `max_depth_mm` to a camera: what was
-only seen deeper was seen small and at a glancing angle, so building it is right but missing it is no fault. (One set
-cut at 60 mm for both would put the precision of a perfect fusion at 86 %.) Even a perfect surface shows an accuracy
+world_from_camera; points are thinned to one, the mean, per cube of `spacing_mm`. `seen` keeps them all: a reconstructed
+point far from every one of them is wrong. `required` keeps those that came nearer than `max_depth_mm` to a camera: what
+was only seen deeper was seen small and at a glancing angle, so building it is right but missing it is no fault. (One
+set cut at 60 mm for both would put the precision of a perfect fusion at 86 %.) Even a perfect surface shows an accuracy
 of a third of the spacing, the distance to the nearest of such points.
 """
 
@@ -28,41 +28,41 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-SAMPLES_PER_CUBE = 8  # on a true mesh, before thinning, so that hardly a cube is left empty
-FRAMES_AT_ONCE = 16  # between thinnings
+SAMPLES_PER_CUBE = 8  # random points per cube of a true mesh before thinning, so that hardly a cube is left empty
+FRAMES_PER_THINNING = 16  # frames of points held before they are thinned, which bounds memory
 
 
 @dataclass(frozen=True)
-class ObservedTruth:
-    """Points (N,3) in mm, world axes of the truth; both sets are the same where depth is not known."""
+class ReferenceSurface:
+    """Points in mm, world axes of the truth; both sets are the same where depth is not known."""
 
-    seen: Array
-    required: Array
+    seen: Array  # (N,3)
+    required: Array  # (M,3)
 
 
-def observed_truth(
+def read_reference_surface(
     folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = 0.5
-) -> ObservedTruth:
-    """Truth of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`."""
+) -> ReferenceSurface:
+    """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`."""
     folder = Path(folder)
     if not (folder / "depth").is_dir():
-        return truth_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
+        return reference_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
     # Thinned to half the spacing on the way, so that memory follows the surface and not the length of the video.
-    waiting: list[tuple[Array, Array]] = []
-    for view in _views(folder, every):
-        waiting.append(view)
-        if len(waiting) > FRAMES_AT_ONCE:
-            waiting = [_thin_views(waiting, spacing_mm / 2)]
-    points, nearest = _thin_views(waiting, spacing_mm)
-    return ObservedTruth(seen=points, required=points[nearest <= max_depth_mm])
+    pending: list[tuple[Array, Array]] = []
+    for points_and_depth in _views(folder, every):
+        pending.append(points_and_depth)
+        if len(pending) > FRAMES_PER_THINNING:
+            pending = [_thin_views(pending, spacing_mm / 2)]
+    points, nearest = _thin_views(pending, spacing_mm)
+    return ReferenceSurface(seen=points, required=points[nearest <= max_depth_mm])
 
 
-def truth_from_mesh(
+def reference_from_mesh(
     path: Path | str, max_depth_mm: float = 60.0, spacing_mm: float = 0.5, seed: int = 0
-) -> ObservedTruth:
-    """Points on a true mesh, by its face properties where it has them.
+) -> ReferenceSurface:
+    """Reference surface sampled on a true mesh, by its face properties where it has them.
 
-    `seen`: only faces where it is 1 count. `nearest_mm`: the smallest depth at which a face was seen; those deeper
+    `seen`: faces where it is 1 are sampled. `nearest_mm`: the smallest depth at which a face was seen; those deeper
     than `max_depth_mm` are not required.
     """
     mesh, seen = read_mesh(path), read_face_property(path, "seen")
@@ -72,24 +72,24 @@ def truth_from_mesh(
         raise ReconstructionError(f"{path} has no face that was seen")
     near = whole if nearest is None else whole & (nearest <= max_depth_mm)
     points = _points_on(mesh.with_faces(whole), spacing_mm, seed)
-    return ObservedTruth(
+    return ReferenceSurface(
         seen=points, required=points if near.all() else _points_on(mesh.with_faces(near), spacing_mm, seed)
     )
 
 
 def _points_on(mesh: SurfaceMesh, spacing_mm: float, seed: int) -> Array:
-    """About one point (N,3) in each cube of edge `spacing_mm` that the mesh passes."""
+    """Points (N,3), about one in each cube of edge `spacing_mm` that the mesh intersects."""
     count = int(np.ceil(SAMPLES_PER_CUBE * mesh.face_areas.sum() / spacing_mm**2))
     return thin(sample_surface(mesh.vertices, mesh.faces, count, np.random.default_rng(seed)), spacing_mm)
 
 
 def thin(points: Array, spacing: float) -> Array:
-    """The mean of the points (N,3) in each occupied cube of edge `spacing`."""
+    """Voxel downsampling: the mean (M,3) of the points (N,3) in each occupied cube of edge `spacing`."""
     return _thin_views([(points, np.zeros(len(points)))], spacing)[0]
 
 
 def _thin_views(views: list[tuple[Array, Array]], spacing: float) -> tuple[Array, Array]:
-    """Mean point (N,3) and smallest depth (N,) in each occupied cube."""
+    """Mean point (M,3) and smallest depth (M,) in each occupied cube, of pairs of points (N,3) and depths (N,)."""
     points, depth = (np.concatenate(parts) for parts in zip(*views, strict=True))
     if not len(points):
         raise ReconstructionError("the truth has no point: its depth is empty")
@@ -110,14 +110,14 @@ def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
     files = sorted((folder / "depth").glob("*.png"))
     if len(files) != len(world_from_camera):
         raise ReconstructionError(f"{folder} has {len(files)} depth images for {len(world_from_camera)} poses")
-    for path, pose in list(zip(files, world_from_camera, strict=True))[::every]:
+    for path, transform in list(zip(files, world_from_camera, strict=True))[::every]:
         depth = _read_depth(path, camera, unit_mm)
         known = (depth > 0) & valid
-        yield (rays[known] * depth[known, None]) @ pose[:3, :3].T + pose[:3, 3], depth[known]
+        yield (rays[known] * depth[known, None]) @ transform[:3, :3].T + transform[:3, 3], depth[known]
 
 
 def _read_camera(path: Path) -> tuple[Camera, float]:
-    """The camera, and the length in mm of one count of its depth images."""
+    """Camera, and the unit of its depth images in mm."""
     try:
         unit_mm = float(json.loads(path.read_text())["depth_unit_mm"])
         return read_camera(path), unit_mm
@@ -137,7 +137,7 @@ def _read_depth(path: Path, camera: Camera, unit_mm: float) -> Array:
 
 
 def _rays(camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
-    """Points (H,W,3) at z-depth 1 that the pixels' centres see, and which pixels (H,W) the lens model covers."""
+    """Rays (H,W,3) of z = 1 through the pixels' centres, and which pixels (H,W) the lens model covers."""
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     plane, valid = unproject(camera, np.stack([x.ravel(), y.ravel()], axis=1))
     shape = (camera.height, camera.width)

@@ -1,4 +1,4 @@
-"""How near a reconstructed surface is to the true one, measured on points in both directions.
+"""Surface metrics: accuracy, completeness, precision, recall and F-score of points against reference points.
 
 Accuracy and completeness as in Seitz et al., "A comparison and evaluation of multi-view stereo reconstruction
 algorithms", CVPR 2006; precision, recall and F-score as in Knapitsch et al., "Tanks and Temples", TOG 2017.
@@ -17,13 +17,12 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
+SAMPLES_PER_SQUARE_TAU = 16  # points per tau^2 of mesh: about tau/4 apart, so that spacing hardly enters the shares
+MAX_SAMPLES = 2_000_000  # points drawn from one mesh
 
-SAMPLES_PER_SQUARE_TAU = 16  # mesh points lie about tau/4 apart, so that their spacing hardly enters the shares
-MOST_SAMPLES = 2_000_000
 
-
-class TruePoints(Protocol):
-    """Points (N,3) of the true surface: `seen` is all of it, `required` the part that should have been built."""
+class ReferencePoints(Protocol):
+    """Points (N,3) of a reference surface: `seen` is all of it, `required` the part that should have been built."""
 
     @property
     def seen(self) -> Array: ...
@@ -36,9 +35,9 @@ class TruePoints(Protocol):
 class SurfaceErrors:
     """Distances in `unit`; shares in [0,1]."""
 
-    accuracy_mean: float  # reconstructed point -> nearest seen true point
+    accuracy_mean: float  # reconstructed point -> nearest seen reference point
     accuracy_median: float
-    completeness_mean: float  # required true point -> nearest reconstructed point
+    completeness_mean: float  # required reference point -> nearest reconstructed point
     completeness_median: float
     chamfer: float  # mean of the two means
     precision: float  # share of reconstructed points nearer than tau to a seen true point
@@ -62,11 +61,11 @@ class SurfaceErrors:
 
 
 def surface_errors(
-    mesh: SurfaceMesh, truth: TruePoints, tau: float, generator: np.random.Generator, unit: str = "mm"
+    mesh: SurfaceMesh, truth: ReferencePoints, tau: float, generator: np.random.Generator, unit: str = "mm"
 ) -> SurfaceErrors:
-    """Errors of points sampled from the mesh by area, `SAMPLES_PER_SQUARE_TAU` in each square of edge `tau`."""
+    """Errors of points sampled from the mesh by area, SAMPLES_PER_SQUARE_TAU per tau^2; `tau` in `unit`."""
     wanted = SAMPLES_PER_SQUARE_TAU * float(mesh.face_areas.sum()) / tau**2
-    count = int(np.clip(wanted, SAMPLES_PER_SQUARE_TAU, MOST_SAMPLES))
+    count = int(np.clip(wanted, SAMPLES_PER_SQUARE_TAU, MAX_SAMPLES))
     points = sample_surface(mesh.vertices, mesh.faces, count, generator)
     return point_errors(points, truth.seen, truth.required, tau, unit)
 
@@ -101,7 +100,7 @@ def point_errors(reconstructed: Array, seen: Array, required: Array, tau: float,
 def sample_surface(
     vertices: Array, faces: NDArray[np.int64], count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """`count` points (count,3) spread uniformly by area over triangles."""
+    """`count` points (count,3) drawn uniformly by area from triangles (F,3) of vertices (V,3)."""
     first, second, third = (np.asarray(vertices, np.float64)[faces[:, corner]] for corner in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
     if not area.sum() > 0:

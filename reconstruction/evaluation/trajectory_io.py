@@ -1,4 +1,4 @@
-"""Camera paths on disk: TUM files. Poses are `world_from_camera` (N,4,4); quaternions are written x y z w."""
+"""Trajectories on disk as TUM files: `world_from_camera` (N,4,4), quaternions x y z w."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from haustra.core.errors import ReconstructionError
 
 Array = NDArray[np.float64]
 
-QUATERNION_SLACK = 1e-3  # a file's rounding may move a unit quaternion's length by this much
+MAX_QUATERNION_ERROR = 1e-3  # deviation of a quaternion's length from 1 that a file's rounding may leave
 
 
 def read_tum(path: Path | str) -> tuple[Array, Array]:
@@ -30,23 +30,24 @@ def read_tum(path: Path | str) -> tuple[Array, Array]:
     if not rows:
         raise ReconstructionError(f"{path} has no poses")
     table = np.array(rows)
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
-    poses[:, :3, 3] = table[:, 1:4]
-    return table[:, 0], poses
+    world_from_camera = np.tile(np.eye(4), (len(table), 1, 1))
+    world_from_camera[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+    world_from_camera[:, :3, 3] = table[:, 1:4]
+    return table[:, 0], world_from_camera
 
 
 def write_tum(path: Path | str, seconds: Array, world_from_camera: Array) -> None:
-    """Write poses (N,4,4) at `seconds` (N,), microseconds and nine decimals of the unit of length."""
-    poses = checked_poses(world_from_camera)
-    if np.shape(seconds) != (len(poses),):
-        raise ReconstructionError(f"{len(poses)} poses need {len(poses)} times, got {np.size(seconds)}")
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
-    table = np.column_stack([seconds, poses[:, :3, 3], quaternions])
+    """Write `world_from_camera` (N,4,4) at `seconds` (N,): microseconds, and nine decimals of the unit of length."""
+    checked = checked_poses(world_from_camera)
+    if np.shape(seconds) != (len(checked),):
+        raise ReconstructionError(f"{len(checked)} poses need {len(checked)} times, got {np.size(seconds)}")
+    quaternions = Rotation.from_matrix(checked[:, :3, :3]).as_quat(canonical=True)
+    table = np.column_stack([seconds, checked[:, :3, 3], quaternions])
     np.savetxt(path, table, fmt=["%.6f"] + ["%.9f"] * 7)
 
 
 def _tum_row(line: str, where: str) -> list[float]:
+    """The eight numbers of a line; `ReconstructionError` names `where` if they are no pose."""
     try:
         values = [float(word) for word in line.split()]
     except ValueError as error:
@@ -54,13 +55,14 @@ def _tum_row(line: str, where: str) -> list[float]:
     if len(values) != 8 or not np.isfinite(values).all():
         raise ReconstructionError(f"{where}: a pose is eight finite numbers, got {line.strip()!r}")
     length = float(np.linalg.norm(values[4:]))
-    if abs(length - 1) > QUATERNION_SLACK:
+    if abs(length - 1) > MAX_QUATERNION_ERROR:
         raise ReconstructionError(f"{where}: the quaternion's length is {length:.4g}, not 1")
     return values
 
 
 def checked_poses(world_from_camera: Array) -> Array:
-    poses = np.asarray(world_from_camera, np.float64)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
-        raise ReconstructionError(f"poses must be finite and (N,4,4), not {poses.shape}")
-    return poses
+    """`world_from_camera` as float64; `ReconstructionError` unless finite and (N,4,4)."""
+    matrices = np.asarray(world_from_camera, np.float64)
+    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or not np.isfinite(matrices).all():
+        raise ReconstructionError(f"poses must be finite and (N,4,4), not {matrices.shape}")
+    return matrices

@@ -1,6 +1,6 @@
-"""Camera paths: TUM files, association by time, alignment (Umeyama), and the errors the field reports.
+"""Trajectory metrics: association by time, alignment (Umeyama), ATE, RTE and rotation errors.
 
-Poses are `world_from_camera` (N,4,4): the camera's centre is the last column. Quaternions are written x y z w.
+Trajectories are `world_from_camera` (N,4,4): the camera's centre is the last column.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from reconstruction.evaluation.trajectory_io import checked_poses
 Array = NDArray[np.float64]
 Alignment = Literal["sim3", "se3", "none"]
 
-COLLINEAR = 1e-9  # second singular value of the centres' covariance over the first: below it they lie on one line
+COLLINEAR = 1e-9  # second over first singular value of the centres' covariance, below which they lie on one line
 
 
 def associate(
     first_seconds: Array, second_seconds: Array, max_difference: float = 0.01
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of the poses that are each other's nearest in time and at most `max_difference` seconds apart."""
+    """Rows (K,), (K,) of the times (N,), (M,) that are mutually nearest and at most `max_difference` seconds apart."""
     first, second = np.asarray(first_seconds, float), np.asarray(second_seconds, float)
     if not first.size or not second.size:
         raise ReconstructionError("there are no poses to associate")
@@ -39,7 +39,7 @@ def associate(
 
 
 def _nearest(query: Array, ascending: Array) -> NDArray[np.int64]:
-    """Index of the value of `ascending` nearest to each value of `query`."""
+    """Index (N,) of the value of `ascending` (M,) nearest to each value of `query` (N,)."""
     right = np.searchsorted(ascending, query).clip(1, max(1, len(ascending) - 1))
     right = np.minimum(right, len(ascending) - 1)
     left = np.maximum(right - 1, 0)
@@ -48,10 +48,10 @@ def _nearest(query: Array, ascending: Array) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class SimCol3DErrors:
-    """The SimCol3D challenge's protocol: motions chained from the true first pose, one scale, no rotation fitted."""
+    """Errors by the SimCol3D challenge: motions chained from the true first pose, one scale, no rotation fitted."""
 
-    ate_median: float  # median distance of the chained camera centres
-    rte_median: float  # median length of the error of a one-frame motion
+    ate_median: float  # in `unit`; median distance of the chained camera centres
+    rte_median: float  # in `unit`; median length of the error of a one-frame motion
     rot_median_deg: float  # median angle of the error of a one-frame motion
     scale: float
     unit: str
@@ -60,9 +60,9 @@ class SimCol3DErrors:
 
 @dataclass(frozen=True)
 class TrajectoryErrors:
-    """Distances of camera centres and angles of orientations after `alignment`, all frames weighing the same."""
+    """Absolute trajectory error after `alignment`, all frames weighing the same."""
 
-    ate_rmse: float
+    ate_rmse: float  # in `unit`, of distances of camera centres
     ate_mean: float
     ate_median: float
     rotation_median_deg: float
@@ -76,11 +76,18 @@ class TrajectoryErrors:
 def trajectory_errors(
     estimated: Array, truth: Array, alignment: Alignment = "sim3", unit: str = "mm"
 ) -> TrajectoryErrors:
-    """Compare poses (N,4,4) pair by pair after fitting a Sim(3), an SE(3) or nothing, as evo's `-as`, `-a`, none."""
+    """ATE of `world_from_camera` (N,4,4) after a Sim(3), an SE(3) or no fit (evo: `-as`, `-a`, none)."""
     estimated, truth = _paired(estimated, truth)
     if alignment not in get_args(Alignment):
         raise ReconstructionError(f"alignment is one of {', '.join(get_args(Alignment))}, not {alignment!r}")
     truth_from_estimate = np.eye(4) if alignment == "none" else _align_poses(estimated, truth, alignment == "sim3")
+    return _errors_after(truth_from_estimate, estimated, truth, alignment, unit)
+
+
+def _errors_after(
+    truth_from_estimate: Array, estimated: Array, truth: Array, alignment: Alignment, unit: str
+) -> TrajectoryErrors:
+    """Errors of the trajectory moved by `truth_from_estimate` (4,4)."""
     scale = float(scale_of(truth_from_estimate))
     aligned = truth_from_estimate @ estimated
     distance = np.linalg.norm(aligned[:, :3, 3] - truth[:, :3, 3], axis=1)
@@ -99,7 +106,7 @@ def trajectory_errors(
 
 
 def simcol3d_errors(estimated: Array, truth: Array, unit: str = "mm") -> SimCol3DErrors:
-    """ATE, RTE and ROT as the SimCol3D challenge defines them (repository anitarau/simcol, evaluation/)."""
+    """ATE, RTE and ROT of (N,4,4) as the SimCol3D challenge defines them (repository anitarau/simcol, evaluation/)."""
     estimated, truth = _paired(estimated, truth)
     motion, true_motion = _one_frame_motions(estimated), _one_frame_motions(truth)
     length_squared = np.sum(motion[:, :3, 3] ** 2)
@@ -123,7 +130,7 @@ def simcol3d_errors(estimated: Array, truth: Array, unit: str = "mm") -> SimCol3
 
 
 def _align_poses(estimated: Array, truth: Array, with_scale: bool) -> Array:
-    """Umeyama on the centres; where they lie on one line, the orientations settle the roll about it."""
+    """`truth_from_estimate` (4,4): Umeyama on the centres; of collinear ones the orientations fix the roll."""
     centres, true_centres = estimated[:, :3, 3], truth[:, :3, 3]
     truth_from_estimate = umeyama(centres, true_centres, with_scale)
     pivot = true_centres.mean(axis=0)
@@ -139,20 +146,22 @@ def _align_poses(estimated: Array, truth: Array, with_scale: bool) -> Array:
 
 
 def align_poses(estimated: Array, truth: Array) -> Array:
-    """The Sim(3) `truth_from_estimate` (4x4) that fits centres and orientations of poses (N,4,4) together.
+    """The Sim(3) `truth_from_estimate` (4,4) that fits centres and orientations of (N,4,4) together.
 
-    Centres of a nearly straight path leave the roll about it open, and a surface 20 mm off the path would move by
-    millimetres. So each camera also gives the tips of its three axes, as long as the true centres' spread.
+    Centres of a nearly straight path hardly constrain the roll about it, and a surface 20 mm off the path would move by
+    millimetres. So Umeyama also gets the tips of each camera's three axes, as long as the true centres' spread.
     """
     estimated, truth = _paired(estimated, truth)
     from_centres = umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale=True)
     scale = float(scale_of(from_centres))
     reach = float(np.sqrt(truth[:, :3, 3].var(axis=0).sum()))
-    points = [
-        np.concatenate([poses[:, :3, 3], *(poses[:, :3, 3] + length * poses[:, :3, axis] for axis in range(3))])
-        for poses, length in ((estimated, reach / scale), (truth, reach))
-    ]
-    return umeyama(points[0], points[1], with_scale=True)
+    return umeyama(_centres_and_tips(estimated, reach / scale), _centres_and_tips(truth, reach), with_scale=True)
+
+
+def _centres_and_tips(world_from_camera: Array, length: float) -> Array:
+    """Centres (N,3) of cameras (N,4,4), and the tips of their axes of that length: (4 N,3)."""
+    centres = world_from_camera[:, :3, 3]
+    return np.concatenate([centres, *(centres + length * world_from_camera[:, :3, axis] for axis in range(3))])
 
 
 def _best_roll(axis: Array, rotations: Array, true_rotations: Array) -> Array:
@@ -167,16 +176,17 @@ def _best_roll(axis: Array, rotations: Array, true_rotations: Array) -> Array:
 
 
 def _one_frame_motions(world_from_camera: Array) -> Array:
-    """`camera_from_next` (N-1,4,4)."""
+    """`camera_from_next` (N-1,4,4) of consecutive cameras (N,4,4)."""
     return np.linalg.inv(world_from_camera[:-1]) @ world_from_camera[1:]
 
 
 def _angle_deg(rotations: Array) -> Array:
-    """Angle of each rotation (N,3,3) in degrees; from the quaternion, as arccos of the trace is blunt near 0."""
+    """Angle (N,) of rotations (N,3,3) in degrees; by the quaternion, as arccos of the trace loses digits near 0."""
     return np.degrees(Rotation.from_matrix(rotations).magnitude())
 
 
 def _paired(estimated: Array, truth: Array) -> tuple[Array, Array]:
+    """Both as float64 (N,4,4); `ReconstructionError` unless there are two or more pairs."""
     estimated, truth = checked_poses(estimated), checked_poses(truth)
     if len(estimated) != len(truth) or len(truth) < 2:
         raise ReconstructionError(f"two or more pairs of poses are needed, got {len(estimated)} and {len(truth)}")

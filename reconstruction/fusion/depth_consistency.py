@@ -1,9 +1,9 @@
-"""Do a frame's neighbours see what its depth says? Reprojection both ways, before anything is fused.
+"""Depth consistency: support and contradiction of a depth map by its neighbours, by reprojection both ways.
 
-Each pixel of a frame is carried into other frames that look at the same wall. There it either lies on the other's
-surface (support), in the space that the other looks through (contradiction), or behind the other's surface: hidden, as
-behind a fold, unless the frame itself looks through that surface (contradiction again). Depth that several frames
-contradict is an error of one of them, most often a gross one that the sparse points or the network believed.
+Each pixel of a frame is reprojected into other frames that look at the same wall. There it either lies on the other's
+surface (support), in the space that the other looks through (contradiction), or behind the other's surface: occluded,
+as behind a fold, unless the frame itself looks through that surface (contradiction again). Depth that several frames
+contradict is an error of one of them, most often an outlier of the sparse points or of the network.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from haustra.core.numba_cache import compiled
 
-MIN_VOTERS = 2
-MIN_SHARE_OF_VOTER = 0.1  # of the known pixels
+MIN_VOTERS = 2  # frames that must judge a frame before it can be outvoted
+MIN_SHARE_OF_VOTER = 0.1  # share of a frame's known pixels that another must judge to count as a voter
+MIN_Z = 1e-9  # below which a point lies behind the camera
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -27,16 +28,15 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class DepthView:
-    """A posed depth map: (H,W) z-depth, 0 = none; (3,3) intrinsics with the top-left pixel's centre at (0.5, 0.5);
-    (4,4) pose. Depth and pose in one unit."""
+    """A posed depth map; depth and translation in one unit."""
 
-    depth: Depth
-    intrinsics: NDArray[np.float64]
-    world_from_camera: NDArray[np.float64]
+    depth: Depth  # (H,W) z-depth, 0 = none
+    intrinsics: NDArray[np.float64]  # (3,3), the top-left pixel's centre at (0.5, 0.5)
+    world_from_camera: NDArray[np.float64]  # (4,4)
 
     @cached_property
     def extremes(self) -> tuple[Depth, Depth]:
-        """Nearest and farthest known depth in each 3x3 window; 0 where a window holds an unknown one."""
+        """Least and greatest depth (H,W) in each 3x3 window; 0 where a window holds an unknown one."""
         window = np.ones((3, 3), np.uint8)
         nearest = cv2.erode(self.depth, window, borderType=cv2.BORDER_REPLICATE)
         farthest = cv2.dilate(self.depth, window, borderType=cv2.BORDER_REPLICATE)
@@ -45,14 +45,15 @@ class DepthView:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How many of the other frames support and how many contradict each pixel, (H,W) each."""
+    """Votes of other frames on the pixels of one."""
 
-    supports: NDArray[np.int16]
-    contradictions: NDArray[np.int16]
-    voters: int  # other frames that judged a tenth of the frame's known pixels or more
+    supports: NDArray[np.int16]  # (H,W) frames that support the pixel
+    contradictions: NDArray[np.int16]  # (H,W) frames that contradict it
+    voters: int  # other frames that judged MIN_SHARE_OF_VOTER of the known pixels or more
 
     @property
     def judged(self) -> Mask:
+        """(H,W) pixels with any vote."""
         return self.supports + self.contradictions > 0
 
     @property
@@ -62,20 +63,22 @@ class Agreement:
         return float((self.contradictions > self.supports)[judged].mean()) if judged.any() else 0.0
 
     def is_outvoted(self, share: float) -> bool:
-        """Whether two or more others that see much of the frame contradict more than this share of it. One alone could
-        itself be the one in error."""
+        """Whether more than `share` of the judged pixels are contradicted, by MIN_VOTERS frames or more.
+
+        A single voter could itself be the one in error.
+        """
         return self.voters >= MIN_VOTERS and self.contradicted_share > share
 
     def weight(self, severity: float = 2.0) -> Depth:
-        """Factor on the confidence in (0,1]: 1 where nobody contradicts, 1 / (1 + severity) for one against none."""
-        kept = 1 + self.supports.astype(np.float32)
-        return (kept / (kept + np.float32(severity) * self.contradictions)).astype(np.float32)
+        """Factor (H,W) on the confidence in (0,1]: 1 without contradiction, 1 / (1 + severity) for one against none."""
+        supported = 1 + self.supports.astype(np.float32)
+        return (supported / (supported + np.float32(severity) * self.contradictions)).astype(np.float32)
 
 
 def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, stride: int = 2) -> Agreement:
-    """Votes of `others` on every `stride`-th pixel of `view`, spread to the pixels between.
+    """Votes of `others` on every `stride`-th pixel of `view`, repeated for the pixels between.
 
-    tolerance: relative difference of depth that still counts as the same surface.
+    tolerance: relative difference of depth up to which two depths are of the same surface.
     """
     height, width = view.depth.shape
     votes, voters = np.zeros((2, -(-height // stride), -(-width // stride)), np.int16), 0
@@ -90,7 +93,7 @@ def agreement(view: DepthView, others: Sequence[DepthView], tolerance: float, st
 
 
 def _arrays(view: DepthView) -> tuple[Depth, Depth, Depth, NDArray[np.float64]]:
-    """As `_vote` takes a view: depth, its extremes, and fx, fy, cx, cy."""
+    """A view as `_vote` takes it: depth, its extremes (H,W), and fx, fy, cx, cy (4,)."""
     nearest, farthest = view.extremes
     pinhole: NDArray[np.float64] = np.asarray(view.intrinsics, np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
     return np.ascontiguousarray(view.depth, np.float32), nearest, farthest, pinhole
@@ -112,30 +115,25 @@ def _vote(
     stride: int,
     votes: NDArray[np.int16],
 ) -> int:
-    """Add one other frame's supports and contradictions to `votes` (2,h,w); how many pixels it judged."""
+    """Add one other frame's supports and contradictions to `votes` (2,h,w); returns how many pixels it judged."""
     judged = 0
     for row in range(0, depth.shape[0], stride):
         for column in range(0, depth.shape[1], stride):
             if not depth[row, column] > 0:
                 continue
-            there, there_row, there_column = _carried(
+            z, i, j = _reprojected(
                 row, column, depth[row, column], pinhole, other_from_view, other_pinhole, other_depth.shape
             )
-            # Between the nearest and farthest depth around the pixel: a fold's edge is never met to the pixel.
-            if there_row < 0 or not other_nearest[there_row, there_column] > 0:
+            # Between the least and greatest depth around the pixel: a fold's edge is never met to the pixel.
+            if i < 0 or not other_nearest[i, j] > 0:
                 continue
-            if there < other_nearest[there_row, there_column] * (1 - tolerance):
+            if z < other_nearest[i, j] * (1 - tolerance):
                 votes[1, row // stride, column // stride] += 1
-            elif there <= other_farthest[there_row, there_column] * (1 + tolerance):
+            elif z <= other_farthest[i, j] * (1 + tolerance):
                 votes[0, row // stride, column // stride] += 1
-            else:  # behind a surface, which is carried back: does this frame look through it?
-                hiding = other_depth[there_row, there_column]
-                back, back_row, back_column = _carried(
-                    there_row, there_column, hiding, other_pinhole, view_from_other, pinhole, depth.shape
-                )
-                if back_row < 0 or not nearest[back_row, back_column] > 0:
-                    continue
-                if back >= nearest[back_row, back_column] * (1 - tolerance):
+            else:  # behind the other's surface: does this frame look through that?
+                back, k, m = _reprojected(i, j, other_depth[i, j], other_pinhole, view_from_other, pinhole, depth.shape)
+                if k < 0 or not nearest[k, m] > 0 or back >= nearest[k, m] * (1 - tolerance):
                     continue
                 votes[1, row // stride, column // stride] += 1
             judged += 1
@@ -143,7 +141,7 @@ def _vote(
 
 
 @compiled
-def _carried(
+def _reprojected(
     row: int,
     column: int,
     depth: float,
@@ -152,13 +150,12 @@ def _carried(
     to_pinhole: NDArray[np.float64],
     shape: tuple[int, int],
 ) -> tuple[float, int, int]:
-    """z-depth, row and column of the middle of a pixel at some depth in another frame; row -1 where that shows nothing
-    of it."""
+    """z-depth, row and column in another frame of a pixel's centre at `depth`; row -1 if behind it or out of view."""
     x = (column + 0.5 - pinhole[2]) / pinhole[0] * depth
     y = (row + 0.5 - pinhole[3]) / pinhole[1] * depth
     a, b, c = to_from_here[0], to_from_here[1], to_from_here[2]
     z = c[0] * x + c[1] * y + c[2] * depth + c[3]
-    if not z > 1e-9:
+    if not z > MIN_Z:
         return z, -1, -1
     u = to_pinhole[0] * (a[0] * x + a[1] * y + a[2] * depth + a[3]) / z + to_pinhole[2]
     v = to_pinhole[1] * (b[0] * x + b[1] * y + b[2] * depth + b[3]) / z + to_pinhole[3]

@@ -1,4 +1,4 @@
-"""One checked RGB-D frame, with the depth that no surface can be built from taken out."""
+"""One checked RGB-D frame for fusion: unusable depth removed, the rest weighted."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """What fusion needs of a frame, converted once at this border."""
+    """A frame as fusion takes it."""
 
     colour: NDArray[np.float32]  # (H,W,3) 0..255
     depth: Image  # (H,W) z-depth, 0 where nothing usable was measured
     confidence: Image  # (H,W) in [0,1], 0 wherever depth is 0
-    weight: Image  # (H,W) >= 0: how well the depth fixes the surface's place; 0 wherever depth is 0
+    weight: Image  # (H,W) >= 0, inverse variance of the surface's position; 0 wherever depth is 0
     centred_intrinsics: NDArray[np.float64]  # (3,3), the top-left pixel's centre at (0,0)
     camera_from_world: NDArray[np.float64]  # (4,4)
 
@@ -35,13 +35,14 @@ def prepare_frame(
     max_grazing_deg: float,
     typical_depth: float,
 ) -> DepthFrame:
-    """Check shapes, move the pixel origin from COLMAP's corner to Open3D's centre, drop unusable depth, weigh the rest.
+    """`DepthFrame` of rgb (H,W,3), z-depth (H,W), confidence (H,W), intrinsics (3,3), world_from_camera (4,4).
 
-    NaN, infinite, non-positive and farther than `max_depth` count as no depth; so do pixels that see their surface
-    at more than `max_grazing_deg` from its normal, and pixels whose confidence is NaN or not positive.
+    Intrinsics have the top-left pixel's centre at (0.5, 0.5) (COLMAP); the frame has it at (0, 0) (Open3D). Depth that
+    is NaN, infinite, not positive or above `max_depth` is dropped; so are pixels that see their surface at more than
+    `max_grazing_deg` from its normal, and pixels whose confidence is NaN or not positive.
 
     The weight is confidence x (cosine x typical_depth / depth)^2. Confidence is about the relative error, so a wall
-    twice as far is twice as uncertain in place: inverse variance. The square of the slant's cosine is a heuristic:
+    twice as far is twice as uncertain in position: inverse variance. The square of the slant's cosine is a heuristic:
     where depth changes fast from pixel to pixel, an edge that is a pixel off or smeared errs most.
     """
     _check_shapes(rgb, depth, confidence, intrinsics, world_from_camera)
@@ -65,7 +66,7 @@ def prepare_frame(
 
 
 def view_cosine(depth: Image, centred_intrinsics: NDArray[np.float64]) -> Image:
-    """Cosine of the angle between each pixel's ray and its surface's normal, (H,W); 0 where there is no depth.
+    """Cosine (H,W) of the angle between each pixel's ray and its surface's normal; 0 where there is no depth.
 
     With gradient (zu, zv) of z-depth in pixels, the normal is along (fx zu, fy zv, -(z + x fx zu + y fy zv)) for the
     ray (x, y, 1), and its product with the ray is -z. A fold's edge, smeared over several pixels by a depth network,
@@ -82,7 +83,7 @@ def view_cosine(depth: Image, centred_intrinsics: NDArray[np.float64]) -> Image:
 
 
 def _slope(depth: Image, axis: int) -> Image:
-    """Central difference per pixel; one-sided beside a missing depth, and 0 where neither neighbour has one."""
+    """Central difference of depth (H,W) per pixel; one-sided beside a missing depth, 0 where both are missing."""
     image = np.moveaxis(depth, axis, 0)
     known = ((image[1:] > 0) & (image[:-1] > 0)).astype(np.float32)
     step = (image[1:] - image[:-1]) * known
@@ -101,6 +102,7 @@ def _check_shapes(
     intrinsics: NDArray[np.float64],
     world_from_camera: NDArray[np.float64],
 ) -> None:
+    """Raise `ReconstructionError` unless the arrays of a frame fit each other."""
     if depth.ndim != 2 or min(depth.shape) < 2:
         raise ReconstructionError(f"depth must be (H,W), not {depth.shape}")
     if rgb.shape != (*depth.shape, 3) or rgb.dtype != np.uint8:

@@ -1,18 +1,18 @@
-"""The lamp divided out of the picture: what is left is the colour of the mucosa, not how near the endoscope came.
+"""Photometric model of an endoscope: illumination by distance, slant and angle off the axis, fitted and divided out.
 
-The lamp sits at the camera, so a wall of one colour shines as cos(theta) / r^2: r along the ray, theta between ray and
-normal. A real picture has passed a tone curve and an automatic gain, its lamp is wide and brightest ahead, its lens
-darkens the corners, and other walls throw light back, so the exponents are fitted to the film itself, with a gain of
-its own for each frame:
+The light source sits at the camera, so a Lambertian wall of one albedo has luminance cos(theta) / r^2: r along the
+ray, theta between ray and normal. A recorded image has passed a tone curve and automatic exposure, the light guide is
+wide and brightest ahead, the lens darkens the corners, and other walls reflect light back, so the exponents are fitted
+to the video itself, with an exposure gain for each frame:
 
-    log luminance = gain_frame + a log r + b log cos(theta) + c log cos(phi),     phi between ray and optical axis;
+    log luminance = exposure_gain + a log r + b log cos(theta) + c log cos(phi),  phi between ray and optical axis;
 
-a = -2, b = 1, c = 0 for a bare point lamp. Without the third term a camera that backs away takes the corners' darkness
-for nearness.
+a = -2, b = 1, c = 0 for a point source. Without the third term, vignetting of a camera that backs away would be
+explained by distance.
 
-Two things are assumed of the mucosa: that it is not paler where it is near, and that each frame sees on the whole the
-same colour, since each frame's median is brought to the film's: the camera's automatic gain cannot be told from a
-stretch of pale or of inflamed wall. Colours may be compared within a view, not between far stretches of a video.
+Two assumptions on the mucosa: its albedo does not depend on distance, and each frame sees the same median albedo, since
+each frame's median is brought to the video's: automatic exposure cannot be told from a stretch of pale or of inflamed
+wall. Colours may be compared within a view, not between far stretches of a video.
 """
 
 from __future__ import annotations
@@ -29,55 +29,56 @@ from reconstruction.fusion.depth_frame import view_cosine
 
 GAMMA = 2.2  # of the display encoding
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709, linear
-DARK, BURNT = 12, 248  # grey levels between which a pixel says how bright its wall is
-MIN_COSINE = 0.15  # flatter slopes of completed depth are mostly its error
-MIN_PIXELS = 200  # of a frame that takes part in the fit
-SAMPLES = 2000  # pixels of each frame
-SMOOTH_SHARE = 0.02  # of the width: normals of completed depth are too rough to divide by (docs/lab)
-RANGES = ((-3.0, 0.0), (0.0, 2.0), (-1.0, 6.0))  # of the exponents; light does not grow with distance
-MOST = np.log(6.0)  # a pixel is brightened or darkened by no more: beyond, only its noise would show
-_LINEAR = np.power(np.arange(256, dtype=np.float32) / np.float32(255), np.float32(GAMMA))  # of each grey level
-NOISE = 0.15  # of log luminance by the mucosa's own pattern; residuals beyond count less (soft L1)
+MIN_GREY, MAX_GREY = 12, 248  # grey levels (8 bit) of a pixel that is neither under- nor overexposed
+MIN_COSINE = 0.15  # cosine of the slant below which a normal of completed depth is mostly error
+MIN_PIXELS = 200  # usable pixels of a frame below which it takes no part in the fit
+SAMPLES = 2000  # pixels drawn from each frame for the fit
+SMOOTH_SHARE = 0.02  # sigma over image width of the blur before normals are taken (docs/lab/retired_experiments.md)
+EXPONENT_BOUNDS = ((-3.0, 0.0), (0.0, 2.0), (-1.0, 6.0))  # of distance, slant, axis; light does not grow with distance
+MAX_LOG_CORRECTION = np.log(6.0)  # log factor on a pixel's luminance beyond which only its noise would show
+NOISE = 0.15  # sigma of log luminance by the mucosa's albedo pattern: scale of the soft L1 loss
+_LINEAR = np.power(np.arange(256, dtype=np.float32) / np.float32(255), np.float32(GAMMA))  # linear light of grey levels
 
 
 @dataclass(frozen=True)
-class Lamp:
-    """Exponents of distance, slant and angle off the axis; level: mean log luminance of the film with them divided
-    out, at distance `reference` (the unit of the depth). frames: how many the fit rests on."""
+class Illumination:
+    """Fitted illumination model: exponents of distance along the ray, cosine of the slant, cosine off the axis."""
 
     distance: float
     slant: float
     axis: float
-    level: float
-    reference: float
-    frames: int
+    level: float  # mean over frames of the shading-corrected median log luminance, at distance `reference`
+    reference: float  # median distance, unit of the depth
+    frames: int  # frames that took part in the fit
 
-    def delit(
+    def shading_corrected(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
     ) -> NDArray[np.uint8]:
-        """The picture (H,W,3) as one lamp at one distance, met head-on, would show it; without depth unchanged.
+        """Image (H,W,3) uint8 sRGB with illumination and exposure gain divided out; pixels without depth unchanged.
 
-        depth (H,W) z-depth, 0 = none; intrinsics (3,3), the top-left pixel's centre at (0.5, 0.5). The frame's own
-        gain is what brings its median to the film's.
+        rgb (H,W,3) uint8; depth (H,W) z-depth, 0 = none; intrinsics (3,3), the top-left pixel's centre at (0.5, 0.5).
         """
         shade, known = self._log_shade(depth, intrinsics)
         if known.sum() < MIN_PIXELS:
             return rgb
         linear = _linear(rgb)
-        gain = _median_gain(linear, shade, known & _is_exposed(rgb))
-        brighten = 0.0 if gain is None else self.level - gain
-        factor = np.exp(np.clip(brighten - shade, -MOST, MOST))
+        exposure_gain = _median_exposure_gain(linear, shade, known & _is_exposed(rgb))
+        brighten = 0.0 if exposure_gain is None else self.level - exposure_gain
+        factor = np.exp(np.clip(brighten - shade, -MAX_LOG_CORRECTION, MAX_LOG_CORRECTION))
         result = np.where(known[..., None], linear * factor[..., None], linear)
         return np.rint(255 * np.clip(result, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
 
-    def gain(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]) -> float | None:
-        """The frame's median log luminance with the lamp divided out; None if too few pixels tell."""
+    def exposure_gain(
+        self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
+    ) -> float | None:
+        """Median shading-corrected log luminance of a frame; None with fewer than MIN_PIXELS usable pixels."""
         shade, known = self._log_shade(depth, intrinsics)
-        return _median_gain(_linear(rgb), shade, known & _is_exposed(rgb))
+        return _median_exposure_gain(_linear(rgb), shade, known & _is_exposed(rgb))
 
     def _log_shade(
         self, depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Model log shading (H,W), and where depth is known (H,W)."""
         distance, cosine, ahead = geometry(depth, intrinsics)
         known = distance > 0
         ratio = np.where(known, distance / self.reference, 1)
@@ -88,8 +89,11 @@ class Lamp:
 def geometry(
     depth: NDArray[np.float32], intrinsics: NDArray[np.float64], smooth_share: float = SMOOTH_SHARE
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Distance along the ray and cosine of the slant, 0 where there is no depth, and cosine of the angle off the
-    optical axis; (H,W) each. The slant is that of depth blurred by a Gaussian of `smooth_share` of the width."""
+    """Distance along the ray, cosine of the slant (both 0 without depth), cosine off the optical axis; (H,W) each.
+
+    depth (H,W) z-depth; the slant is that of log depth blurred by a Gaussian of sigma `smooth_share` of the width,
+    since normals of completed depth are too rough to divide by.
+    """
     clean = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     centred = np.array(intrinsics, np.float64)
     centred[:2, 2] -= 0.5
@@ -101,7 +105,7 @@ def geometry(
 
 
 def _blurred(depth: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
-    """Logarithm of depth averaged over the known pixels around; 0 stays 0."""
+    """Depth (H,W) blurred in its logarithm over known pixels, normalised convolution; 0 stays 0."""
     if sigma_px == 0:
         return depth
     known = (depth > 0).astype(np.float32)
@@ -116,35 +120,38 @@ def _blurred(depth: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]
     return np.where(known > 0, np.exp(mean + middle), 0).astype(np.float32)
 
 
-def fit_lamp(
+def fit_illumination(
     frames: Iterable[tuple[NDArray[np.uint8], NDArray[np.float32]]], intrinsics: NDArray[np.float64], seed: int = 0
-) -> Lamp | None:
-    """Exponents from pairs of picture and depth, shapes as in `Lamp.delit`; None if no frame has enough pixels."""
+) -> Illumination | None:
+    """Robust fit of the exponents to pairs of image and depth (shapes as in `Illumination.shading_corrected`).
+
+    None if no frame has MIN_PIXELS usable pixels. `seed` fixes which pixels are drawn.
+    """
     rng = np.random.default_rng(seed)
     found = [_samples(rgb, depth, intrinsics, rng) for rgb, depth in frames]
     used = [sample for sample in found if sample is not None]
     if not used:
         return None
-    # Centred frame by frame, so that each frame's gain drops out.
+    # Centred frame by frame, so that each frame's exposure gain drops out.
     centred = np.concatenate([sample - np.median(sample, axis=0) for sample in used])
 
     def residual(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
         return centred[:, 0] - centred[:, 1:] @ exponents
 
-    bounds = tuple(zip(*RANGES, strict=True))
+    bounds = tuple(zip(*EXPONENT_BOUNDS, strict=True))
     solved = least_squares(residual, (-1.5, 0.5, 0.5), bounds=bounds, loss="soft_l1", f_scale=NOISE).x
     distance = np.concatenate([sample[:, 1] for sample in used])
     reference = float(np.median(distance))
     shades = [sample[:, 0] - (sample[:, 1:] - (reference, 0, 0)) @ solved for sample in used]
     level = float(np.mean([np.median(shade) for shade in shades]))
     by_distance, by_slant, by_axis = map(float, solved)
-    return Lamp(by_distance, by_slant, by_axis, level, float(np.exp(reference)), len(used))
+    return Illumination(by_distance, by_slant, by_axis, level, float(np.exp(reference)), len(used))
 
 
 def _samples(
     rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """(N,4) log luminance, and the logarithms that it depends on, of pixels that tell of the light."""
+    """(N,4) logarithms of luminance, distance, slant's cosine, axis' cosine of drawn usable pixels; None if too few."""
     distance, cosine, ahead = geometry(depth, intrinsics)
     usable = np.flatnonzero((distance > 0) & (cosine > MIN_COSINE) & _is_exposed(rgb))
     if len(usable) < MIN_PIXELS:
@@ -155,17 +162,21 @@ def _samples(
     return np.log(np.stack(columns, axis=1).astype(np.float64))
 
 
-def _median_gain(linear: NDArray[np.float32], shade: NDArray[np.float32], judged: NDArray[np.bool_]) -> float | None:
-    if judged.sum() < MIN_PIXELS:
+def _median_exposure_gain(
+    linear: NDArray[np.float32], shade: NDArray[np.float32], usable: NDArray[np.bool_]
+) -> float | None:
+    """Median over `usable` (H,W) of log luminance less log shading; None with fewer than MIN_PIXELS."""
+    if usable.sum() < MIN_PIXELS:
         return None
-    return float(np.median((np.log(np.maximum(linear @ LUMA, 1e-4)) - shade)[judged]))
+    return float(np.median((np.log(np.maximum(linear @ LUMA, 1e-4)) - shade)[usable]))
 
 
 def _is_exposed(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Neither black nor burnt out in any channel: glints would say that the wall is near."""
+    """(H,W) pixels whose brightest channel is neither black nor saturated: glints would say that the wall is near."""
     brightest = np.maximum.reduce(cv2.split(rgb))
-    return (brightest < BURNT) & (brightest > DARK)
+    return (brightest < MAX_GREY) & (brightest > MIN_GREY)
 
 
 def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Linear light in [0,1] of grey levels, any shape."""
     return _LINEAR[rgb]

@@ -1,9 +1,9 @@
-"""Confidence-weighted fusion of depth images into one surface: a truncated signed distance in sparse voxels.
+"""TSDF fusion: confidence-weighted depth images into one surface, in sparse voxels.
 
 Curless and Levoy, "A volumetric method for building complex models from range images", SIGGRAPH 1996: every voxel
-keeps a running average of its signed distance to the surface along the camera's axis, here weighted by how well each
-depth is trusted to fix the surface's place (confidence, distance, slant), which Open3D's own `integrate` cannot do.
-Nothing is filled in: a cell becomes surface only if all of its eight corners were observed.
+keeps a running average of its truncated signed distance to the surface along the camera's axis, here weighted by the
+inverse variance of each depth (confidence, distance, slant), which Open3D's own `integrate` cannot do. Holes are not
+filled: a cell becomes surface only if all of its eight corners were observed.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from reconstruction.fusion.voxel_grid import BLOCK, VoxelGrid
 from reconstruction.fusion.voxel_integration import average_frame
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
-BLOCKS_AT_ONCE = 64
-THREADS = 2  # `average_frame` lets go of the interpreter
-COARSEST_STRIDE = 4  # pixels between the rays along which blocks are touched
-STEP_OF_BLOCK = 0.6  # between the points along such a ray
-PIXELS_PER_VOXEL = 2.5
-FINEST_RELATIVE_VOXEL = 0.01  # of the median depth
-TYPICAL_DEPTH_VOXELS = 100  # the depth, met head-on, at which a pixel weighs as much as its confidence
+BLOCKS_PER_TASK = 64  # blocks that a thread updates in one call
+THREADS = 2  # `average_frame` releases the GIL
+MAX_STRIDE = 4  # pixels between the rays along which blocks are allocated
+STEP_OF_BLOCK = 0.6  # block edges between the points along such a ray
+PIXELS_PER_VOXEL = 2.5  # footprint of a voxel at the median depth
+MIN_RELATIVE_VOXEL = 0.01  # voxel size over median depth
+TYPICAL_DEPTH_VOXELS = 100  # depth in voxels at which a pixel seen head-on weighs as much as its confidence
 
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """How depth becomes surface; lengths in the unit of the depth (mm, or scene units)."""
+    """Parameters of TSDF fusion; lengths in the unit of the depth (mm, or scene units)."""
 
     voxel_size: float
     truncation: float = 12.0
-    """Voxels on each side of the surface that a depth speaks for. It must exceed the error of the depth: with 3 % of
+    """Voxels on each side of the surface that a depth updates. It must exceed the error of the depth: with 3 % of
     noise on it, 4 voxels of 0.5 mm left double sheets and an F-score at 1 mm of 89 %, 10 gave 99 %. With perfect
     depth more only costs time and 0.1 % of the F-score."""
     max_depth: float = np.inf
-    """Depth beyond this is not used."""
+    """Depth above this is not used."""
     max_grazing_deg: float = 80.0
-    """Angle between ray and normal beyond which neither a pixel nor a crossing of the distance field is believed."""
+    """Angle between ray and normal above which neither a pixel nor a zero crossing of the TSDF is used."""
     min_observations: int = 1
     """Frames that must have seen a surface within the truncation of each of a cell's eight corners; 2 removes most
     floating bits and costs 1 to 6 % of completeness."""
@@ -61,7 +61,7 @@ class FusionSettings:
 
 
 def choose_voxel_size(depths: Iterable[NDArray[np.float32]], intrinsics: NDArray[np.float64]) -> float:
-    """The footprint of 2.5 pixels at the median depth, and no less than 1 % of that depth, in the depth's unit.
+    """Voxel size in the depths' unit: 2.5 pixels at the median depth, and no less than 1 % of it.
 
     From 1.5 to 4 pixels the F-score hardly changes, and the time grows with the third power of fineness. Completed
     depth is wrong by more than 1 %, so finer voxels of a high-resolution camera would only store its error.
@@ -71,7 +71,7 @@ def choose_voxel_size(depths: Iterable[NDArray[np.float32]], intrinsics: NDArray
         raise ReconstructionError("no frame has a valid depth, so the voxel size cannot be chosen")
     median = float(np.median(np.concatenate(known)))
     focal = float(np.sqrt(intrinsics[0, 0] * intrinsics[1, 1]))
-    return median * max(PIXELS_PER_VOXEL / focal, FINEST_RELATIVE_VOXEL)
+    return median * max(PIXELS_PER_VOXEL / focal, MIN_RELATIVE_VOXEL)
 
 
 class SurfaceFusion:
@@ -153,7 +153,7 @@ class SurfaceFusion:
             average_frame(rows[part], corners[part], offsets, pinhole, *images, truncation, *channels)
 
         with ThreadPoolExecutor(THREADS) as threads:  # no block is in two parts
-            parts = [slice(start, start + BLOCKS_AT_ONCE) for start in range(0, len(rows), BLOCKS_AT_ONCE)]
+            parts = [slice(start, start + BLOCKS_PER_TASK) for start in range(0, len(rows), BLOCKS_PER_TASK)]
             list(threads.map(average, parts))
 
     def _points_near_surface(self, frame: DepthFrame) -> NDArray[np.float32]:
@@ -162,7 +162,7 @@ class SurfaceFusion:
         reach = self.settings.truncation * self.settings.voxel_size
         focal = frame.centred_intrinsics[[0, 1], [0, 1]].min()
         middle = np.median(frame.depth[frame.depth > 0])
-        stride = int(np.clip(0.5 * block * focal / middle, 1, COARSEST_STRIDE))
+        stride = int(np.clip(0.5 * block * focal / middle, 1, MAX_STRIDE))
         if not frame.depth[::stride, ::stride].any():
             stride = 1
         row, column = np.nonzero(frame.depth[::stride, ::stride])

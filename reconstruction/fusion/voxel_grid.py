@@ -1,4 +1,4 @@
-"""Sparse voxel blocks: Open3D's hash map finds them, numpy keeps their values, Open3D marches over them.
+"""Sparse voxel blocks: Open3D's hash map finds them, NumPy holds their values, Open3D marches over them.
 
 Voxel (i,j,k) lies at (i,j,k) times the voxel size in world axes. A block is 8x8x8 voxels; its row in every channel
 is the same, with x running fastest. The values live outside Open3D's hash map because it copies them one by one
@@ -18,11 +18,11 @@ from reconstruction.mesh.open3d_import import import_open3d
 
 BLOCK = 8  # voxels along a block's edge; 16 touches twice the voxels for the same surface
 VOXELS_PER_BLOCK = BLOCK**3
-FIRST_CAPACITY = 1024  # blocks
-GROWTH = 1.5
-FARTHEST_BLOCK = 2**19  # from the origin along an axis, so that a block's three indices pack into 64 bits
+FIRST_CAPACITY = 1024  # blocks allocated at first
+GROWTH = 1.5  # factor on the capacity when it is exceeded
+MAX_BLOCK_INDEX = 2**19  # along an axis, so that a block's three indices pack into 64 bits
 
-CHANNELS = {"tsdf": 1, "colour": 3, "evidence": 1, "confidence": 1, "observations": 1}
+CHANNELS = {"tsdf": 1, "colour": 3, "evidence": 1, "confidence": 1, "observations": 1}  # values per voxel
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class VoxelGrid:
         self.offsets_in_block = np.stack([x, y, z], axis=-1).reshape(-1, 3) * np.float32(voxel_size)
 
     def touch(self, points: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Make the blocks that hold world points (N,3) exist: their rows (B,), their first voxels' positions (B,3)."""
+        """Allocate the blocks that hold world points (N,3): their rows (B,), their first voxels' positions (B,3)."""
         position = points * np.float32(1 / (BLOCK * self.voxel_size))
-        if np.abs(position).max() > FARTHEST_BLOCK:
+        if np.abs(position).max() > MAX_BLOCK_INDEX:
             farthest = np.abs(points).max()
             raise ReconstructionError(
                 f"a point lies {farthest:.3g} from the origin, far too many voxels of {self.voxel_size:.3g}; "
@@ -81,7 +81,7 @@ class VoxelGrid:
         return self.channel(name).reshape(-1)
 
     def march(self, usable: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
-        """Zero level of the tsdf in cells whose eight corners are all `usable` (blocks, 512).
+        """Marching cubes: zero level of the tsdf in cells whose eight corners are all `usable` (blocks, 512).
 
         Returns vertices (V,3) in world units, faces (F,3) wound towards positive tsdf, colours (V,3) 0..255.
         """
@@ -107,7 +107,7 @@ class VoxelGrid:
         )
 
     def edge_voxels(self, vertices: NDArray[np.float64]) -> EdgeVoxels:
-        """Every vertex of marching cubes lies on a grid line between two neighbouring voxels: find them."""
+        """The two neighbouring voxels between which each vertex (V,3) of marching cubes lies on a grid line."""
         position = vertices / self.voxel_size
         off_grid = np.abs(position - np.rint(position))
         along = off_grid.argmax(axis=1)
@@ -126,14 +126,14 @@ class VoxelGrid:
         )
 
     def _flat_rows(self, voxels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Rows of voxels (V,3) in flattened channels, and whether they exist."""
+        """Rows (V,) of voxels (V,3) in flattened channels, and whether they exist (V,)."""
         block = voxels // BLOCK
         x, y, z = (voxels - block * BLOCK).T
         row, exists = self._rows(self._core.Tensor(block.astype(np.int32)))
         return row * VOXELS_PER_BLOCK + (z * BLOCK + y) * BLOCK + x, exists
 
     def _rows(self, keys: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Rows of blocks given as an int32 tensor (B,3), 0 for those that do not exist, and whether they do."""
+        """Rows (B,) of blocks given as int32 tensor (B,3), 0 for those that do not exist, and whether they do (B,)."""
         if not len(keys):
             return np.empty(0, np.int64), np.empty(0, bool)
         slots, exists = self._row_of_block.find(keys)
@@ -142,6 +142,7 @@ class VoxelGrid:
         return np.where(found, rows[np.where(found, slots.numpy(), 0)], 0), found
 
     def _add(self, keys: Any) -> None:
+        """Allocate new blocks given as an int32 tensor (B,3)."""
         if not len(keys):
             return
         rows = np.arange(self.blocks, self.blocks + len(keys))
@@ -150,6 +151,7 @@ class VoxelGrid:
         self.blocks += len(keys)
 
     def _grow_to(self, blocks: int) -> None:
+        """Reallocate the channels to hold so many blocks or more."""
         capacity = len(self._channels["tsdf"])
         if blocks <= capacity:
             return
@@ -159,7 +161,7 @@ class VoxelGrid:
             self._channels[name][:capacity] = old
 
     def _empty_open3d_grid(self, blocks: int) -> Any:
-        """Marching cubes reads tsdf, weight and color by these names and needs them as float32."""
+        """An Open3D grid for marching cubes, which reads tsdf, weight and color by these names, as float32."""
         return self._open3d.t.geometry.VoxelBlockGrid(
             attr_names=("tsdf", "weight", "color"),
             attr_dtypes=(self._core.float32,) * 3,
@@ -173,7 +175,7 @@ class VoxelGrid:
 def _in_order(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], colours: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
-    """The same mesh sorted, because Open3D's threads number vertices and faces differently in every run."""
+    """The same mesh with vertices and faces sorted, as Open3D's threads number them differently in every run."""
     order = np.lexsort(vertices.T)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

@@ -1,4 +1,10 @@
-"""Averaging a frame into voxel blocks, compiled: one pass over the voxels, most of which a frame says nothing about."""
+"""TSDF integration of one frame into voxel blocks, compiled: one pass over the voxels, most of which are skipped.
+
+B blocks of V voxels. rows (B,): the blocks' rows in the channels; corners (B,3): their first voxels in camera axes;
+offsets (V,3): the other voxels from there. pinhole (4,): fx, fy, cx, cy, the top-left pixel's centre at (0, 0). depth,
+weight, confidence (H,W) and colour (H,W,3) of the frame; truncation in the depth's unit. Channels of all blocks:
+evidence (sum of weights), observations, tsdf in [-1,1], mean_confidence (blocks, V), mean_colour (blocks, V, 3).
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,30 +28,21 @@ def average_frame(
     evidence: Values,
     observations: Values,
     tsdf: Values,
-    sure: Values,
+    mean_confidence: Values,
     mean_colour: Values,
 ) -> None:
-    """Running averages of the voxels of blocks `rows` (B,), where the frame has a weight.
-
-    corners (B,3): first voxels in camera axes; offsets (V,3): the others from there. pinhole (4,): fx, fy, cx, cy, the
-    top-left pixel's centre at (0, 0). depth, weight, confidence (H,W) and colour (H,W,3) of the frame. Channels of all
-    blocks: evidence, observations, tsdf, sure (blocks, V), mean_colour (blocks, V, 3).
-    """
+    """Update the channels' running averages in place where the frame has a weight; arguments as above."""
     height, width = depth.shape
-    half, one, nothing = np.float32(0.5), np.float32(1), np.float32(0)
-    fx, fy, cx, cy = pinhole[0], pinhole[1], pinhole[2] + half, pinhole[3] + half  # from the pixel's edge: truncated
+    one, nothing = np.float32(1), np.float32(0)
     for b in range(len(rows)):
         r = rows[b]
         for v in range(len(offsets)):
             z = corners[b, 2] + offsets[v, 2]
             if z <= nothing:
                 continue
-            inverse_z = one / max(z, np.float32(1e-9))
-            column = fx * (corners[b, 0] + offsets[v, 0]) * inverse_z + cx
-            row = fy * (corners[b, 1] + offsets[v, 1]) * inverse_z + cy
-            if not (column >= nothing and column < width and row >= nothing and row < height):
+            i, j = _pixel(corners[b, 0] + offsets[v, 0], corners[b, 1] + offsets[v, 1], z, pinhole, height, width)
+            if i < 0:
                 continue
-            i, j = int(row), int(column)
             added, distance = weight[i, j], depth[i, j] - z
             if added <= nothing or distance <= -truncation:
                 continue
@@ -54,6 +51,18 @@ def average_frame(
             if distance < truncation:
                 observations[r, v] += one
             tsdf[r, v] += share * (max(-one, min(one, distance / truncation)) - tsdf[r, v])
-            sure[r, v] += share * (confidence[i, j] - sure[r, v])
+            mean_confidence[r, v] += share * (confidence[i, j] - mean_confidence[r, v])
             for c in range(3):
                 mean_colour[r, v, c] += share * (colour[i, j, c] - mean_colour[r, v, c])
+
+
+@compiled
+def _pixel(x: np.float32, y: np.float32, z: np.float32, pinhole: Values, height: int, width: int) -> tuple[int, int]:
+    """Row and column of the pixel that sees a point in camera axes, z > 0; row -1 outside the image."""
+    half, one, nothing = np.float32(0.5), np.float32(1), np.float32(0)
+    inverse_z = one / max(z, np.float32(1e-9))
+    column = pinhole[0] * x * inverse_z + (pinhole[2] + half)  # from the pixel's edge: truncated below
+    row = pinhole[1] * y * inverse_z + (pinhole[3] + half)
+    if not (column >= nothing and column < width and row >= nothing and row < height):
+        return -1, -1
+    return int(row), int(column)

@@ -1,4 +1,4 @@
-"""Import Open3D where its system libraries may be missing, or say which to install; and its scene to cast rays in."""
+"""Import of Open3D where system libraries may be missing, and its ray casting scene."""
 
 import ctypes
 from types import ModuleType
@@ -35,6 +35,7 @@ def ray_scene(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Any
 
 
 def _loads(library: str) -> bool:
+    """Whether the dynamic linker finds a shared library of that name."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -43,7 +44,7 @@ def _loads(library: str) -> bool:
 
 
 def _preload_packaged_libusb() -> None:
-    """Open3D links libusb for its depth sensors; PyPI's `libusb-package` carries it under the right soname."""
+    """Load the libusb of PyPI's `libusb-package`, which Open3D links for its depth sensors and finds by its soname."""
     try:
         import libusb_package
 

@@ -1,4 +1,4 @@
-"""Pictures of a mesh by ray casting: no window, no OpenGL, the same pixels on every machine."""
+"""Rendering: shaded images of a mesh by ray casting, without window or OpenGL, the same pixels on every machine."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Floats = NDArray[np.float32]
 
-SUBPIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # averaged against jagged edges
-AMBIENT = 0.2
-KEY_LIGHT = np.array([-0.37, -0.57, -0.73])  # unit length, towards the lamp, camera axes: over the left shoulder
-OUTER_WALL = np.array([232, 220, 208], np.float32)  # plaster, for the side that no camera looked at
+SUBPIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # px; ray offsets averaged for antialiasing
+AMBIENT = 0.2  # share of the shading that does not depend on the normal
+KEY_LIGHT = np.array([-0.37, -0.57, -0.73])  # unit vector towards the light, camera axes: over the left shoulder
+OUTER_WALL = np.array([232, 220, 208], np.float32)  # sRGB, plaster, of the side that no camera looked at
 WHITE = 255
-BRIGHT = 240
-LAYERS = 24  # outer walls that one ray passes in a cut-away picture before it is given up
-PAST_THE_WALL = 1e-5  # of the distance to it
-ROOM = 1.06  # picture over object in the automatic view
+BRIGHT = 240  # grey level that `brightened` puts the 95th percentile of the brightest channel at
+MAX_LAYERS = 24  # back faces that one ray passes in a cut-away image before it is given up
+RAY_OFFSET = 1e-5  # relative step past a face, so that the next cast does not meet it again
+FRAME_MARGIN = 1.06  # image extent over object extent in the automatic view
 
 
 def render_mesh(
@@ -33,44 +33,45 @@ def render_mesh(
     cut_away: bool = False,
     colours: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """A shaded picture (height, width, 3) on white; `fov_deg` is the angle across the wider side.
+    """Shaded image (height, width, 3) uint8 on white; `fov_deg` is the angle across the wider side.
 
     Without `world_from_camera` (4,4) the camera stands outside, square to the mesh's long axis. The lumen's side
-    shows `colours` (V,3), by default the mesh's own brightened; the outer side is plaster. With `cut_away` walls
-    seen from outside are transparent, so that the picture looks into the opened lumen.
+    shows `colours` (V,3) sRGB, by default the mesh's own brightened; the outer side is plaster. With `cut_away`, back
+    faces are transparent, so that the image looks into the opened lumen.
     """
     if not len(mesh.faces):
         raise ReconstructionError("a mesh without faces cannot be drawn")
-    pose = outside_view(mesh, width, height, fov_deg) if world_from_camera is None else world_from_camera
+    if world_from_camera is None:
+        world_from_camera = outside_view(mesh, width, height, fov_deg)
     paint = brightened(mesh.colours) if colours is None else colours.astype(np.float32)
     scene = ray_scene(mesh.vertices, mesh.faces)
     total = np.zeros((height * width, 3), np.float32)
     for shift in SUBPIXELS:
         directions = _pixel_directions(width, height, fov_deg, shift)
-        face, share = _cast(scene, pose, directions, cut_away)
+        face, share = _cast(scene, world_from_camera, directions, cut_away)
         met = face >= 0
         total[~met] += WHITE
-        total[met] += _shade(mesh, paint, face[met], share[met], directions[met], pose)
+        total[met] += _shade(mesh, paint, face[met], share[met], directions[met], world_from_camera)
     return np.rint(total / len(SUBPIXELS)).astype(np.uint8).reshape(height, width, 3)
 
 
 def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> NDArray[np.float64]:
-    """`world_from_camera` (4,4) that shows all of a mesh, longest axis across the wider side of the picture."""
+    """`world_from_camera` (4,4) that shows all of a mesh, longest axis across the wider side of the image."""
     centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     axes = np.linalg.eigh(np.cov(mesh.vertices.T))[1][:, ::-1].T  # longest first
     long_axis, second_axis = (axis * np.sign(axis[np.abs(axis).argmax()]) for axis in axes[:2])
     right, down = (long_axis, second_axis) if width >= height else (second_axis, long_axis)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, down, np.cross(right, down)])
-    x, y, z = ((mesh.vertices - centre) @ pose[:3, :3]).T
-    half = np.tan(np.radians(fov_deg) / 2) / ROOM * np.array([width, height]) / max(width, height)
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3] = np.column_stack([right, down, np.cross(right, down)])
+    x, y, z = ((mesh.vertices - centre) @ world_from_camera[:3, :3]).T
+    half = np.tan(np.radians(fov_deg) / 2) / FRAME_MARGIN * np.array([width, height]) / max(width, height)
     distance = np.max(np.maximum(np.abs(x) / half[0], np.abs(y) / half[1]) - z)
-    pose[:3, 3] = centre - distance * pose[:3, 2]
-    return pose
+    world_from_camera[:3, 3] = centre - distance * world_from_camera[:3, 2]
+    return world_from_camera
 
 
 def brightened(colours: NDArray[np.uint8]) -> Floats:
-    """Scaled so that all but the brightest twentieth keep below `BRIGHT`: an endoscope's far walls are dark."""
+    """Colours (V,3) scaled so that the 95th percentile of the brightest channel is `BRIGHT`: far walls are dark."""
     gain = max(1.0, BRIGHT / max(1.0, float(np.percentile(colours.max(axis=1), 95))))
     return np.minimum(colours * np.float32(gain), WHITE)
 
@@ -88,15 +89,15 @@ def _pixel_directions(width: int, height: int, fov_deg: float, shift: tuple[floa
 def _cast(
     scene: Any, world_from_camera: NDArray[np.float64], directions: Floats, cut_away: bool
 ) -> tuple[NDArray[np.int64], Floats]:
-    """The face (N,) that each ray meets first, -1 for none, and the share (N,3) of its corners at that point.
+    """First face (N,) that each ray hits, -1 for none, and the hit's barycentric weights (N,3).
 
-    With `cut_away`, rays go on through faces that they meet from outside.
+    directions (N,3) in camera axes. With `cut_away`, rays pass through back faces.
     """
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], directions @ world_from_camera[:3, :3].T
     face, share = np.full(len(rays), -1), np.zeros((len(rays), 3), np.float32)
     pending = np.arange(len(rays))
-    for _ in range(LAYERS if cut_away else 1):
+    for _ in range(MAX_LAYERS if cut_away else 1):
         answer = {name: value.numpy() for name, value in scene.cast_rays(import_open3d().core.Tensor(rays)).items()}
         met = np.isfinite(answer["t_hit"])
         done = met & (np.sum(answer["primitive_normals"] * rays[:, 3:], axis=1) < 0) if cut_away else met
@@ -107,7 +108,7 @@ def _cast(
         if not onward.any():
             break
         pending, rays = pending[onward], rays[onward]
-        rays[:, :3] += answer["t_hit"][onward, None] * (1 + PAST_THE_WALL) * rays[:, 3:]
+        rays[:, :3] += answer["t_hit"][onward, None] * (1 + RAY_OFFSET) * rays[:, 3:]
     return face, share
 
 
@@ -119,12 +120,12 @@ def _shade(
     direction: Floats,
     world_from_camera: NDArray[np.float64],
 ) -> Floats:
-    """Colour (N,3) of the points on `face` (N,) seen along `direction` (N,3, camera axes)."""
+    """Shaded colour (N,3) of hits on `face` (N,) at barycentric `share` (N,3) along `direction` (N,3, camera axes)."""
     corners = mesh.faces[face]
     normal = np.einsum("nc,nci->ni", share, mesh.normals.astype(np.float32)[corners]) @ world_from_camera[:3, :3]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     facing = -np.sum(normal * direction, axis=1, keepdims=True)
     colour = np.where(facing > 0, np.einsum("nc,nci->ni", share, paint[corners]), OUTER_WALL)
-    # Half of each lamp reaches round to where the wall turns away, so that no region is flat.
+    # Half-Lambert: the cosine is mapped to [0,1], so that faces turned away still show relief.
     key = 0.5 + 0.5 * np.sign(facing) * (normal @ KEY_LIGHT)[:, None]
     return colour * (AMBIENT + (1 - AMBIENT) * (0.5 * np.abs(facing) + 0.5 * key))

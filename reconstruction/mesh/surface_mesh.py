@@ -1,4 +1,4 @@
-"""A triangle surface that remembers how well each vertex was seen."""
+"""Triangle mesh of a reconstructed surface, with colour, confidence and observations per vertex."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from haustra.core.errors import ReconstructionError
 from haustra.core.sim3 import scale_of
 
-UNCOLOURED = 200  # light grey
+UNCOLOURED = 200  # sRGB grey level of vertices without colour
 
 
 @dataclass(frozen=True)
 class SurfaceMesh:
-    """Triangles wound counter-clockwise, and normals pointing, towards the side that the cameras looked from."""
+    """Triangles wound counter-clockwise, and normals pointing, towards the side that the cameras were on."""
 
     vertices: NDArray[np.float64]  # (V,3), mm or scene units
     faces: NDArray[np.int64]  # (F,3) rows of `vertices`
@@ -43,7 +43,7 @@ class SurfaceMesh:
         confidence: ArrayLike | None = None,
         observations: ArrayLike | None = None,
     ) -> SurfaceMesh:
-        """Fill in what is not known: grey, normals from the faces, confidence NaN, observations 0."""
+        """A mesh of vertices (V,3) and faces (F,3), with defaults: grey, normals of the faces, NaN, 0."""
         points = np.asarray(vertices, np.float64).reshape(-1, 3)
         triangles = np.asarray(faces, np.int64).reshape(-1, 3)
         count = len(points)
@@ -69,7 +69,7 @@ class SurfaceMesh:
         return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
 
     def with_faces(self, kept: NDArray[np.bool_]) -> SurfaceMesh:
-        """A new mesh of the faces where `kept` (F,) is true, without the vertices that no face uses any more."""
+        """A copy with the faces where `kept` (F,) is true, without vertices that no face uses."""
         faces = self.faces[kept]
         used = np.zeros(len(self.vertices), bool)
         used[faces] = True
@@ -83,7 +83,7 @@ class SurfaceMesh:
         )
 
     def transformed(self, target_from_mesh: NDArray[np.float64]) -> SurfaceMesh:
-        """A new mesh moved by a Sim(3), given as 4x4 with scale times rotation in its upper left."""
+        """A copy moved by a Sim(3), given as (4,4) with scale times rotation in its upper left."""
         linear = np.asarray(target_from_mesh, np.float64)[:3, :3]
         scale = float(scale_of(linear))
         if not scale > 0 or not np.allclose(linear @ linear.T, scale**2 * np.eye(3), atol=1e-6 * scale**2):
@@ -98,7 +98,7 @@ class SurfaceMesh:
 
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Mean of the neighbouring faces' normals weighted by area, (V,3); zero where there is no area."""
+    """Unit normals (V,3): area-weighted mean of the adjacent faces' normals; zero where there is no area."""
     total = np.zeros_like(vertices)
     face_vectors = _doubled_face_vectors(vertices, faces)
     for corner in range(3):
@@ -109,7 +109,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
 
 @dataclass(frozen=True)
 class DroppedComponents:
-    """What `drop_small_components` took away; area in squared units of the mesh."""
+    """What `drop_small_components` removed; area in squared units of the mesh."""
 
     components: int
     faces: int
@@ -120,7 +120,7 @@ class DroppedComponents:
 def drop_small_components(
     mesh: SurfaceMesh, min_fraction: float = 0.0, min_area: float = 0.0
 ) -> tuple[SurfaceMesh, DroppedComponents]:
-    """Remove connected pieces smaller than `min_area`, or than `min_fraction` of the largest piece's area."""
+    """The mesh without connected components below `min_area`, or below `min_fraction` of the largest one's area."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -144,12 +144,13 @@ def drop_small_components(
 
 
 def _doubled_face_vectors(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Cross product of two edges: along the face's normal, as long as twice its area, (F,3)."""
+    """Cross product of two edges of each face (F,3): along its normal, of length twice its area."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     return np.cross(second - first, third - first)
 
 
 def _check_faces(faces: NDArray[np.int64], count: int) -> None:
+    """Raise `ReconstructionError` unless faces are (F,3) rows of `count` vertices."""
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise ReconstructionError(f"faces must be (F,3), not {faces.shape}")
     if len(faces) and not 0 <= faces.min() <= faces.max() < count:

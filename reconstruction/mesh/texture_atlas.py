@@ -1,14 +1,10 @@
-"""A light mesh that looks like the fine one: fewer triangles within a stated error, colours in a picture laid over it.
+"""Simplification within a stated error, and texture atlas: a light mesh that carries the fine mesh's colours.
 
-Charts and their packing are xatlas's. The picture is filled from the fine mesh: every texel knows its place on the
-light surface and takes the colour of the fine mesh's nearest vertices.
+Charts and their packing are xatlas's. Each texel's point on the light surface takes the colour of the fine mesh's
+nearest vertices.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,37 +15,26 @@ from haustra.core.errors import ReconstructionError
 from reconstruction.mesh.decimation import decimated
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
 from reconstruction.mesh.surface_mesh import UNCOLOURED, SurfaceMesh
+from reconstruction.mesh.textured_mesh import TexturedMesh
 
-TEXELS_PER_EDGE = 1.5  # of the fine mesh's median edge: its colours know no more
-FILLED = 0.5  # part of the picture that charts cover, roughly; the rest is gaps
-SMALLEST, LARGEST = 256, 4096  # px; what every viewer takes
-GUTTER = 8  # px around charts that repeat their border, so that filtering finds no seam
-HALVINGS = 5
+TEXELS_PER_EDGE = 1.5  # of the fine mesh's median edge: colours per vertex have no finer detail
+FILL_RATIO = 0.5  # share of the texture that charts cover, roughly
+MIN_SIDE, MAX_SIDE = 256, 4096  # px of a texture, which every viewer takes
+GUTTER = 8  # px around charts that repeat their border, so that filtering shows no seam
+MAX_HALVINGS = 5  # of the number of triangles
 NEIGHBOURS = 3  # vertices of the fine mesh that colour a texel
 
 
-@dataclass(frozen=True)
-class TexturedMesh:
-    """Triangles with a picture. vertices (V,3) repeat along the charts' seams; uv (V,2) in [0,1], v upwards as OBJ has
-    it; texture (S,S,3) uint8 sRGB, first row at v = 1."""
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    normals: NDArray[np.float64]
-    uv: NDArray[np.float64]
-    texture: NDArray[np.uint8]
-
-
 def simplified(mesh: SurfaceMesh, max_error: float) -> tuple[SurfaceMesh, float]:
-    """The mesh with as few triangles as halving allows, and how far the two are apart: no more than `max_error`.
+    """The mesh with its triangles halved as often as `max_error` allows, and its Hausdorff distance (mesh's unit).
 
-    Measured both ways, at every vertex and at the middle of every edge and face: the largest distance, in the mesh's
-    unit. The mesh itself and 0 where even half the triangles would err more.
+    The distance is sampled both ways, at every vertex and at the middle of every edge and face. The mesh itself and 0
+    where even half the triangles exceed `max_error`.
     """
     if not 0 < max_error < np.inf:
         raise ReconstructionError(f"the largest error must be a positive length, not {max_error}")
     best, error = mesh, 0.0
-    for halving in range(1, HALVINGS + 1):
+    for halving in range(1, MAX_HALVINGS + 1):
         candidate = decimated(mesh, len(mesh.faces) >> halving)
         if not len(candidate.faces):
             break
@@ -61,19 +46,20 @@ def simplified(mesh: SurfaceMesh, max_error: float) -> tuple[SurfaceMesh, float]
 
 
 def apart(first: SurfaceMesh, second: SurfaceMesh) -> float:
-    """Largest distance of vertices, edges' middles and faces' middles of either from the other's surface."""
+    """Sampled Hausdorff distance: of vertices, edges' and faces' middles of either mesh from the other's surface."""
     ways = ((first, second), (second, first))
     return max(float(distance_to_surface(_samples(one), other).max()) for one, other in ways)
 
 
 def _samples(mesh: SurfaceMesh) -> NDArray[np.float64]:
+    """Vertices, edges' middles and faces' middles (N,3)."""
     corners = mesh.vertices[mesh.faces]
     edges = (corners + np.roll(corners, -1, axis=1)) / 2
     return np.concatenate([mesh.vertices, edges.reshape(-1, 3), corners.mean(axis=1)])
 
 
 def distance_to_surface(points: NDArray[np.float64], mesh: SurfaceMesh) -> NDArray[np.float64]:
-    """(N,) distance of points (N,3) to the nearest triangle."""
+    """Distance (N,) of points (N,3) to the nearest triangle of the mesh."""
     o3d = import_open3d()
     middle = mesh.vertices.mean(axis=0)  # Open3D computes in float32
     scene = ray_scene(mesh.vertices - middle, mesh.faces)
@@ -81,66 +67,33 @@ def distance_to_surface(points: NDArray[np.float64], mesh: SurfaceMesh) -> NDArr
 
 
 def textured(light: SurfaceMesh, fine: SurfaceMesh, side: int | None = None) -> TexturedMesh:
-    """Lay the colours of `fine` as a picture over `light`; `side` px, else as fine as the vertices of `fine` are."""
+    """`light` with a texture of the colours of `fine`; `side` px, by default as fine as the vertices of `fine` are."""
     import xatlas
 
     if not len(light.faces) or not len(fine.vertices):
         raise ReconstructionError("a mesh without faces has nothing to lay a texture on")
     source, faces, uv = xatlas.parametrize(light.vertices.astype(np.float32), light.faces.astype(np.uint32))
     vertices, faces = light.vertices[source], faces.astype(np.int64)
-    side = side or _picture_side(fine)
-    texel_face, places = _texel_places(vertices, faces, uv, side)
-    picture = np.full((side, side, 3), UNCOLOURED, np.uint8)
+    side = side or _texture_side(fine)
+    texel_face, points_on_light = _texel_points(vertices, faces, uv, side)
+    texture = np.full((side, side, 3), UNCOLOURED, np.uint8)
     known = texel_face >= 0
-    picture[known] = _colours_at(places, fine)
-    return TexturedMesh(vertices, faces, light.normals[source], uv.astype(np.float64), _with_gutter(picture, known))
+    texture[known] = _colours_at(points_on_light, fine)
+    return TexturedMesh(vertices, faces, light.normals[source], uv.astype(np.float64), _with_gutter(texture, known))
 
 
-def check_textured(path: Path) -> None:
-    """Refuse a file that holds no texture, before the minutes that making one takes."""
-    if path.suffix.lower() not in (".glb", ".obj"):
-        raise ReconstructionError(f"{path.name}: a texture goes into .glb or .obj")
-
-
-def write_textured(mesh: TexturedMesh, path: Path) -> Path:
-    """GLB with the picture inside, or OBJ with `NAME.mtl` and `NAME_texture.png` beside it; these must not exist yet
-    unless an export of the same name made them: they are not what the user named."""
-    import trimesh
-    from PIL import Image
-
-    check_textured(path)
-    picture = Image.fromarray(mesh.texture)
-    material: Any
-    if path.suffix.lower() == ".glb":
-        material = trimesh.visual.material.PBRMaterial(
-            baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True
-        )
-    else:
-        material = trimesh.visual.material.SimpleMaterial(image=picture, diffuse=[255, 255, 255, 255])
-        material.name = f"{path.stem}_texture"
-        beside = [path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")]
-        if not path.exists() and (taken := [p.name for p in beside if p.exists()]):
-            raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
-    visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
-    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, visual=visual, process=False)
-    if path.suffix.lower() == ".glb":
-        made.export(path, include_normals=True)
-    else:
-        made.export(path, include_normals=True, mtl_name=f"{path.stem}.mtl")
-    return path
-
-
-def _picture_side(fine: SurfaceMesh) -> int:
+def _texture_side(fine: SurfaceMesh) -> int:
+    """Side in px, a power of two, at which texels resolve the fine mesh's median edge."""
     edges = np.linalg.norm(fine.vertices[fine.faces[:, 0]] - fine.vertices[fine.faces[:, 1]], axis=1)
     texel = float(np.median(edges)) / TEXELS_PER_EDGE
-    side = np.sqrt(float(fine.face_areas.sum()) / FILLED) / max(texel, 1e-12)
-    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1))), SMALLEST, LARGEST))
+    side = np.sqrt(float(fine.face_areas.sum()) / FILL_RATIO) / max(texel, 1e-12)
+    return int(np.clip(2 ** np.ceil(np.log2(max(side, 1))), MIN_SIDE, MAX_SIDE))
 
 
-def _texel_places(
+def _texel_points(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], uv: NDArray[np.float32], side: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """(S,S) face of each texel, -1 between charts, and (K,3) places on the surface of those that have one, in order."""
+    """Face (S,S) of each texel, -1 between charts, and the surface points (K,3) of those with a face, row by row."""
     import cv2
 
     corner = np.stack([uv[:, 0] * side, (1 - uv[:, 1]) * side], axis=1)[faces]  # (F,3,2) column and row, from the edge
@@ -155,7 +108,7 @@ def _texel_places(
 
 
 def _barycentric(corners: NDArray[np.floating], points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(K,3) weights of triangles' corners (K,3,2) at points (K,2), clipped into the triangle."""
+    """Barycentric weights (K,3) of points (K,2) in triangles (K,3,2), clipped into the triangle."""
     a, b, c = np.swapaxes(np.asarray(corners, np.float64), 0, 1)
     area = _cross(b - a, c - a)
     area = np.where(np.abs(area) > 1e-12, area, 1e-12)
@@ -165,21 +118,22 @@ def _barycentric(corners: NDArray[np.floating], points: NDArray[np.floating]) ->
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """z component (K,) of the cross product of plane vectors (K,2)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def _colours_at(places: NDArray[np.float64], fine: SurfaceMesh) -> NDArray[np.uint8]:
-    """Of the nearest vertices, by inverse distance."""
+def _colours_at(points: NDArray[np.float64], fine: SurfaceMesh) -> NDArray[np.uint8]:
+    """Colours (K,3) at points (K,3): inverse-distance mean of the nearest vertices."""
     count = min(NEIGHBOURS, len(fine.vertices))
-    distance, near = cKDTree(fine.vertices).query(places, k=range(1, count + 1))
+    distance, near = cKDTree(fine.vertices).query(points, k=range(1, count + 1))
     weight = 1 / np.maximum(distance, 1e-9)
     weight /= weight.sum(axis=1, keepdims=True)
     return np.rint(np.einsum("kn,knc->kc", weight, fine.colours[near].astype(np.float64))).astype(np.uint8)
 
 
-def _with_gutter(picture: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Texels near a chart repeat its border."""
+def _with_gutter(texture: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The texture with the charts' borders repeated for GUTTER px; `known` (S,S) marks texels of charts."""
     if known.all() or not known.any():
-        return picture
+        return texture
     distance, nearest = distance_transform_edt(~known, return_indices=True)
-    return np.where((distance <= GUTTER)[..., None], picture[tuple(nearest)], picture)
+    return np.where((distance <= GUTTER)[..., None], texture[tuple(nearest)], texture)

@@ -1,8 +1,8 @@
-"""A bulb on a neck, drawn out of the wall: a polyp on its stalk, or, the other way, a diverticulum.
+"""Bulbs on a neck, drawn out of the wall: a polyp on its stalk into the lumen, or a diverticulum out of it.
 
-Both overhang, which no height over the wall can. The mesh's points within a disc of the wall are gathered towards its
-middle and drawn out along the bulb's profile. The disc is wide, so that there are points enough; its outer part only
-slides along the wall.
+Both overhang, which a height field over the wall cannot represent. The mesh's vertices within a disc of the wall are
+moved towards its middle and then along the bulb's profile. The disc is wide, so that the bulb gets enough vertices; in
+its outer part they only slide along the wall.
 """
 
 from __future__ import annotations
@@ -19,44 +19,44 @@ from haustra.phantom.noise import SolidNoise
 Array = NDArray[np.float64]
 Surface = Callable[[Array, Array], Array]  # arc (mm) and angle (rad), broadcast to (K,L), to points (K,L,3) mm
 
-STRETCH = 1.9  # a profile is so much longer than the way over the disc it takes its points from
-KNEE = 0.8  # the stretch fades over the outer fifth of the disc
-STEP_MM = 0.05  # of a profile's samples
+STRETCH = 1.9  # length of a profile over the radius of the disc that its vertices come from
+KNEE = 0.8  # disc radii from which the stretch fades towards the rim
+STEP_MM = 0.05  # between a profile's samples
 ROUNDING_MM = 0.35  # standard deviation of the smoothing of a profile's corners
-LIP_MM = 1.5  # wall that belongs to a profile beyond its flare: further than the smoothing reaches
-TANGENT_MM = 1.5  # slope of the wall is measured over this, so that relief does not tilt a lesion
+LIP_MM = 1.5  # length of flat wall at a profile's end, longer than the smoothing reaches
+TANGENT_MM = 1.5  # half baseline of the wall's slope, so that fine relief does not tilt a lesion
 LOBES = 0.08  # unevenness of a polyp's head, fraction of its radius
 
 
 @dataclass(frozen=True)
 class Profile:
-    """A bulb on a neck by the distance from its top along the surface (K,): lateral radius and height (K,), mm."""
+    """Rotational profile of a bulb on a neck, sampled by distance from its top along the surface, mm."""
 
-    length: Array
-    rho: Array
-    height: Array
-    neck_mm: float  # height of the neck; the bulb starts here
+    length: Array  # (K,) distance from the top along the surface
+    rho: Array  # (K,) lateral radius
+    height: Array  # (K,) over the wall
+    neck_mm: float  # height at which the neck ends and the bulb starts
     middle_mm: float  # height of the bulb's widest place
     top_mm: float
 
     @property
     def rim_mm(self) -> float:
-        """Radius beyond which the wall is as it was."""
+        """Lateral radius (mm) beyond which the wall is unchanged."""
         return float(self.rho[-1])
 
     def radius_at(self, height: float) -> float:
-        """Lateral radius (mm) at a height (mm), which nowhere falls on the way from the rim to the top."""
+        """Lateral radius (mm) at a height (mm); the height never falls from the rim to the top."""
         return float(np.interp(height, self.height[::-1], self.rho[::-1]))
 
     @property
     def reach_mm(self) -> float:
-        """Radius of the disc that lends its points."""
+        """Radius (mm) of the disc whose vertices form the bulb."""
         return max((float(self.length[-1]) - self.rim_mm) / (STRETCH - 1), 1.3 * self.rim_mm)
 
     def way(self, part: Array) -> Array:
-        """Distance from the top along profile and wall (mm) for distance from the disc's centre (0 to 1).
+        """Distance from the top along profile and wall (mm) of a vertex at `part` (0 to 1) of the disc's radius.
 
-        Even stretch over most of the disc; at the rim slope and value go over into those of the wall left alone.
+        Linear over most of the disc; at the rim, value and slope join those of the unchanged wall.
         """
         ratio = (float(self.length[-1]) - self.rim_mm) / self.reach_mm + 1
         steep = (ratio - 0.5 * (1 - KNEE)) / (0.5 * (1 + KNEE))
@@ -64,7 +64,7 @@ class Profile:
         return self.reach_mm * (steep * part - (steep - 1) * late**2 / (2 * (1 - KNEE)))
 
     def at(self, way: Array) -> tuple[Array, Array]:
-        """Lateral radius and height (mm) at distances from the top; past the rim the wall goes on."""
+        """Lateral radius and height (mm) at distances from the top (mm); past the rim, of the flat wall."""
         rho = np.interp(way, self.length, self.rho) + np.maximum(way - self.length[-1], 0.0)
         return rho, np.interp(way, self.length, self.height)
 
@@ -160,12 +160,12 @@ class Bulb:
         return distance / self.profile.reach_mm, direction
 
     def gathered(self, part: Array, direction: Array) -> tuple[Array, Array]:
-        """Where on the plain wall (arc mm, angle rad) the points of the disc are drawn to."""
+        """Arc length (mm) and angle (rad) on the unchanged wall that the disc's vertices slide to."""
         rho, _ = self.profile.at(self.profile.way(part))
         return self.site.sheet(rho, direction)
 
     def drawn_out(self, wall: Array, part: Array, direction: Array) -> Array:
-        """Final points (...,3) from gathered ones on the wall (...,3)."""
+        """Final vertices (...,3) mm of those that `gathered` moved along the wall (...,3)."""
         way = self.profile.way(part)
         rho, height = self.profile.at(way)
         inward = self.side * height[..., None] * self.site.axes[:, 2]
@@ -173,7 +173,7 @@ class Bulb:
         return (1 - rigid) * (wall + inward) + rigid * self.body(rho, height, direction)
 
     def body(self, rho: Array, height: Array, direction: Array) -> Array:
-        """Points (...,3) of the bulb on a plane wall; the neck bends in an arc, the bulb follows stiffly."""
+        """Points (...,3) mm of the bulb on a plane wall; the neck bends in an arc, the head follows rigidly."""
         rho, height, direction = np.broadcast_arrays(rho, height, direction)
         rho, height = self._uneven(rho, height, direction)
         neck, lean = self.profile.neck_mm, max(self.lean_rad, 1e-6)
@@ -198,7 +198,7 @@ class Bulb:
         return rho * swell, self.profile.middle_mm + above * swell
 
     def cover(self, part: Array) -> Array:
-        """How much of a polyp a point is: 1 on the head, fading down the stalk; a pouch is plain mucosa."""
+        """Polyp cover in [0,1]: 1 on the head, falling to 0 down the stalk; 0 on a diverticulum."""
         if self.side < 0:
             return np.zeros_like(part)
         height = self.profile.at(self.profile.way(part))[1] / self.profile.neck_mm

@@ -1,4 +1,4 @@
-"""The curve along which a gut runs, with a frame that does not twist (Bishop 1975)."""
+"""Centreline of a gut: a random curve with a rotation-minimizing frame (Bishop 1975)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from haustra.phantom.config import AnatomyConfig
 from haustra.phantom.noise import path_noise
 
 Array = NDArray[np.float64]
-FLEXURE_MM = 28.0  # a flexure turns the lumen by a right angle within some 60 mm
-LONG_AXIS = 0.4  # a lumen that is pressed flat widens across by this fraction: its wall hardly gets shorter
-STEP_MM = 0.5  # far below any radius of curvature (tens of mm)
+FLEXURE_MM = 28.0  # width of a flexure's curvature bump; it turns the lumen by a right angle within some 60 mm
+LONG_AXIS = 0.4  # widening across of a lumen that is pressed flat: its wall keeps its length
+STEP_MM = 0.5  # between samples; far below any radius of curvature (tens of mm)
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Centreline:
 
 
 def grow_centreline(anatomy: AnatomyConfig, rng: np.random.Generator) -> Centreline:
-    """A random curve whose tube does not run into itself.
+    """A random centreline whose tube does not intersect itself.
 
-    The curvature bound keeps neighbouring cross-sections apart; distant parts are kept apart by straightening
-    a curve that comes back to itself until it does not.
+    The curvature bound keeps neighbouring cross-sections apart; for distant parts, the curvature is reduced until
+    they are apart.
     """
     arc = np.arange(0.0, anatomy.length_mm + STEP_MM, STEP_MM)
     curvature = _random_curvature(arc, anatomy, rng)
@@ -51,12 +51,13 @@ def grow_centreline(anatomy: AnatomyConfig, rng: np.random.Generator) -> Centrel
 
 
 def _widest(anatomy: AnatomyConfig) -> float:
+    """Bound on the lumen's radius, mm."""
     round_mm = anatomy.radius_mm * (1 + anatomy.radius_variation) + anatomy.sacculation_mm + 3 * anatomy.relief_mm
     return round_mm * (1 + LONG_AXIS * anatomy.collapse)
 
 
 def _random_curvature(arc: Array, anatomy: AnatomyConfig, rng: np.random.Generator) -> Array:
-    """Curvature about N2 and -N1 (S,2) in 1/mm: a gentle wander plus a few flexures."""
+    """Curvature about N2 and -N1 (S,2) in 1/mm: smooth noise plus the flexures."""
     limit = anatomy.bend / _widest(anatomy)
     period = 90.0 / STEP_MM  # gentle S-bends are about a decimetre long
     curvature = 0.5 * limit * np.stack([path_noise(len(arc), period, rng) for _ in range(2)], axis=1)
@@ -69,14 +70,14 @@ def _random_curvature(arc: Array, anatomy: AnatomyConfig, rng: np.random.Generat
 
 
 def _flexure_places(anatomy: AnatomyConfig, rng: np.random.Generator) -> list[float]:
-    """The first two near the ends, where they hide the opening from the middle; others anywhere."""
+    """Arc lengths (mm) of the flexures: two near the ends, where they hide the openings, the others anywhere."""
     ends = [rng.uniform(0.12, 0.2), 1 - rng.uniform(0.12, 0.2)]
     others = rng.uniform(0.25, 0.75, max(0, anatomy.flexures - 2))
     return [float(part) * anatomy.length_mm for part in [*ends, *others][: anatomy.flexures]]
 
 
 def _integrate(arc: Array, curvature: Array) -> Centreline:
-    """Turn the frame about axes in the cross-section only: no rotation about the tangent, hence no twist."""
+    """Centreline of curvature (S,2); the frame turns about axes in the cross-section only, hence no twist."""
     turns = np.stack([-curvature[:, 1], curvature[:, 0], np.zeros(len(arc))], axis=1) * STEP_MM
     steps = Rotation.from_rotvec(turns).as_matrix()
     frames = np.empty((len(arc), 3, 3))

@@ -1,4 +1,4 @@
-"""Anatomy to mesh: the wall as a radius over (arc length, angle), wrapped around a centreline.
+"""Mesh of a gut: the wall as a radius over (arc length, angle), wrapped around a centreline.
 
 Rows of the grid run along the gut, columns around it. Rows are spaced by wall length, not by arc length, so
 that steep flanks of folds get as many vertices (and texels) per millimetre as the flat wall.
@@ -30,13 +30,13 @@ from haustra.phantom.config import AnatomyConfig
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-BULB_COLUMNS = 1.4  # more columns where bulbs are drawn out of the wall; rows are spaced as each bulb needs
-ROW_STEP_MM = 0.25  # far below a mesh edge
+BULB_COLUMNS = 1.4  # factor on the columns of a gut with bulbs; rows are spaced by each bulb's own stretch
+ROW_STEP_MM = 0.25  # sampling of the wall for row spacing; far below a mesh edge
 
 
 @dataclass(frozen=True)
 class Colon:
-    """A gut as a closed band of quads. M rows along, N columns around; column N is column 0 again."""
+    """Mesh of a gut as a grid of quads: M rows along, N columns around, of which column N is column 0 again."""
 
     anatomy: AnatomyConfig
     line: Centreline
@@ -65,7 +65,7 @@ class Colon:
         return np.stack([lower, upper], axis=2).reshape(-1, 3)
 
     def grid_position(self, triangle: NDArray[np.uint32], bary: Floats) -> tuple[Floats, Floats]:
-        """Fractional (row, column) of surface points: the sheet's coordinates, with no seam to cross."""
+        """Fractional row and column of surface points on the grid, continuous across column N."""
         cell, upper = np.divmod(triangle.astype(np.int32), 2)
         row, column = np.divmod(cell, self.points.shape[1])
         along = np.where(upper, 1 - bary[..., 0], bary[..., 0])
@@ -74,7 +74,7 @@ class Colon:
 
 
 def build_colon(anatomy: AnatomyConfig, seed: int) -> Colon:
-    """Grow one gut. The seed fixes it together with the config."""
+    """Mesh of the gut that config and seed determine."""
     rng = np.random.default_rng([seed, 1])
     line = grow_centreline(anatomy, rng)
     folds, sessile = place_folds(anatomy, rng), place_sessile(anatomy, rng)
@@ -99,12 +99,12 @@ def build_colon(anatomy: AnatomyConfig, seed: int) -> Colon:
 
 
 def _own_generator(seed: int, feature: int) -> np.random.Generator:
-    """Features that came later draw apart from the first ones, so that older guts stay as they are."""
+    """Random generator of one feature: one added later does not change the numbers that earlier ones draw."""
     return np.random.default_rng([seed, 1, feature])
 
 
 def _grow_bulbs(wall: Wall, seed: int) -> tuple[list[Bulb], list[Bulb]]:
-    """Polyps on stalks, and diverticula."""
+    """Placed bulbs: polyps on stalks, and diverticula."""
     anatomy = wall.anatomy
     if not anatomy.pedunculated + anatomy.diverticula:
         return [], []
@@ -115,7 +115,7 @@ def _grow_bulbs(wall: Wall, seed: int) -> tuple[list[Bulb], list[Bulb]]:
 
 
 def _space_columns(anatomy: AnatomyConfig, bulbs: list[Bulb]) -> Array:
-    """Angles (N,) rad."""
+    """Even angles (N,) rad of the columns."""
     edge_mm = anatomy.edge_mm / (BULB_COLUMNS if bulbs else 1)
     columns = max(24, round(2 * np.pi * anatomy.radius_mm / edge_mm))
     return np.arange(columns) * 2 * np.pi / columns
@@ -143,13 +143,13 @@ def _space_rows(wall: Wall, bulbs: list[Bulb]) -> Array:
 
 
 def _draw(wall: Wall, bulbs: list[Bulb], arc: Array, angle: Array) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Points (M,N,3) mm, polyp cover (M,N), and where on the plain wall each point was taken from: arc and angle."""
+    """Points (M,N,3) mm, polyp cover (M,N), and arc length and angle on the wall that each point was moved from."""
     if not bulbs:
         sheet = arc[:, None], angle[None, :]
         return *wall(*sheet), sheet
     sheet_arc, sheet_angle = (np.array(a) for a in np.broadcast_arrays(arc[:, None], angle[None, :]))
     discs = []
-    for bulb in bulbs:  # discs do not meet: each point is moved once
+    for bulb in bulbs:  # discs do not overlap: each point is moved once
         part, direction = bulb.part(arc[:, None], angle[None, :])
         inside = part < 1
         discs.append((bulb, inside, part[inside], direction[inside]))
@@ -162,7 +162,7 @@ def _draw(wall: Wall, bulbs: list[Bulb], arc: Array, angle: Array) -> tuple[Arra
 
 
 def grid_normals(points: Array) -> Floats:
-    """Unit normals (M,N,3) into the lumen."""
+    """Unit normals (M,N,3) of a grid of points (M,N,3), into the lumen."""
     along = np.gradient(points, axis=0)
     around = np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1)
     normal = np.cross(along, around)
@@ -173,19 +173,23 @@ def grid_normals(points: Array) -> Floats:
 
 
 def _with_apex(polyp: Polyp, sheet_arc: Array, sheet_angle: Array, points: Array) -> Polyp:
-    """The polyp with the vertex at its middle."""
-    around = np.angle(np.exp(1j * (sheet_angle - polyp.angle_rad))) * 20.0  # any lumen's radius will do
+    """The polyp with `apex` set to the vertex nearest to its middle."""
+    around = (
+        np.angle(np.exp(1j * (sheet_angle - polyp.angle_rad))) * 20.0
+    )  # mm; any lumen's radius gives the same nearest vertex
     middle = np.argmin(np.hypot(sheet_arc - polyp.arc_mm, around))
     x, y, z = (float(v) for v in points.reshape(-1, 3)[middle])
     return replace(polyp, apex=(x, y, z))
 
 
 def _as_polyp(bulb: Bulb) -> Polyp:
+    """Record of a polyp on a stalk."""
     head = float(bulb.profile.rho[bulb.profile.height > bulb.profile.neck_mm].max())
     return Polyp(bulb.site.arc_mm, bulb.site.angle_rad, head, bulb.profile.top_mm, kind="pedunculated")
 
 
 def _as_diverticulum(bulb: Bulb) -> Diverticulum:
+    """Record of a diverticulum; its mouth is measured half way down its rounded edge."""
     x, y, z = (float(v) for v in bulb.site.centre)
     mouth = bulb.profile.radius_at(0.5 * POUCH_FLARE_MM)
     return Diverticulum(bulb.site.arc_mm, bulb.site.angle_rad, mouth, bulb.profile.top_mm, (x, y, z))

@@ -1,4 +1,4 @@
-"""Haustral folds and plicae: crescents that reach into the lumen, lean, tilt and hide what lies behind them."""
+"""Haustral folds and plicae: crescents that reach into the lumen, lean, tilt and occlude the wall behind them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from haustra.phantom.config import AnatomyConfig
 
 Array = NDArray[np.float64]
-LEAST_GAP = 0.2  # of the way between two places of equal height that leaning may leave; 0 lets folds touch
-STRAIGHTEN = 0.8  # factor on the lean of a fold that comes too near its neighbour, as often as it takes
+MIN_GAP = 0.2  # distance between two points of equal radius after leaning over that before; 0 lets folds touch
+STRAIGHTEN = 0.8  # factor on the lean of a fold too near its neighbour, applied until it is not
 LEVELS = 40  # heights at which gaps are measured: half a millimetre to a millimetre apart
 
 
@@ -30,7 +30,7 @@ class Fold:
 
 
 def place_folds(anatomy: AnatomyConfig, rng: np.random.Generator) -> list[Fold]:
-    """Stations along the gut, each with its crescents."""
+    """Folds of a gut: stations along it, each with its crescents."""
     folds: list[Fold] = []
     arc = rng.uniform(0.2, 1.0) * anatomy.fold_spacing_mm
     while arc < anatomy.length_mm - 4:
@@ -54,6 +54,7 @@ def _station(arc: float, anatomy: AnatomyConfig, rng: np.random.Generator) -> li
 
 
 def _fold(arc: float, angle: float, half_span: float, anatomy: AnatomyConfig, rng: np.random.Generator) -> Fold:
+    """One crescent at arc (mm) and angle (rad) with random depth, width, tilt and lean."""
     depth = anatomy.fold_depth_mm * max(0.15, 1 + anatomy.fold_depth_jitter * rng.normal())
     return Fold(
         arc_mm=float(arc),
@@ -85,12 +86,12 @@ def fold_relief(folds: list[Fold], arc: Array, angle: Array, anatomy: AnatomyCon
 
 
 def _reach(fold: Fold) -> float:
-    """Beyond this distance (mm) along the gut a fold is not seen."""
+    """Distance (mm) along the gut beyond which a fold's height is negligible."""
     return abs(fold.tilt_mm) + 9 * fold.width_mm
 
 
 def _one_fold(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> tuple[Array, Array]:
-    """Height (mm) of a single crescent, and how near its rim is (0 to 1): the wall bulges out in between."""
+    """Height (mm) of a single crescent, and nearness of its rim (0 to 1), where the wall does not bulge out."""
     edge, reach = anatomy.fold_edge_mm, 0.3 * anatomy.fold_spacing_mm
     away = np.angle(np.exp(1j * (angle - fold.angle_rad)))
     window = (0.5 + 0.5 * np.cos(np.pi * np.clip(away / fold.half_span_rad, -1, 1))) ** 0.6
@@ -101,7 +102,7 @@ def _one_fold(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> t
 
 @dataclass(frozen=True)
 class Gaps:
-    """Places (K,) that follow each other at one angle with equal radius, and what leaning leaves between them."""
+    """Pairs (K,) of consecutive wall points of equal radius at one angle, and the distance that leaning leaves them."""
 
     before_mm: Array  # arc length
     behind_mm: Array
@@ -109,13 +110,13 @@ class Gaps:
     left: Array  # distance along the lumen per distance in arc length; at 0 the wall meets itself
 
     def narrow(self) -> Gaps:
-        """Those that are too narrow; what is lost in rounding does not count."""
-        short = (LEAST_GAP - self.left) * (self.behind_mm - self.before_mm) > 1e-6
+        """The gaps below MIN_GAP by more than rounding."""
+        short = (MIN_GAP - self.left) * (self.behind_mm - self.before_mm) > 1e-6
         return Gaps(self.before_mm[short], self.behind_mm[short], self.column[short], self.left[short])
 
 
 def measure_gaps(arc: Array, along: Array, radius: Array) -> Gaps:
-    """Between all places on the wall at the heights looked at; arc (M,) mm, along and radius (M,N) mm.
+    """Gaps between wall points at LEVELS radii; arc (M,) mm, along and radius (M,N) mm.
 
     In the half plane of one angle the wall is the curve (along, radius). Where equal radii follow each other along the
     lumen as they do in arc length, no two of its points can coincide, however far it overhangs.
@@ -126,6 +127,7 @@ def measure_gaps(arc: Array, along: Array, radius: Array) -> Gaps:
 
 
 def _levels(radius: Array) -> Array:
+    """Radii (LEVELS,) mm between the least and the greatest."""
     return np.linspace(radius.min(), radius.max(), LEVELS + 2)[1:-1]
 
 
@@ -155,7 +157,7 @@ def _between(arc: Array, along: Array, column: NDArray[np.int_]) -> tuple[Array,
 def straightened(
     folds: list[Fold], before: Array, behind: Array, weights: tuple[Array, Array], angle: Array, anatomy: AnatomyConfig
 ) -> list[Fold]:
-    """Folds of which those lean less that do most to close the gaps between arcs `before` and `behind` (K,) mm.
+    """The folds, with less lean for those that close the gaps between arcs `before` and `behind` (K,) mm most.
 
     `weights` (K,) is the part of its shift that the wall takes there, `angle` (K,) is in rad.
     """
@@ -170,7 +172,7 @@ def straightened(
 
 
 def _height_near(fold: Fold, arc: Array, angle: Array, anatomy: AnatomyConfig) -> Array:
-    """Height (K,) of one crescent at places (K,); there are many folds, and most places are far from most of them."""
+    """Height (K,) mm of one crescent at arcs (K,) mm and angles (K,) rad; computed only within its reach."""
     height, near = np.zeros(len(arc)), np.abs(arc - fold.arc_mm) < _reach(fold)
     height[near] = _one_fold(fold, arc[near], angle[near], anatomy)[0]
     return height

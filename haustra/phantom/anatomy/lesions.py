@@ -1,8 +1,8 @@
-"""What grows on the wall or out of it: polyps by their Paris class, and diverticula; how big, and where.
+"""Lesions and their placement: polyps by Paris class, and diverticula.
 
 Sessile (Is) and flat (IIa) polyps are bumps of the wall's height. Polyps on a stalk (Ip) and diverticula are bulbs
-(`anatomy.bulb`). Each kind draws from a random generator of its own: more of one does not move the others, unless
-they would meet.
+(`anatomy.bulb`). Each kind draws from a random generator of its own, so that more of one kind does not move the others,
+unless they would overlap.
 
 Paris classification: Gastrointest Endosc 58 (2003) S3-S43. Diverticula: mouths of some 5 mm, pouches to 10 mm.
 """
@@ -23,13 +23,13 @@ from haustra.phantom.noise import SolidNoise
 
 Array = NDArray[np.float64]
 
-TRIES = 400  # per lesion
-SKIRT = 1.3  # a bump has faded at this many radii
-GAP_MM = 1.2  # between a bulb and all wall it does not grow from
-ROOT_MM = 2.2  # below this height a bulb is near the wall because it grows from it
-UNEVEN_MM = 0.5  # a bulb's foot stands on wall as plane as this, plus
+TRIES = 400  # random places per lesion before it is given up
+SKIRT = 1.3  # radii at which a bump has faded
+GAP_MM = 1.2  # least distance between a bulb and any wall but that at its root
+ROOT_MM = 2.2  # height of a bulb's root, within which it is near its own wall
+UNEVEN_MM = 0.5  # largest deviation from a plane of the wall under a bulb's foot, plus UNEVEN times the foot's radius
 POUCH_FLARE_MM = 1.0  # rounding of a diverticulum's edge
-UNEVEN = 0.25  # this fraction of the foot's radius: not on a fold
+UNEVEN = 0.25  # see UNEVEN_MM; keeps bulbs off folds
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Polyp:
     kind: str = "sessile"  # "sessile" (Paris Is), "flat" (IIa) or "pedunculated" (Ip)
 
     def bump(self, arc: Array, angle: Array, radius_mm: float) -> Array:
-        """Part of the height (0 to 1) at arc (mm) and angle (rad) in a lumen of that radius."""
+        """Height over `height_mm` (0 to 1) at arc (mm) and angle (rad) in a lumen of radius `radius_mm`."""
         around = np.angle(np.exp(1j * (angle - self.angle_rad))) * radius_mm
         distance = np.hypot(arc - self.arc_mm, around) / self.radius_mm
         return np.exp(-(distance ** (6 if self.kind == "flat" else 4)))  # flat top, steep side
@@ -63,7 +63,7 @@ class Diverticulum:
 
 @dataclass(frozen=True)
 class Footprint:
-    """An ellipse on the sheet that is taken."""
+    """An ellipse on the unrolled sheet that a lesion occupies."""
 
     arc_mm: float
     angle_rad: float
@@ -71,13 +71,14 @@ class Footprint:
     half_angle_rad: float
 
     def meets(self, other: Footprint) -> bool:
+        """Whether the two overlap, with a tenth to spare."""
         along = (self.arc_mm - other.arc_mm) / (self.half_arc_mm + other.half_arc_mm)
         turn = np.angle(np.exp(1j * (self.angle_rad - other.angle_rad)))
         return bool(np.hypot(along, turn / (self.half_angle_rad + other.half_angle_rad)) < 1.1)
 
 
 def place_sessile(anatomy: AnatomyConfig, rng: np.random.Generator) -> list[Polyp]:
-    """Anywhere, also on folds."""
+    """Sessile polyps at random places of the wall, folds included."""
     low, high = _stretch_of_gut(anatomy)
     arcs = rng.uniform(low, high, anatomy.polyps)
     sizes = anatomy.polyp_radius_mm * rng.uniform(0.6, 1.5, anatomy.polyps)
@@ -86,7 +87,7 @@ def place_sessile(anatomy: AnatomyConfig, rng: np.random.Generator) -> list[Poly
 
 
 def place_flat(anatomy: AnatomyConfig, others: list[Polyp], rng: np.random.Generator) -> list[Polyp]:
-    """Plateaus clear of other polyps and of each other; they drape over folds as they do in life."""
+    """Flat polyps that overlap neither `others` nor each other; they may lie on folds."""
     taken = [bump_footprint(polyp, anatomy) for polyp in others]
     placed: list[Polyp] = []
     for _ in range(anatomy.flat):
@@ -106,23 +107,24 @@ def place_flat(anatomy: AnatomyConfig, others: list[Polyp], rng: np.random.Gener
 
 
 def bump_footprint(polyp: Polyp, anatomy: AnatomyConfig) -> Footprint:
+    """Footprint of a sessile or flat polyp out to its skirt."""
     reach = SKIRT * polyp.radius_mm
     return Footprint(polyp.arc_mm, polyp.angle_rad, reach, reach / anatomy.radius_mm)
 
 
 def _stretch_of_gut(anatomy: AnatomyConfig) -> tuple[float, float]:
-    """Arc lengths (mm) between which lesions may lie: off the ends."""
+    """Arc lengths (mm) between which lesions may lie, away from the ends."""
     margin = min(30.0, 0.2 * anatomy.length_mm)
     return margin, anatomy.length_mm - margin
 
 
 @dataclass
 class BulbPlacer:
-    """Finds places where a bulb stands on plane wall and touches neither fold, nor far wall, nor another lesion."""
+    """Rejection sampling of places where a bulb stands on plane wall and touches no fold, wall or lesion."""
 
     surface: Surface
     anatomy: AnatomyConfig
-    standing: list[cKDTree]  # points of the wall, about a millimetre apart, and of the bulbs so far
+    obstacles: list[cKDTree]  # points of the wall, about a millimetre apart, and of the bulbs placed so far
     taken: list[Footprint] = field(default_factory=list)
 
     def polyps(self, rng: np.random.Generator) -> list[Bulb]:
@@ -130,7 +132,7 @@ class BulbPlacer:
         return [self._place(rng, self._stalked, 1.0, "polyps on stalks") for _ in range(self.anatomy.pedunculated)]
 
     def diverticula(self, rng: np.random.Generator) -> list[Bulb]:
-        """Pouches."""
+        """Diverticula."""
         return [self._place(rng, self._pouch, -1.0, "diverticula") for _ in range(self.anatomy.diverticula)]
 
     def _stalked(self, rng: np.random.Generator) -> tuple[Profile, float, SolidNoise | None]:
@@ -157,6 +159,7 @@ class BulbPlacer:
         side: float,
         name: str,
     ) -> Bulb:
+        """A bulb of the shape that `draw` gives at the first free place; PhantomError after TRIES."""
         profile, lean, lobes = draw(rng)
         for _ in range(TRIES):
             arc, angle, heading = rng.uniform(*_stretch_of_gut(self.anatomy)), *rng.uniform(0, 2 * np.pi, 2)
@@ -164,13 +167,13 @@ class BulbPlacer:
             bulb = Bulb(site, profile, side, float(lean), float(heading), lobes)
             if (footprint := self._free(site, profile)) and self._plane(bulb) and self._clear(bulb):
                 self.taken.append(footprint)
-                self.standing.append(cKDTree(_outline(bulb)))
+                self.obstacles.append(cKDTree(_outline(bulb)))
                 return bulb
         length, radius = self.anatomy.length_mm, self.anatomy.radius_mm
         raise PhantomError(f"no room for all {name} in a gut {length:.0f} mm long and {radius:.0f} mm in radius")
 
     def _free(self, site: Site, profile: Profile) -> Footprint | None:
-        """The disc's footprint if it lies on the gut, away from its ends, and meets no other."""
+        """Footprint of the bulb's disc if it is away from the gut's ends and overlaps no other; else None."""
         half_arc, half_angle = profile.reach_mm / site.per_arc, profile.reach_mm / site.per_rad
         low, high = site.arc_mm - half_arc, self.anatomy.length_mm - site.arc_mm - half_arc
         cap = 0.5 * self.anatomy.radius_mm
@@ -181,7 +184,7 @@ class BulbPlacer:
         return None if meets else footprint
 
     def _plane(self, bulb: Bulb) -> bool:
-        """The wall under the foot keeps to its tangent plane."""
+        """Whether the wall under the foot deviates little from its tangent plane."""
         foot = bulb.profile.rim_mm
         direction = np.linspace(0, 2 * np.pi, 12, endpoint=False)[None, :]
         wall = self.surface(*bulb.site.sheet(foot * np.array([[0.5], [1.0]]), direction))
@@ -189,9 +192,9 @@ class BulbPlacer:
         return bool(np.abs(off).max() < UNEVEN_MM + UNEVEN * foot)
 
     def _clear(self, bulb: Bulb) -> bool:
-        """Nothing that stands already comes near the bulb."""
+        """Whether the bulb keeps GAP_MM from every obstacle."""
         outline = _outline(bulb)
-        near = [tree.query(outline, distance_upper_bound=GAP_MM)[0] for tree in self.standing]
+        near = [tree.query(outline, distance_upper_bound=GAP_MM)[0] for tree in self.obstacles]
         return not np.isfinite(near).any()
 
 

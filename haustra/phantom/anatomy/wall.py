@@ -1,4 +1,4 @@
-"""The wall of the gut as a surface: arc length and angle to points in space, without what overhangs."""
+"""The wall of the gut as a parametric surface of arc length and angle; overhanging bulbs are added in `colon`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from haustra.phantom.noise import SolidNoise, path_noise
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-END_OPENING = 0.04  # of the radius that stays open at the ends
-CAP_ROUND = np.pi / 2 - 1  # a quarter circle is longer than its radius by this many radii
-GAP_STEP_MM = 0.25  # along the wall: a rim that the narrowest lumen cuts off has corners that 0.5 mm steps over
-GAP_ANGLES = 72  # at which gaps between folds are measured: folds change over 50 degrees and more
+END_OPENING = 0.04  # radius of the open ends over the lumen's
+CAP_ROUND = np.pi / 2 - 1  # length of a quarter circle less its radius, in radii
+GAP_STEP_MM = 0.25  # sampling along the wall for gaps; 0.5 mm misses corners of rims cut off at the least radius
+GAP_ANGLES = 72  # angles at which gaps between folds are measured: folds change over 50 degrees and more
 VILLI_MM = (3.0, 1.5)  # wavelengths; shorter ones fall between the vertices and belong to the texture's bump
 VILLI_STD = 0.5  # 0.35 is a wave's standard deviation per height; looking up between voxels flattens waves this short
 
@@ -53,7 +53,7 @@ class Wall:
         return self._wrap(arc, along, angle, radius), cover
 
     def _part_folds(self) -> None:
-        """Take lean from folds until none comes too near another; most guts are left as they were drawn."""
+        """Reduce the lean of folds until no two come too near each other; most guts need no change."""
         arc = arc_at(np.arange(0.0, unrolled_length(self.anatomy), GAP_STEP_MM), self.anatomy)
         angle = np.linspace(0, 2 * np.pi, GAP_ANGLES, endpoint=False)
         while True:
@@ -90,14 +90,14 @@ class Wall:
         centre, frame = line.at(np.clip(along, 0, line.arc[-1]))
         x, y = np.cos(angle), np.sin(angle)
         if self._collapse:
-            x, y = self._collapse(along, x, y)  # as one: rims lean over wall that was drawn at another arc length
+            x, y = self._collapse(along, x, y)  # at `along`: rims lean over wall of another arc length
         outward = x[..., None] * frame[..., 0] + y[..., None] * frame[..., 1]
         beyond = along - np.clip(along, 0, line.arc[-1])  # leaning folds at an open end keep their shape
         return centre + radius[..., None] * outward + beyond[..., None] * frame[..., 2]
 
 
 class _Relief:
-    """Undulation of the wall (mm) at three scales, smaller ones shallower; on the small intestine also its velvet."""
+    """Undulation of the wall (mm) at three scales, smaller ones shallower; in the small intestine also villi."""
 
     def __init__(self, anatomy: AnatomyConfig, rng: np.random.Generator, own_rng: np.random.Generator) -> None:
         bands = [(40.0, 9.0, 1.0), (9.0, 4.0, 0.16), (4.0, 2.0, 0.04)]
@@ -113,11 +113,11 @@ class _Relief:
 
 
 class _Collapse:
-    """Presses cross-sections flat: an affine map, so that no two parts of a ring can pass through each other."""
+    """Collapse of the lumen: an affine map of cross-sections, so that a ring cannot intersect itself."""
 
     def __init__(self, knots: Array, anatomy: AnatomyConfig, rng: np.random.Generator) -> None:
         wave = path_noise(len(knots), 90.0, rng)
-        inner = (knots > 0.2 * knots[-1]) & (knots < 0.8 * knots[-1])  # the worst place is not hidden in an end
+        inner = (knots > 0.2 * knots[-1]) & (knots < 0.8 * knots[-1])  # the flattest place is not hidden in an end
         part = np.clip((wave - np.median(wave[inner])) / (wave[inner].max() - np.median(wave[inner])), 0, 1)
         ends = np.clip(np.minimum(knots, knots[-1] - knots) / (0.2 * knots[-1]), 0, 1)
         self._knots, self._depth = knots, anatomy.collapse * ease(part) * ease(ends)
@@ -133,7 +133,7 @@ class _Collapse:
 
 
 def _pinch(arc: Array, anatomy: AnatomyConfig) -> Array:
-    """Factor that narrows the lumen towards open ends, as a contraction does: little is seen through them."""
+    """Factor on the radius that narrows the lumen towards open ends, so that little is seen through them."""
     before = np.inf if anatomy.closed_start else arc
     behind = np.inf if anatomy.closed_end else anatomy.length_mm - arc
     part = np.clip(np.minimum(before, behind) / anatomy.pinch_mm, 0, 1)
@@ -141,7 +141,7 @@ def _pinch(arc: Array, anatomy: AnatomyConfig) -> Array:
 
 
 def _cap(arc: Array, anatomy: AnatomyConfig) -> Array:
-    """Factor that rounds blind ends: a half sphere of the lumen's radius; 1 elsewhere."""
+    """Factor on the radius that makes blind ends half spheres; 1 elsewhere."""
     before = arc if anatomy.closed_start else np.inf
     behind = anatomy.length_mm - arc if anatomy.closed_end else np.inf
     part = np.clip(np.minimum(before, behind) / anatomy.radius_mm, 0, 1)
@@ -156,7 +156,7 @@ def _cap_slope(arc: Array, anatomy: AnatomyConfig) -> Array:
 
 
 def unrolled_length(anatomy: AnatomyConfig) -> float:
-    """Length (mm) of a smooth wall along the gut, caps included."""
+    """Length (mm) of a smooth wall along the gut, half-spherical ends included."""
     caps = anatomy.closed_start + anatomy.closed_end
     if caps * anatomy.radius_mm > anatomy.length_mm:
         raise PhantomError(
@@ -166,7 +166,7 @@ def unrolled_length(anatomy: AnatomyConfig) -> float:
 
 
 def arc_at(place: Array, anatomy: AnatomyConfig) -> Array:
-    """Arc length (mm) at places (mm) along a smooth wall: they differ by the way over the caps."""
+    """Arc length (mm) at distances `place` (mm) along a smooth wall; the two differ on half-spherical ends."""
     radius, length = anatomy.radius_mm, anatomy.length_mm
     rest = unrolled_length(anatomy) - place
     arc = place - CAP_ROUND * radius if anatomy.closed_start else place

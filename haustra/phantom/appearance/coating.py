@@ -1,4 +1,4 @@
-"""What lies on the wall: stool in patches, and a film of turbid fluid on the low side."""
+"""Coating of the wall: stool in patches, and a film of turbid fluid on the low side."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from haustra.phantom.config import AppearanceConfig
 from haustra.phantom.noise import SolidNoise
 
 Floats = NDArray[np.float32]
-GLOSS_STOOL, GLOSS_FLUID = 0.05, 3.0  # times the glints of moist mucosa
-STOOL_MM = 0.6  # a patch stands this far off the wall
-STOOL_RIM = 0.08  # a patch's rim, in standard deviations of the noise it is cut from
-STOOL_MOTTLE = 0.16  # relative standard deviation of its reflectance
-FLUID_RIM = 0.12  # the same for the film, which thins out
-FLUID_DEPTH = 0.6  # beyond the rim, until the film is opaque
-FLUID_LEVEL = 1.6  # weight of gravity against chance: little fluid sticks to the roof
+GLOSS_STOOL, GLOSS_FLUID = 0.05, 3.0  # glints relative to moist mucosa's
+STOOL_MM = 0.6  # thickness of a patch
+STOOL_RIM = 0.08  # width of a patch's rim, in standard deviations of the noise whose level set it is
+STOOL_MOTTLE = 0.16  # relative standard deviation of stool's reflectance
+FLUID_RIM = 0.12  # width of the film's rim, in the same unit
+FLUID_DEPTH = 0.6  # noise level above the rim at which the film is opaque
+FLUID_LEVEL = 1.6  # weight of gravity over that of noise: little fluid is left on the roof
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Coating:
     height_mm: Floats
 
     def paint(self, albedo: Floats, appearance: AppearanceConfig, points: Floats, rng: np.random.Generator) -> Floats:
-        """Reflectance (rows, columns, 3) with both on it; stool lies on top."""
+        """Reflectance (rows, columns, 3) of the coated wall; stool covers fluid."""
         tint = 1 - self.fluid[..., None] * (1 - np.asarray(appearance.fluid_colour, np.float32))
         albedo = albedo * tint
         if not self.stool.any():
@@ -46,13 +46,13 @@ class Coating:
 
 
 def upwards(seed: int) -> Floats:
-    """The unit vector against gravity for this colon: patients lie on either side, on the back, on the belly."""
+    """Unit vector (3,) against gravity, random per colon: patients lie on any side."""
     up = np.random.default_rng([seed, 7]).standard_normal(3)
     return (up / np.linalg.norm(up)).astype(np.float32)
 
 
 def coat(points: Floats, normals: Floats, appearance: AppearanceConfig, seed: int) -> Coating:
-    """Cover the wall, points and normals (rows, columns, 3), as far as the config says: parts of its area."""
+    """Coating of the wall at points and normals (rows, columns, 3), over the shares of its area in the config."""
     rng = np.random.default_rng([seed, 5])
     weight = SheetScale(points).texel_mm2()
     none = np.zeros(points.shape[:2], np.float32)
@@ -71,14 +71,14 @@ def coat(points: Floats, normals: Floats, appearance: AppearanceConfig, seed: in
 
 
 def _patches(points: Floats, rng: np.random.Generator) -> Floats:
-    """Noise (rows, columns) whose level sets are ragged at three scales: puddles, clumps and crumbs."""
+    """Noise (rows, columns) whose level sets are ragged at three scales: 7-40, 2-7 and 0.4-2 mm."""
     field = SolidNoise(40.0, 7.0, rng).coarsely(points, 4)
     field += 0.5 * SolidNoise(7.0, 2.0, rng).coarsely(points, 4)
     return field + 0.2 * SolidNoise(2.0, 0.4, rng, slope=0.3)(points)
 
 
 def _cut(field: Floats, weight: Floats, part: float) -> float:
-    """The level above which `part` of the area lies; `weight` (rows, columns) is each texel's area."""
+    """The level of `field` above which a share `part` of the area lies; `weight` (rows, columns): texels' areas."""
     values, areas = field[::2, ::2].ravel(), weight[::2, ::2].ravel()
     order = np.argsort(values)
     below = np.cumsum(areas[order], dtype=float)

@@ -1,4 +1,4 @@
-"""Mucosae and lights of the named scenes.
+"""Presets of mucosa and light for the named scenes.
 
 Chosen by eye, beside pictures of the retired `phantom_likeness` benchmark; nothing was fitted to them.
 """

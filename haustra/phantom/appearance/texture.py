@@ -1,7 +1,7 @@
-"""The painted wall: reflectance, gloss and bumped normals on the unrolled sheet, far finer than the mesh.
+"""Surface texture: reflectance, gloss and bump-mapped normals on the unrolled sheet, far finer than the mesh.
 
-The sheet is computed once per colon and sampled per pixel at the hit point, so detail sticks to the surface.
-A small pyramid (mip maps, Williams 1983) keeps distant wall from aliasing into noise that no tracker could follow.
+The sheet is computed once per colon and sampled per pixel at the hit point, so that detail is fixed to the surface.
+Mip maps (Williams 1983) keep distant wall from aliasing into noise that no tracker could follow.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from haustra.phantom.config import AppearanceConfig
 from haustra.phantom.noise import SolidNoise
 
 Floats = NDArray[np.float32]
-VILLI_MM = (3.0, 0.4)  # longest and shortest wavelength of the velvet; most of it lies at 0.4 to 1 mm
-VILLI_SHADE = 0.12  # tips catch the light, the clefts between are dark: relative standard deviation at 0.3 mm
-LEVELS = 4  # 1, 2, 4, 8 texels: 0.13 to 1 mm, the footprint of a pixel at 150 mm
+VILLI_MM = (3.0, 0.4)  # longest and shortest wavelength of villi; most of their power lies at 0.4 to 1 mm
+VILLI_SHADE = 0.12  # relative standard deviation of reflectance by villi 0.3 mm high: bright tips, dark clefts
+LEVELS = 4  # of the mip map: 1, 2, 4, 8 texels, 0.13 to 1 mm; the last is a pixel's footprint at 150 mm
 
 
 class SurfaceTexture:
@@ -106,13 +106,13 @@ def _pyramid(*layers: Floats) -> list[Floats]:
 
 
 def _box(needed: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """The rectangle around what is True: the far lumen is small."""
+    """Bounding box of what is True (H,W)."""
     left, top, width, height = cv2.boundingRect(needed.view(np.uint8))
     return slice(top, top + height), slice(left, left + width)
 
 
 def _vessel_opacity(points: Floats, cover: Floats, appearance: AppearanceConfig, rng: np.random.Generator) -> Floats:
-    """Both kinds of vessels as one opacity (rows, columns) in [0,1]; polyps hide the deep network."""
+    """Opacity (rows, columns) in [0,1] of network and trees together; polyps hide the network."""
     opacity = np.zeros(cover.shape, np.float32)
     if appearance.mesh_vessels:
         deep = polygon_network(points[::2, ::2], appearance.mesh_cell_mm, appearance.mesh_width_mm, rng)
@@ -144,7 +144,7 @@ def _paint(
 
 
 def _cavity_shade(colon: Colon, shape: tuple[int, int], strength: float) -> Floats:
-    """Factor near 1: darker where the wall lies behind its neighbourhood, brighter where it stands out."""
+    """Factor (rows, columns) near 1 on reflectance: less in concave, more in convex places of the wall."""
     wide = np.concatenate([colon.points[:, -12:], colon.points, colon.points[:, :12]], axis=1)
     behind = cv2.GaussianBlur(wide, (0, 0), 4.0, borderType=cv2.BORDER_REFLECT_101)[:, 12:-12] - colon.points
     depth_mm = np.einsum("mnc,mnc->mn", behind, colon.normals)
@@ -152,7 +152,7 @@ def _cavity_shade(colon: Colon, shape: tuple[int, int], strength: float) -> Floa
 
 
 def _velvet(villi_mm: float, points: Floats, seed: int) -> Floats | None:
-    """Height (rows, columns) mm of villi about their mean; from foot to tip is four standard deviations."""
+    """Height (rows, columns) mm of villi about its mean; `villi_mm` is four standard deviations. None without villi."""
     if not villi_mm:
         return None
     return 0.25 * villi_mm * SolidNoise(*VILLI_MM, np.random.default_rng([seed, 8]), slope=-1.0)(points)
@@ -165,7 +165,7 @@ def _relief(
     coating: Coating | None,
     rng: np.random.Generator,
 ) -> Floats | None:
-    """Height (rows, columns) mm of what is too fine for the mesh. Fluid levels it, stool buries and tops it."""
+    """Relief (rows, columns) mm too fine for the mesh: less under fluid and stool, plus the stool's own height."""
     height = appearance.bump_mm * SolidNoise(4.0, 0.35, rng, slope=0.8)(points) if appearance.bump_mm else None
     if velvet is not None:
         height = velvet if height is None else height + velvet
@@ -188,4 +188,5 @@ def _tilted(normals: Floats, points: Floats, height: Floats | None, texel_mm: fl
 
 
 def _unit(vectors: Floats) -> Floats:
+    """Vectors (...,3) over their lengths."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -15,18 +15,18 @@ from haustra.phantom.noise import SolidNoise
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
-MARGIN = 96  # texels beside the sheet on which strokes may overhang before they are folded back
-SHIFT = 4  # cv2 draws at 1/16 texel
-STEP_MM = 0.7  # a vessel's course bends from step to step
-FORK = 0.11  # chance per step
-EMERGE_STEPS = 12
+MARGIN = 96  # texels beside the sheet on which strokes are drawn before they are wrapped around
+SHIFT = 4  # bits of cv2's fixed-point coordinates: 1/16 texel
+STEP_MM = 0.7  # of a growing vessel
+FORK = 0.11  # probability of a fork per step
+EMERGE_STEPS = 12  # over which a trunk becomes opaque
 
 
 def polygon_network(points: Floats, cell_mm: float, width_mm: float, rng: np.random.Generator) -> Floats:
     """Opacity (h,w) of warped Worley ridges (Worley 1996) at wall points (h,w,3).
 
-    The walls between space-filling cells cut the surface in polygons whose lines are wide where a cell wall is
-    cut at a slant: the net of unlike calibres that shines through the colon's mucosa.
+    The boundaries of space-filling cells intersect the surface in polygons whose lines are wide where a boundary is
+    oblique: a network of varying calibre, as under the colon's mucosa.
     """
     warp = [SolidNoise(2.5 * cell_mm, 0.3 * cell_mm, rng) for _ in range(3)]
     warped = points + 0.1 * cell_mm * np.stack([noise(points) for noise in warp], axis=-1)
@@ -40,9 +40,9 @@ def polygon_network(points: Floats, cell_mm: float, width_mm: float, rng: np.ran
 
 
 def _nearest_two(points: Floats, cell_mm: float, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
-    """Distances (h,w,2) to the two nearest of seeds scattered about the wall, and the seeds' numbers."""
+    """Distances (h,w,2) mm to the two nearest of random seeds about the wall, and the seeds' numbers (h,w,2)."""
     flat = points.reshape(-1, 3)
-    crowd = int(12 * SheetScale(points).area_mm2 / cell_mm**2)  # enough for darts to fill the wall
+    crowd = int(12 * SheetScale(points).area_mm2 / cell_mm**2)  # enough candidates for dart throwing to cover the wall
     seeds = flat[rng.integers(len(flat), size=max(crowd, 8))].astype(float)
     seeds += rng.uniform(-0.5, 0.5, seeds.shape) * cell_mm
     chosen = _thin_out(seeds, 0.75 * cell_mm, rng)
@@ -89,14 +89,14 @@ class SheetScale:
 
 
 def vessel_trees(points: Floats, per_cm2: float, width_mm: float, rng: np.random.Generator) -> Floats:
-    """Opacity (h,w) of branching vessels that thin out at every fork, on wall points (h,w,3)."""
+    """Opacity (h,w) of branching vessels on wall points (h,w,3); calibre falls at every fork."""
     scale = SheetScale(points)
     segments, calibres, opacities = _grow(_scatter(scale, per_cm2, rng), width_mm, scale, rng)
     return _draw(segments, calibres, opacities, scale).astype(np.float32) / np.float32(255)
 
 
 def _scatter(scale: SheetScale, per_cm2: float, rng: np.random.Generator) -> Array:
-    """Random texels (K,2), equally dense per area of wall."""
+    """Random texels (K,2), uniform over the wall's area."""
     rows, columns = scale.shape
     texels = rng.uniform(0, 1, (2000, 2)) * (columns, rows)
     area = scale(texels).prod(axis=1)
@@ -105,9 +105,9 @@ def _scatter(scale: SheetScale, per_cm2: float, rng: np.random.Generator) -> Arr
 
 
 def _grow(tips: Array, width_mm: float, scale: SheetScale, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Advance all tips together until all have thinned away.
+    """Random walk of all tips until their calibre is below 0.07 mm.
 
-    Returns segments (K,2,2) in texels, calibres (K,) mm and opacities (K,): a trunk emerges from the deep.
+    Returns segments (K,2,2) in texels, calibres (K,) mm and opacities (K,), which rise over a trunk's first steps.
     """
     segments, calibres, opacities = [np.empty((0, 2, 2))], [np.empty(0)], [np.empty(0)]
     heading, bend = rng.uniform(0, 2 * np.pi, len(tips)), np.zeros(len(tips))
@@ -131,7 +131,7 @@ def _grow(tips: Array, width_mm: float, scale: SheetScale, rng: np.random.Genera
 
 
 def _draw(segments: Array, widths_mm: Array, opacities: Array, scale: SheetScale) -> NDArray[np.uint8]:
-    """Strokes on a sheet that wraps in its columns. Thinner than a texel means fainter."""
+    """Ink (rows, columns) 0..255 of segments on a sheet that wraps in its columns; below a texel's width fainter."""
     rows, columns = scale.shape
     ink = np.zeros((rows, columns + 2 * MARGIN), np.uint8)
     middle = segments.mean(axis=1)

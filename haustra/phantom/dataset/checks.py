@@ -1,4 +1,4 @@
-"""Refuse, in one sentence, a config that cannot be built or filmed, before any time is spent on it."""
+"""Validation of a config: a PhantomError of one sentence before any time is spent on what cannot be built."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
     "events.duration_s": (0.05, 60.0),
     "events.contraction": (0.0, 0.8),
 }
-LEAST_TEXT_PX = 128  # narrower, the burned-in lines cover most of the picture
+MIN_TEXT_PX = 128  # image width below which burned-in text covers most of it
 
 
 def check(config: PhantomConfig) -> None:
@@ -134,8 +134,8 @@ def check(config: PhantomConfig) -> None:
     camera = config.camera
     if camera.width % 2 or camera.height % 2:
         raise PhantomError(f"camera: H.264 needs an even width and height, got {camera.width}x{camera.height}")
-    if config.imaging.text and camera.width < LEAST_TEXT_PX:
-        raise PhantomError(f"imaging.text needs a picture at least {LEAST_TEXT_PX} px wide, got {camera.width}")
+    if config.imaging.text and camera.width < MIN_TEXT_PX:
+        raise PhantomError(f"imaging.text needs a picture at least {MIN_TEXT_PX} px wide, got {camera.width}")
     if camera.model == "PINHOLE" and any(camera.distortion):
         raise PhantomError("camera: PINHOLE has no distortion; take OPENCV or OPENCV_FISHEYE")
     make_camera(camera).rays()
@@ -143,6 +143,7 @@ def check(config: PhantomConfig) -> None:
 
 
 def _check_one(name: str, value: Any) -> None:
+    """Raise PhantomError unless the value of `section.field` is a known choice or finite and in range."""
     if isinstance(value, bool):
         return
     if isinstance(value, str):

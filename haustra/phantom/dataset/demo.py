@@ -1,7 +1,7 @@
-"""The clip the project carries along: a short withdrawal through three haustra, always the same.
+"""The demo clip: a short withdrawal through three haustra, always the same.
 
-python -m phantom.demo FOLDER      # the whole RGB-D folder
-python -m phantom.demo FOLDER --pack pipeline/demo      # and what the package carries of it
+python -m haustra.phantom.dataset.demo FOLDER      # the whole RGB-D folder
+python -m haustra.phantom.dataset.demo FOLDER --pack pipeline/demo      # and the files that the package ships
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DEMO = PhantomConfig(
     camera=CameraConfig(width=320, height=320, fov_deg=90.1973),  # fx = fy = 159.45 px
     motion=MotionConfig(frames=165, speed_mm=0.48, start=0.6, wobble_mm=4.0, look_deg=10.0),
 )
-DEMO_CRF = 18  # a third of a megabyte; feature tracks do not suffer
+DEMO_CRF = 18  # x264's constant rate factor: a third of a megabyte, no loss of feature tracks
 
 
 def write_demo(out_folder: Path, progress: Progress | None = None) -> Path:

@@ -1,4 +1,4 @@
-"""One picture of everything: scenes in rows, then lesions, events and truth."""
+"""Gallery: one image of all scenes in rows, with depth and events."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from haustra.phantom.imaging.render import Frame, Phantom
 from haustra.phantom.timeline import EVENTS
 
 Image = NDArray[np.uint8]
-SIDE = 224  # px of one picture
+SIDE = 224  # px of one frame
 COLUMNS = 6
-GAP = 4
-LABEL_PX = 26
+GAP = 4  # px between frames
+LABEL_PX = 26  # height of a row's label
 ROWS: tuple[tuple[str, str, tuple[int, ...]], ...] = (
     ("colon", "colon", (1, 2, 3)),
     ("small intestine", "small_intestine", (1, 2, 3)),
@@ -31,7 +31,7 @@ ROWS: tuple[tuple[str, str, tuple[int, ...]], ...] = (
 
 
 def write_gallery(target: Path, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Render the gallery into a picture; `progress(done, total)` counts phantoms."""
+    """Render the gallery into an image file; `progress(done, total)` counts phantoms."""
     if target.suffix.lower() not in (".png", ".jpg"):
         raise PhantomError(f"{target}: the gallery is a .png or a .jpg file")
     total, done = sum(len(seeds) for _, _, seeds in ROWS) + 1, 0
@@ -56,20 +56,22 @@ def write_gallery(target: Path, progress: Callable[[int, int], None] | None = No
 
 
 def _small(config: PhantomConfig) -> PhantomConfig:
+    """The config at SIDE px."""
     return replace(config, camera=replace(config.camera, width=SIDE, height=SIDE))
 
 
 def _shares(total: int, parts: int) -> list[int]:
+    """`total` split into whole parts that differ by at most 1."""
     return [total // parts + (part < total % parts) for part in range(parts)]
 
 
 def _views(config: PhantomConfig, count: int) -> Iterator[Frame]:
-    """Frames spread over one film."""
+    """`count` frames spread over one video."""
     phantom = Phantom(config)
-    poses = write_script(phantom).poses
+    world_from_camera = write_script(phantom).world_from_camera
     for place in np.linspace(0.1, 0.9, count):
-        index = int(place * (len(poses) - 1))
-        yield next(phantom.film(poses[index : index + 1]))
+        index = int(place * (len(world_from_camera) - 1))
+        yield next(phantom.film(world_from_camera[index : index + 1]))
 
 
 def _events() -> list[Image]:
@@ -81,22 +83,23 @@ def _events() -> list[Image]:
     config = replace(config, camera=lens, imaging=imaging, motion=motion, events=EventsConfig(1, 1, 1, 1, 1))
     phantom = Phantom(config)
     script = write_script(phantom)
-    film = list(phantom.film(script.poses, script.timeline, script.peristalsis))
+    film = list(phantom.film(script.world_from_camera, script.timeline, script.peristalsis))
     middles = {slot.kind: (slot.first + slot.last) // 2 for slot in script.timeline}
     return [film[middles[kind]].image for kind in EVENTS] + [film[-1].image]
 
 
 def _coloured(depth: NDArray[np.float32]) -> Image:
+    """Depth (H,W) mm as colours on a log scale from 5 to 100 mm; black without depth."""
     near, far = np.log(5.0), np.log(100.0)
     part = (np.log(np.maximum(depth, 1e-3)) - near) / (far - near)
     picture = cv2.applyColorMap((255 * (1 - np.clip(part, 0, 1))).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
     return np.where(depth[..., None] > 0, picture, 0).astype(np.uint8)
 
 
-def _labelled(label: str, pictures: list[Image]) -> Image:
-    """Pictures beside each other under a line of text."""
+def _labelled(label: str, images: list[Image]) -> Image:
+    """Images beside each other under a line of text."""
     gap = np.full((SIDE, GAP, 3), 255, np.uint8)
-    row = np.hstack([part for picture in pictures for part in (picture, gap)])
+    row = np.hstack([part for image in images for part in (image, gap)])
     head = np.full((LABEL_PX, row.shape[1], 3), 255, np.uint8)
     cv2.putText(head, label, (2, LABEL_PX - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (40, 40, 40), 1, cv2.LINE_AA)
     return np.vstack([head, row])

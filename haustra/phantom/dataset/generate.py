@@ -1,4 +1,4 @@
-"""A phantom as a folder on disk: video, images, depth, path, mesh and the config that made them.
+"""RGB-D folder of a phantom: video, images, depth, trajectory, mesh and the config that made them.
 
 video.mp4       H.264, what a user would have
 rgb/%05d.png    the same frames, lossless
@@ -40,8 +40,8 @@ from haustra.phantom.imaging.render import Frame, Phantom
 from haustra.phantom.motion.peristalsis import WIDTH_MM
 
 FILES = ("video.mp4", "trajectory.txt", "mesh.ply", "events.json", "camera.json", "config.yaml")
-RECORDS = ("polyps.json", "diverticula.json")  # what is where on the wall
-DEPTH_UNIT_MM = 0.01  # uint16 then reaches 655 mm
+RECORDS = ("polyps.json", "diverticula.json")  # lesions
+DEPTH_UNIT_MM = 0.01  # of depth images; uint16 then reaches 655 mm
 Progress = Callable[[int, int], None]
 
 
@@ -65,7 +65,7 @@ def generate(
     script = write_script(phantom)
     folder.mkdir(parents=True, exist_ok=True)
     _write_records(folder, phantom)
-    _write_trajectory(folder / "trajectory.txt", script.poses, config.motion.fps)
+    _write_trajectory(folder / "trajectory.txt", script.world_from_camera, config.motion.fps)
     _write_events(folder / "events.json", script, config.motion.fps)
     nearest_mm = film_into(folder, phantom, script, progress, crf, preset)
     motion = script.peristalsis.vertex_properties() if config.events.peristalsis else {}
@@ -81,18 +81,18 @@ def film_into(
     crf: int = 18,
     preset: str = "veryfast",
 ) -> NDArray[np.float32]:
-    """Write video, pictures and depth; returns the smallest depth (F,) mm at which each face was seen, or infinity."""
+    """Write video, images and depth; returns the smallest depth (F,) mm at which each face was seen, or infinity."""
     for name in ("rgb", "depth"):
         (folder / name).mkdir(exist_ok=True)
     nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
     with _video(folder / "video.mp4", phantom.config, crf, preset) as add_to_video:
-        for index, frame in enumerate(phantom.film(script.poses, script.timeline, script.peristalsis)):
+        for index, frame in enumerate(phantom.film(script.world_from_camera, script.timeline, script.peristalsis)):
             _write_frame(folder, index, frame)
             add_to_video(frame.image)
             hit = frame.triangle >= 0
             np.minimum.at(nearest_mm, frame.triangle[hit], frame.depth[hit])
             if progress:
-                progress(index + 1, len(script.poses))
+                progress(index + 1, len(script.world_from_camera))
     return nearest_mm
 
 
@@ -121,6 +121,7 @@ def clear(folder: Path) -> None:
 
 
 def _write_frame(folder: Path, index: int, frame: Frame) -> None:
+    """Write image and depth of one frame."""
     _write_png(folder / "rgb" / f"{index:05d}.png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
     steps = np.round(frame.depth / DEPTH_UNIT_MM)
     stored = np.where(steps <= 65535, steps, 0).astype(np.uint16)  # what is farther than 655 mm has no depth
@@ -128,7 +129,7 @@ def _write_frame(folder: Path, index: int, frame: Frame) -> None:
 
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
-    """Raises OSError on a full disk, of which cv2.imwrite would say nothing."""
+    """Write a PNG; OSError on a full disk, which cv2.imwrite would not report."""
     path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
@@ -151,9 +152,12 @@ def _video(path: Path, config: PhantomConfig, crf: int, preset: str) -> Iterator
             container.mux(stream.encode())
 
 
-def _write_trajectory(path: Path, poses: NDArray[np.float64], fps: float) -> None:
-    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()  # x y z w
-    rows = np.concatenate([np.arange(len(poses))[:, None] / fps, poses[:, :3, 3], turns], axis=1)
+def _write_trajectory(path: Path, world_from_camera: NDArray[np.float64], fps: float) -> None:
+    """Write a TUM file of `world_from_camera` (N,4,4)."""
+    turns = Rotation.from_matrix(world_from_camera[:, :3, :3]).as_quat()  # x y z w
+    rows = np.concatenate(
+        [np.arange(len(world_from_camera))[:, None] / fps, world_from_camera[:, :3, 3], turns], axis=1
+    )
     np.savetxt(path, rows, fmt=["%.6f"] * 4 + ["%.9f"] * 4)
 
 

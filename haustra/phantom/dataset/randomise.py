@@ -1,6 +1,6 @@
 """Domain randomisation: phantoms that differ as much as patients, scopes and processors do.
 
-Ranges go a little beyond the plausible on purpose: what is plausible then lies inside what was trained on.
+Ranges go a little beyond the plausible, so that plausible cases lie inside the training distribution.
 """
 
 from __future__ import annotations
@@ -96,13 +96,13 @@ def random_small_intestine(rng: np.random.Generator) -> AnatomyConfig:
 
 
 def _sometimes(rng: np.random.Generator, chance: float, low: float, high: float) -> float:
-    """0, or with this chance a number between low and high. Draws the same count either way."""
+    """A number between low and high with probability `chance`, else 0; draws the same count either way."""
     value = rng.uniform(low, high)
     return float(value) if rng.uniform() < chance else 0.0
 
 
 def _tissue(rng: np.random.Generator) -> Colour:
-    """Reddish to orange to pale; now and then anything, so that colour alone tells nothing."""
+    """Reflectance from reddish to orange to pale; in 8 % any colour, so that colour alone is no cue."""
     red = rng.uniform(0.45, 0.85)
     green = red * rng.uniform(0.22, 0.62)
     blue = green * rng.uniform(0.35, 1.05)
@@ -148,7 +148,7 @@ def _stool_colour(rng: np.random.Generator) -> Colour:
 
 
 def _fluid_colour(rng: np.random.Generator) -> Colour:
-    """What a film leaves of the tissue's colour: clear, yellow, greenish, or bloody."""
+    """Transmittance of a film of fluid: clear, yellow, greenish, or bloody."""
     red = rng.uniform(0.5, 1.0)
     green = red * rng.choice([rng.uniform(0.7, 1.1), rng.uniform(0.2, 0.5)], p=[0.85, 0.15])
     return float(red), float(min(green, 1.0)), float(min(green, 1.0) * rng.uniform(0.2, 0.9))
@@ -197,6 +197,7 @@ def random_camera(rng: np.random.Generator, size: int) -> CameraConfig:
 
 
 def _any_camera(rng: np.random.Generator, size: int) -> CameraConfig:
+    """A random lens, which may fold over inside the image."""
     kind = rng.choice(["PINHOLE", "OPENCV", "OPENCV_FISHEYE"], p=[0.75, 0.15, 0.10])
     fov = rng.uniform(80.0, 115.0) if kind != "OPENCV_FISHEYE" else rng.uniform(90.0, 140.0)
     distortion = (0.0, 0.0, 0.0, 0.0)

@@ -47,9 +47,9 @@ SMALL_INTESTINE = PhantomConfig(
 MATERIALS, LIGHTS = (ORANGE, PALE), (SPOT, WIDE)
 CSD = replace(COLON, appearance=VEINED, imaging=DIM)
 SCENES = ("colon", "small_intestine", "ccd", "csd")
-USABLE = 0.5  # part of the gut a film may travel: the view reaches some 100 mm further, and ends are contracted
-MARGIN = 0.12  # part of the gut at either end that a film keeps out of
-MOST_MM = 1200.0  # of gut: an adult's colon is about 1500 mm long
+USABLE = 0.5  # share of the gut that a path may cover: the view reaches some 100 mm further, and ends are contracted
+MARGIN = 0.12  # share of the gut at either end that a path keeps out of
+MAX_LENGTH_MM = 1200.0  # of a gut lengthened for its path; an adult's colon is about 1500 mm long
 
 
 def scene_config(name: str, seed: int = 0) -> PhantomConfig:
@@ -68,8 +68,8 @@ def film_of(
 ) -> PhantomConfig:
     """The same scene filmed for longer, larger or the other way.
 
-    A way that no longer fits the lumen begins elsewhere, in a gut as long as it needs; beyond MOST_MM of gut the scope
-    goes slower instead. A way that fits is left as it is.
+    A way that no longer fits the lumen begins elsewhere, in a gut as long as it needs; beyond
+    MAX_LENGTH_MM the scope goes slower instead. A way that fits is left as it is.
     """
     camera, motion, anatomy = config.camera, config.motion, config.anatomy
     if size is not None:
@@ -86,7 +86,7 @@ def film_of(
 
 
 def _way_mm(motion: MotionConfig) -> float:
-    """The farthest that a film may get from its start."""
+    """Largest distance (mm) that a path may get from its start."""
     there_and_back = 2 if motion.direction == "loop" else 1
     return motion.speed_mm * (1 + motion.speed_variation) * motion.frames / there_and_back
 
@@ -99,8 +99,9 @@ def fits(motion: MotionConfig, length_mm: float) -> bool:
 
 
 def _room_for(motion: MotionConfig, anatomy: AnatomyConfig) -> tuple[MotionConfig, AnatomyConfig]:
+    """Motion and anatomy changed so that the path fits: a longer gut, another start, a lower speed."""
     way_mm = _way_mm(motion)
-    length_mm = float(np.clip(way_mm / USABLE, anatomy.length_mm, max(MOST_MM, anatomy.length_mm)))
+    length_mm = float(np.clip(way_mm / USABLE, anatomy.length_mm, max(MAX_LENGTH_MM, anatomy.length_mm)))
     slower = min(1.0, USABLE * length_mm / max(way_mm, 1e-9))
     start = 0.5 + USABLE / 2 if motion.direction == "withdrawal" else 0.5 - USABLE / 2
     motion = replace(motion, start=start, speed_mm=motion.speed_mm * slower)

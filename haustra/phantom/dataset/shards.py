@@ -1,6 +1,6 @@
 """Training frames without video: many colons, few views each, in memory-mappable arrays.
 
-    python -m phantom.shards OUT --frames 3000 --size 192 --seed 0 --workers 2
+    python -m haustra.phantom.dataset.shards OUT --frames 3000 --size 192 --seed 0 --workers 2
 
 writes shards.json, the arguments, and
 
@@ -33,28 +33,28 @@ from haustra.phantom.dataset.scenes import SCENES, film_of, scene_config
 from haustra.phantom.imaging.camera import MODELS
 from haustra.phantom.imaging.render import Phantom
 from haustra.phantom.imaging.sensor import Sensor
-from haustra.phantom.motion.viewpoints import random_pose
+from haustra.phantom.motion.viewpoints import random_viewpoint
 
 FRAMES_PER_COLON = 20  # a colon takes as long to make as about 40 frames
 
 
 @dataclass(frozen=True)
 class ShardPlan:
-    """What to render and where to."""
+    """Training frames to render, and the folder they go to."""
 
     folder: Path
     frames: int
     size: int  # px, square
     seed: int
-    scene: str | None = (
-        None  # a named scene, of which only the seed varies; None draws anatomy, looks and lens at random
-    )
+    scene: str | None = None  # named scene with varying seed; None draws anatomy, appearance and lens at random
 
     @property
     def colons(self) -> int:
+        """Number of colons that the frames need."""
         return -(-self.frames // FRAMES_PER_COLON)
 
     def arrays(self) -> dict[str, tuple[type, tuple[int, ...]]]:
+        """Type and shape of each array by its file's stem."""
         count, size = self.frames, self.size
         return {
             "images": (np.uint8, (count, size, size, 3)),
@@ -101,11 +101,11 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
     for index in range(first, last):
         # Each frame of a random phantom has a light and a lens of its own.
         view = phantom if plan.scene else phantom.seen_through(random_imaging(rng), random_camera(rng, plan.size))
-        pose = random_pose(view.colon, view.caster, view.rays, rng)
-        drift = pose.copy()
+        world_from_camera = random_viewpoint(view.colon, view.caster, view.rays, rng)
+        drift = world_from_camera.copy()
         drift[:3, 3] += rng.normal(0.0, 0.5, 3)  # where motion blur points
         sensor = Sensor(view.config.imaging, plan.size, plan.size, seed=view.config.seed + index)
-        frame = view.shoot(pose, drift, sensor, rng)
+        frame = view.shoot(world_from_camera, drift, sensor, rng)
         arrays["images"][index] = frame.image
         arrays["depths"][index] = frame.depth
         arrays["intrinsics"][index] = view.camera.params[:4]
@@ -116,6 +116,7 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
 
 
 def _config(plan: ShardPlan, rng: np.random.Generator) -> PhantomConfig:
+    """Config of one colon: random, or the named scene with a random seed."""
     if plan.scene is None:
         return randomised(rng, plan.size)
     return film_of(scene_config(plan.scene, int(rng.integers(2**31))), size=plan.size)

@@ -74,7 +74,7 @@ class Camera:
         return plane * (fx, fy) + (cx, cy)
 
     def _undistort(self, plane: Array) -> Array:
-        """Invert `_distort` by fixed-point iteration; it converges where the distortion bends by less than 1."""
+        """Inverse of `_distort` by fixed-point iteration, which converges where the distortion's slope is below 1."""
         ideal = plane
         for _ in range(50):
             ideal = np.clip(ideal + (plane - _distort(ideal, self.params[4:])), -10, 10)
@@ -91,6 +91,7 @@ class Camera:
         return np.stack([x * scale, y * scale], axis=-1)
 
     def _unproject_fisheye(self, plane: Array) -> Array:
+        """Unit directions (...,3) of points (...,2) on the image plane, by Newton's method on the angle."""
         radius = np.linalg.norm(plane, axis=-1)
         angle = np.minimum(radius, np.pi)
         for _ in range(20):  # Newton; the polynomial is monotone over any lens worth simulating
@@ -134,12 +135,13 @@ def _grows(config: CameraConfig, half: float) -> bool:
 
 
 def _fisheye_radius(angle: Array, k: tuple[float, ...]) -> Array:
+    """Radius on the image plane (focal lengths) at angles off the axis (rad)."""
     squared = angle * angle
     return angle * (1 + squared * (k[0] + squared * (k[1] + squared * (k[2] + squared * k[3]))))
 
 
 def _distort(plane: Array, k: tuple[float, ...]) -> Array:
-    """Brown's radial and tangential terms, OpenCV's order k1 k2 p1 p2."""
+    """Distorted points (...,2) of the image plane: Brown's radial and tangential terms, k1 k2 p1 p2 as in OpenCV."""
     k1, k2, p1, p2 = k
     x, y = plane[..., 0], plane[..., 1]
     squared = x * x + y * y

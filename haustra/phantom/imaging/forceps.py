@@ -12,14 +12,14 @@ from haustra.phantom.imaging.shading import shade
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
-CHANNEL_MM = np.array([3.6, 4.2, -2.0])  # where the working channel ends, beside the lens
-AIM_MM = np.array([0.8, 1.0, 18.0])  # the shaft points here
-REACH_MM = (5.0, 15.0)  # length outside the channel: just out of sight, fully out
+CHANNEL_MM = np.array([3.6, 4.2, -2.0])  # end of the working channel, camera axes
+AIM_MM = np.array([0.8, 1.0, 18.0])  # point that the shaft is aimed at, camera axes
+REACH_MM = (5.0, 15.0)  # length outside the channel when just out of view, and when fully out
 SHAFT_MM = 1.15  # radius; channels are 2.8 or 3.2 mm wide
-JAW_MM, JAW_LENGTH_MM = 0.8, 5.0
+JAW_MM, JAW_LENGTH_MM = 0.8, 5.0  # radius and length
 JAW_OPEN_DEG = 38.0
 COIL_MM = 0.9  # pitch of the wound sheath
-STEEL, SHEEN = 0.16, 1.5
+STEEL, SHEEN = 0.16, 1.5  # reflectance, and glints relative to moist mucosa's
 
 
 def draw_forceps(
@@ -27,7 +27,8 @@ def draw_forceps(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Radiance (H,W,3) with the tool in it, and its pixels (H,W).
 
-    `out` 0 to 1 is how far it has come, `opening` 0 to 1 how much of its appearance has passed (jaws open and shut).
+    `out` 0 to 1 is how far it is out of the channel; `opening` 0 to 1 is the share of its slot that has passed, over
+    which the jaws open and close.
     """
     aim = (AIM_MM - CHANNEL_MM) / np.linalg.norm(AIM_MM - CHANNEL_MM)
     tip = CHANNEL_MM + aim * _reach(aim, points, rays, out)
@@ -52,7 +53,7 @@ def draw_forceps(
 
 
 def _reach(aim: Array, points: Floats, rays: Floats, out: float) -> float:
-    """Length outside the channel, mm; the jaws stop short of the wall."""
+    """Length (mm) outside the channel, bounded so that the jaws end before the wall."""
     wanted = REACH_MM[0] + (REACH_MM[1] - REACH_MM[0]) * out
     towards = CHANNEL_MM + aim * (wanted + JAW_LENGTH_MM)
     row, column = np.unravel_index(np.argmax(rays @ (towards / np.linalg.norm(towards))), rays.shape[:2])
@@ -97,6 +98,7 @@ def _ray_capsule(rays: Array, start: Array, end: Array, radius: float) -> Array:
 
 
 def _ray_ball(rays: Array, centre: Array, radius: float) -> Array:
+    """Length (H,W) at which unit rays from the origin enter a sphere; infinite where they miss it."""
     b = rays @ centre
     root = b * b - float(centre @ centre) + radius * radius
     t = b - np.sqrt(np.maximum(root, 0))

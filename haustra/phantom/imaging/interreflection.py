@@ -1,8 +1,8 @@
-"""Light that one wall sends to another.
+"""Interreflection: light that one wall reflects to another.
 
-The lamp sits beside the lens, so what it lights is what the camera sees: the picture itself is the map of light sources
-(reflective shadow map, Dachsbacher & Stamminger 2005). Without occlusion between walls, and without the walls outside
-of the picture.
+The light sits beside the lens, so what it lights is what the camera sees: the image itself is the map of light sources
+(reflective shadow map, Dachsbacher & Stamminger 2005). Occlusion between walls and walls outside of the image are left
+out.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.floating[Any]]
-SOURCES, RECEIVERS = 16, 24  # per side; walls light each other smoothly
-NEAREST_MM = 4.0  # closer, a patch is no point
-STEEPEST = 0.15  # cosine; at grazing view a patch's area is anyone's guess
+SOURCES, RECEIVERS = 16, 24  # patches per side of the image; interreflection is smooth
+MIN_DISTANCE_MM = 4.0  # between patches; closer, a patch is no point source
+MIN_COSINE = 0.15  # of the view of a patch; below, its area cannot be estimated from the image
 
 
 def bounced(points: Floats, normals: Floats, radiance: Floats) -> Floats:
@@ -31,7 +31,7 @@ def bounced(points: Floats, normals: Floats, radiance: Floats) -> Floats:
     squared = (to * to).sum(axis=1)[:, None] + (at * at).sum(axis=1) - 2 * to @ at.T
     leaving = np.maximum(facing @ to.T - (facing * at).sum(axis=1)[:, None], 0).T  # times the distance, as below
     arriving = np.maximum(towards @ at.T - (towards * to).sum(axis=1)[:, None], 0)
-    form = leaving * arriving * area / (np.pi * np.maximum(squared, NEAREST_MM**2) ** 2)
+    form = leaving * arriving * area / (np.pi * np.maximum(squared, MIN_DISTANCE_MM**2) ** 2)
     light = (form @ sent).reshape(RECEIVERS, RECEIVERS, 3).astype(np.float32)
     return cv2.resize(light, (width, height), interpolation=cv2.INTER_LINEAR)
 
@@ -42,7 +42,7 @@ def _patch_areas(at: Floats, facing: Floats) -> Floats:
     rays = (at / distance[:, None]).reshape(SOURCES, SOURCES, 3)
     solid = np.linalg.norm(np.gradient(rays, axis=0), axis=-1) * np.linalg.norm(np.gradient(rays, axis=1), axis=-1)
     cosine = -(facing * at).sum(axis=1) / distance
-    return np.where(distance > 1, solid.ravel() * distance**2 / np.maximum(cosine, STEEPEST), 0)
+    return np.where(distance > 1, solid.ravel() * distance**2 / np.maximum(cosine, MIN_COSINE), 0)
 
 
 def _coarse(field: Floats, side: int) -> Floats:

@@ -1,7 +1,7 @@
-"""What comes between lens and wall: mucosa on the lens, a water jet, foam, a forceps.
+"""Obstacles between lens and wall: mucosa on the lens, a water jet, foam, a forceps.
 
-Each function takes a view (what the wall alone would look like) and returns radiance (H,W,3) and the pixels (H,W)
-in which the wall is hidden: there truth has no depth, because nothing of the wall can be measured there.
+Each function takes a view of the bare wall and returns radiance (H,W,3) and the pixels (H,W) in which the wall is
+hidden: there truth has no depth, because nothing of the wall can be measured there.
 Camera axes, millimetres; brightness as in `shading`. Every random number comes from the slot's own generator, so
 that frames can be made in any order.
 """
@@ -23,27 +23,27 @@ from haustra.phantom.timeline import Slot
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-HIDDEN = 0.12  # opacity from which the wall behind can no longer be measured
-NOZZLE_MM = np.array([-4.0, 2.5, 1.0])
-SPRAY_MM = 30.0  # how far ahead the jet meets the wall, roughly
-FOAM = 70  # bubbles in one patch of foam
+HIDDEN = 0.12  # opacity from which the wall counts as hidden
+NOZZLE_MM = np.array([-4.0, 2.5, 1.0])  # camera axes
+SPRAY_MM = 30.0  # z at which the jet is aimed, roughly the wall's
+FOAM = 70  # bubbles in a patch of foam
 
 
 @dataclass(frozen=True)
 class View:
-    """A frame before anything comes in between."""
+    """A frame of the bare wall, as obstacles take it."""
 
     camera: Camera
     imaging: ImagingConfig
     rays: Floats  # (H,W,3) unit directions
-    pose: Array  # world_from_camera (4,4)
+    world_from_camera: Array  # (4,4), mm
     points: Floats  # (H,W,3) wall, camera axes
     radiance: Floats  # (H,W,3)
     foam: Array  # (K,4) bubbles on the wall: x y z (world mm) and radius mm
 
 
 def red_out(view: View, slot: Slot, frame: int, rng: np.random.Generator) -> tuple[Floats, Mask]:
-    """Mucosa lies on the lens: light shines through it, all is red and without detail."""
+    """Mucosa on the lens: the image turns red and loses all detail."""
     shape = view.radiance.shape[:2]
     strength = slot.strength(frame)
     clouds = _clouds(shape, rng, shift=2.0 * slot.part(frame))
@@ -53,7 +53,7 @@ def red_out(view: View, slot: Slot, frame: int, rng: np.random.Generator) -> tup
 
 
 def water_jet(view: View, slot: Slot, frame: int, rng: np.random.Generator) -> tuple[Floats, Mask]:
-    """A bright, streaky fan from the nozzle to the wall, and the restless splash where it lands."""
+    """Water jet: a bright, streaky fan from the nozzle to the wall, and a changing splash where it lands."""
     height, width = view.radiance.shape[:2]
     target = np.array([*rng.uniform(-9, 9, 2), SPRAY_MM]) + 0.7 * np.sin(0.9 * frame + np.arange(3))
     start, end = _visible_line(view.camera, NOZZLE_MM, target)
@@ -74,9 +74,9 @@ def bubbles(view: View, slot: Slot, frame: int, rng: np.random.Generator) -> tup
     """Foam that sticks to the wall: each bubble shows a bright rim, a dark ring and the lights' reflections."""
     radiance = view.radiance.copy()
     hidden = np.zeros(radiance.shape[:2], bool)
-    pose = view.pose
-    centres = (view.foam[:, :3] - pose[:3, 3]) @ pose[:3, :3]
-    life = rng.uniform(0.0, 0.35, len(centres))  # they come and burst one after the other
+    world_from_camera = view.world_from_camera
+    centres = (view.foam[:, :3] - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+    life = rng.uniform(0.0, 0.35, len(centres))  # share of the slot after which each appears and before which it bursts
     near_first = np.argsort(-centres[:, 2])
     for index in near_first:
         if min(slot.part(frame), 1 - slot.part(frame)) >= life[index]:
@@ -93,7 +93,7 @@ Obstacle = Callable[[View, Slot, int, np.random.Generator], tuple[Floats, Mask]]
 OBSTACLES: dict[str, Obstacle] = {"red_out": red_out, "water_jet": water_jet, "bubbles": bubbles, "tool": tool}
 
 
-def place_foam(points: Floats, pose: Array, rng: np.random.Generator) -> Array:
+def place_foam(points: Floats, world_from_camera: Array, rng: np.random.Generator) -> Array:
     """Bubbles (K,4) around one place of the wall in the middle of a frame: world x y z and radius, mm."""
     rows, columns = points.shape[0] // 5, points.shape[1] // 5
     middle = points[rows:-rows, columns:-columns]
@@ -106,7 +106,7 @@ def place_foam(points: Floats, pose: Array, rng: np.random.Generator) -> Array:
     seats = near[rng.integers(len(near), size=FOAM)]
     radii = np.exp(rng.uniform(np.log(0.3), np.log(0.05 * seat[2] + 0.6), FOAM))
     lifted = seats - 0.6 * radii[:, None] * seats / np.linalg.norm(seats, axis=1, keepdims=True)
-    return np.concatenate([lifted @ pose[:3, :3].T + pose[:3, 3], radii[:, None]], axis=1)
+    return np.concatenate([lifted @ world_from_camera[:3, :3].T + world_from_camera[:3, 3], radii[:, None]], axis=1)
 
 
 def _one_bubble(view: View, radiance: Floats, hidden: Mask, centre: Array, radius_mm: float) -> None:
@@ -124,7 +124,7 @@ def _one_bubble(view: View, radiance: Floats, hidden: Mask, centre: Array, radiu
     out = np.hypot(x, y) / size  # 0 in the middle, 1 at the rim
     here = (out < 1) & (view.points[top:bottom, left:right, 2] > centre[2] - 1.5 * radius_mm)
     patch = radiance[top:bottom, left:right]
-    through = patch[::-1, ::-1] if patch.shape[0] > 4 else patch  # a ball of fluid turns the picture over
+    through = patch[::-1, ::-1] if patch.shape[0] > 4 else patch  # a ball of fluid inverts the image
     ring = np.exp(-(((out - 0.93) / 0.06) ** 2))[..., None]
     dark = np.exp(-(((out - 0.78) / 0.1) ** 2))[..., None]
     glint = np.exp(-(np.hypot(x / size + 0.35, y / size + 0.4) ** 2) / 0.012)[..., None]
@@ -135,12 +135,12 @@ def _one_bubble(view: View, radiance: Floats, hidden: Mask, centre: Array, radiu
 
 
 def _brightness_at(distance_mm: float) -> float:
-    """Radiance of a white frontal wall at a distance."""
+    """Radiance of a white frontal wall at a distance (mm)."""
     return float((25.0 / max(distance_mm, 4.0)) ** 2)
 
 
 def _brightness_of(view: View) -> np.float32:
-    """What the picture's bright parts have, so that water looks lit by the same light."""
+    """90th percentile of the image's radiance, so that water looks lit by the same light."""
     return np.float32(np.quantile(view.radiance[::4, ::4].max(axis=-1), 0.9) + 1e-6)
 
 

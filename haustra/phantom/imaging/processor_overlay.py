@@ -1,6 +1,6 @@
-"""Lines that a video processor burns into its picture: date, time with a frame counter, a name. All invented.
+"""Text that a video processor burns into its images: date, time with a frame counter, a name. All invented.
 
-They hide the wall, so that no truth is given where they stand; a method that takes them for texture is misled.
+Text hides the wall, so that no truth is given under it; it tests methods that would take it for texture.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 FONT = cv2.FONT_HERSHEY_PLAIN
 CAPITAL_PX = 10.0  # height of a capital letter of this font at scale 1
-LETTER = 0.024  # of the image's width: letters 8 px high at 320 px
-LINE = 1.5  # letters from one line to the next
+LETTER = 0.024  # letter height over image width: 8 px at 320 px
+LINE = 1.5  # line spacing in letter heights
 INKS = ((0.95, 0.95, 0.95), (0.35, 0.95, 0.45))  # processors write white or green
-OUTLINE = 0.25  # what is left of the picture just around a letter, so that white is read on a glint
+OUTLINE = 0.25  # factor on the image just around a letter, so that white can be read on a glint
 
 
 class Overlay:
-    """Three lines in one corner, in one ink. The seed chooses date, hour and ink; the counter runs."""
+    """Three lines of text in the upper left corner. The seed fixes date, hour and colour."""
 
     def __init__(self, width: int, height: int, seed: int, fps: float = 30.0) -> None:
         rng = np.random.default_rng([seed, 6])
@@ -32,13 +32,13 @@ class Overlay:
         self._letter_px = max(LETTER * width, 3.0)
 
     def lines(self, count: int) -> list[str]:
-        """What stands there on frame `count`."""
+        """The lines of text of frame `count`."""
         now = self._start + timedelta(seconds=count / self._fps)
         counter = count % round(self._fps)
         return [now.strftime("%d/%m/%Y"), f"{now:%H:%M:%S}:{counter:02d}", self._name]
 
     def area(self) -> NDArray[np.bool_]:
-        """True (H,W) on the lines' boxes, the same for every frame: a digit hides what its neighbours may hide."""
+        """True (H,W) on the lines' bounding boxes with the widest digits, the same for every frame."""
         hidden = np.zeros(self._shape, bool)
         for index, line in enumerate(self.lines(0)):
             widest = re.sub(r"\d", "8", line)
@@ -49,7 +49,7 @@ class Overlay:
         return hidden
 
     def draw(self, encoded: Floats, count: int, area: NDArray[np.bool_]) -> None:
-        """Write frame `count`'s lines over an encoded picture (H,W,3) in place, never beyond `area` (H,W)."""
+        """Draw frame `count`'s lines on an encoded image (H,W,3) in place, within `area` (H,W)."""
         left, top, width, height = cv2.boundingRect(area.view(np.uint8))
         box = np.s_[top : top + height, left : left + width]
         written = self._write(self.lines(count))
@@ -71,5 +71,5 @@ class Overlay:
 
 
 def _around(written: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The letters and one pixel around them."""
+    """Coverage (H,W) of the letters dilated by one pixel."""
     return cv2.dilate(written, np.ones((3, 3), np.uint8))

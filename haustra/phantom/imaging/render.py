@@ -1,4 +1,4 @@
-"""A phantom that can be filmed: mesh, texture, lens and light put together, and what comes in between."""
+"""Rendering of a phantom: mesh, texture, lens and light to images with exact depth and triangle indices."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from haustra.phantom.timeline import Slot
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
-PENUMBRA_PX = 1.2  # light guides are not points
-SHADOW_REACH = 0.99  # shadow rays stop short of the wall they end on
-WIDEST_DEG = 85.0  # off axis: beyond, z-depth shrinks to nothing whatever the distance, and truth is not given
+PENUMBRA_PX = 1.2  # blur of shadows, standard deviation: light guides are not points
+SHADOW_REACH = 0.99  # length of shadow rays over the distance to the wall point, which must not block itself
+MAX_OFF_AXIS_DEG = 85.0  # beyond, z-depth tends to 0 whatever the distance, and no truth is given
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture with its truth."""
+    """One image with its truth."""
 
     image: NDArray[np.uint8]  # (H,W,3) RGB
     depth: Floats  # (H,W) z-depth mm, 0 where no wall is seen
@@ -44,17 +44,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class Look:
-    """What reaches the lens, before any sensor."""
+    """Radiance at the lens and truth of one frame, before the sensor."""
 
     radiance: Floats  # (H,W,3)
     wall: Floats  # (H,W) z-depth of the wall behind whatever hides it, mm; 0 = none, or seen too far off axis
     points: Floats  # (H,W,3) wall in camera axes, mm; zero where the ray leaves through an open end
     triangle: NDArray[np.int64]  # (H,W), -1 where no wall
-    hidden: NDArray[np.bool_]  # (H,W) something is in between
+    hidden: NDArray[np.bool_]  # (H,W) an obstacle hides the wall
 
 
 class Phantom:
-    """One colon, painted, with a camera. Geometry and texture are built once; frames are cheap."""
+    """A textured colon with a camera. Geometry and texture are built once per phantom."""
 
     def __init__(self, config: PhantomConfig, threads: int = 0) -> None:
         """`threads` 0 uses every core; the frames do not depend on it."""
@@ -75,61 +75,71 @@ class Phantom:
         return other
 
     def film(
-        self, poses: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
+        self, world_from_camera: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
     ) -> Iterator[Frame]:
-        """Frames along world_from_camera (N,4,4); the gain adapts from one to the next.
+        """Frames along `world_from_camera` (N,4,4); the gain adapts from one to the next.
 
-        What reaches the lens is made a few frames ahead on every core; the sensor takes it in order.
+        Radiance is rendered a few frames ahead on every core; the sensor takes it in order.
         """
         fps = self.config.motion.fps
         sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed, fps)
-        foams = {slot.number: self._foam(poses, slot) for slot in timeline if slot.kind == "bubbles"}
+        foams = {slot.number: self._foam(world_from_camera, slot) for slot in timeline if slot.kind == "bubbles"}
 
         def look(index: int) -> Look:
             walls = [peristalsis.wall(frame) if peristalsis else None for frame in (index, index + 1)]
-            seen = self.look(poses[index], _upcoming(poses, index), *walls)
+            seen = self.look(world_from_camera[index], _next_camera(world_from_camera, index), *walls)
             for slot in timeline:
                 if slot.kind in OBSTACLES and slot.first <= index <= slot.last:
-                    seen = self._obstructed(seen, poses[index], slot, index, foams.get(slot.number))
+                    seen = self._obstructed(seen, world_from_camera[index], slot, index, foams.get(slot.number))
             return seen
 
-        for index, seen in enumerate(_ahead(look, len(poses), self.threads)):
+        for index, seen in enumerate(_ahead(look, len(world_from_camera), self.threads)):
             yield develop(seen, sensor, np.random.default_rng([self.config.seed, 3, index]))
 
-    def shoot(self, pose: Array, upcoming: Array, sensor: Sensor, rng: np.random.Generator) -> Frame:
-        """One frame from `pose`; `upcoming` is where the camera is one frame later (for motion blur)."""
-        return develop(self.look(pose, upcoming), sensor, rng)
+    def shoot(
+        self, world_from_camera: Array, next_world_from_camera: Array, sensor: Sensor, rng: np.random.Generator
+    ) -> Frame:
+        """One frame from `world_from_camera`; `next_world_from_camera` is one frame later, for motion blur."""
+        return develop(self.look(world_from_camera, next_world_from_camera), sensor, rng)
 
     def look(
-        self, pose: Array, upcoming: Array, moved: MovedWall | None = None, next_moved: MovedWall | None = None
+        self,
+        world_from_camera: Array,
+        next_world_from_camera: Array,
+        moved: MovedWall | None = None,
+        next_moved: MovedWall | None = None,
     ) -> Look:
-        """Light and truth from `pose`, with the wall at rest or moved, and moving on to `next_moved`.
+        """Radiance and truth from one camera (4,4); the wall is at rest, or moved and moving on to `next_moved`.
 
-        The shutter is open from half its time before `pose` to half its time after: truth is that of mid-exposure.
+        `world_from_camera` and truth are those of mid-exposure; `next_world_from_camera` gives the motion blur.
         """
         caster = self.caster if moved is None else RayCaster(moved.vertices, self.colon.triangles, self.threads)
-        hits = caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+        hits = caster.cast(world_from_camera[:3, 3], self.rays @ world_from_camera[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
-        radiance = self._radiance(pose, hits, points, caster, moved)
+        radiance = self._radiance(world_from_camera, hits, points, caster, moved)
         shutter = self.config.imaging.shutter
         if shutter:
             moving = moved is not None or next_moved is not None
             then = self._wall_points(hits, next_moved) if moving else None
-            radiance = smear(radiance, self._flow(points, hits.valid, pose, upcoming, then), shutter)
-        shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(WIDEST_DEG)))
+            radiance = smear(
+                radiance, self._flow(points, hits.valid, world_from_camera, next_world_from_camera, then), shutter
+            )
+        shown = hits.valid & (self.rays[..., 2] > np.cos(np.radians(MAX_OFF_AXIS_DEG)))
         wall = np.where(shown, points[..., 2], 0.0).astype(np.float32)
         triangle = np.where(shown, hits.triangle.astype(np.int64), -1)
         return Look(radiance, wall, points, triangle, np.zeros(shown.shape, bool))
 
-    def _radiance(self, pose: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None) -> Floats:
-        rotation = pose[:3, :3].astype(np.float32)
+    def _radiance(
+        self, world_from_camera: Array, hits: Hits, points: Floats, caster: RayCaster, moved: MovedWall | None
+    ) -> Floats:
+        rotation = world_from_camera[:3, :3].astype(np.float32)
         safe = np.where(hits.valid, hits.triangle, 0)
         row, column = self.colon.grid_position(safe, hits.bary)
         albedo, gloss, normals = self.texture.sample(row, column, self._footprint(points))
         if moved is not None:
             normals = normals + self._interpolated(moved.normal_change, safe, hits.bary)
             normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-        lit = self._lit(pose, points, caster)
+        lit = self._lit(world_from_camera, points, caster)
         radiance = shade(points, normals @ rotation, albedo, gloss, lit, self.config.imaging)
         return np.where(hits.valid[..., None], radiance, 0.0).astype(np.float32)
 
@@ -140,62 +150,67 @@ class Phantom:
         return np.einsum("hwkc,hwk->hwc", corners, weights)
 
     def _footprint(self, points: Floats) -> Floats:
-        """Size of a pixel on the wall (H,W) mm, a compromise between frontal and grazing views."""
+        """Footprint of a pixel on the wall (H,W) mm, 1.3 times that of a frontal view."""
         return 1.3 * _distance_ahead(points) / np.float32(self.camera.params[0])
 
-    def _lit(self, pose: Array, points: Floats, caster: RayCaster) -> Floats:
-        """How much of each light every point sees (L,H,W), tested at every second pixel: shadows are soft."""
+    def _lit(self, world_from_camera: Array, points: Floats, caster: RayCaster) -> Floats:
+        """Visibility (L,H,W) in [0,1] of each light from every point (H,W,3), cast at every second pixel."""
         lights = light_positions(self.config.imaging)
         height, width = points.shape[:2]
         if not self.config.imaging.shadows:
             return np.ones((len(lights), height, width), np.float32)
-        rotation = pose[:3, :3].astype(np.float32)
+        rotation = world_from_camera[:3, :3].astype(np.float32)
         tested = points[::2, ::2]
         lit = np.empty((len(lights), height, width), np.float32)
         for index, light in enumerate(lights):
-            origin = (rotation @ light + pose[:3, 3]).astype(np.float32)
+            origin = (rotation @ light + world_from_camera[:3, 3]).astype(np.float32)
             blocked = caster.blocked(origin, (tested - light) @ rotation.T, SHADOW_REACH)
             soft = cv2.GaussianBlur(1 - blocked.astype(np.float32), (0, 0), PENUMBRA_PX)
             lit[index] = _doubled(soft, width, height)
         return lit
 
     def _wall_points(self, hits: Hits, moved: MovedWall | None) -> NDArray[Any]:
-        """Where the surface points that were hit are (H,W,3) mm, world, on the wall at rest or moved."""
+        """World positions (H,W,3) mm of the surface points that were hit, on the wall at rest or moved."""
         vertices = self.colon.vertices if moved is None else moved.vertices
         return self._interpolated(vertices, np.where(hits.valid, hits.triangle, 0), hits.bary)
 
     def _flow(
-        self, points: NDArray[Any], valid: NDArray[np.bool_], pose: Array, upcoming: Array, then: NDArray[Any] | None
+        self,
+        points: NDArray[Any],
+        valid: NDArray[np.bool_],
+        world_from_camera: Array,
+        next_world_from_camera: Array,
+        then: NDArray[Any] | None,
     ) -> Floats:
-        """Where each pixel's wall point goes by the next frame (H,W,2) px; 0 where unknown.
+        """Optical flow (H,W,2) px of each pixel's wall point to the next frame; 0 where unknown.
 
-        `then` (H,W,3) is where in the world it is by that time; None if the wall rests.
+        `then` (H,W,3) is the point's world position in the next frame; None if the wall is at rest.
         """
         height, width = valid.shape
-        points, valid = points[::2, ::2], valid[::2, ::2]  # motion is smooth: every second pixel tells enough
-        world = points @ pose[:3, :3].T + pose[:3, 3] if then is None else then[::2, ::2]
-        moved = (world - upcoming[:3, 3]) @ upcoming[:3, :3]
+        points, valid = points[::2, ::2], valid[::2, ::2]  # flow is smooth: every second pixel suffices
+        world = points @ world_from_camera[:3, :3].T + world_from_camera[:3, 3] if then is None else then[::2, ::2]
+        moved = (world - next_world_from_camera[:3, 3]) @ next_world_from_camera[:3, :3]
         flow = self.camera.project(moved) - self.camera.project(points)
         known = np.where(valid[..., None] & np.isfinite(flow), flow, 0.0).astype(np.float32)
         return _doubled(known, width, height)
 
-    def _foam(self, poses: Array, slot: Slot) -> Array:
-        """Where a slot's bubbles sit on the wall: in view in its middle."""
-        pose = poses[(slot.first + slot.last) // 2]
-        hits = self.caster.cast(pose[:3, 3], self.rays @ pose[:3, :3].T.astype(np.float32))
+    def _foam(self, world_from_camera: Array, slot: Slot) -> Array:
+        """Bubbles (K,4) of a slot, on wall that is in view in its middle frame."""
+        middle = world_from_camera[(slot.first + slot.last) // 2]
+        hits = self.caster.cast(middle[:3, 3], self.rays @ middle[:3, :3].T.astype(np.float32))
         points = self.rays * np.where(hits.valid, hits.length, 0.0)[..., None]
-        return place_foam(points, pose, np.random.default_rng([self.config.seed, 9, slot.number + 1]))
+        return place_foam(points, middle, np.random.default_rng([self.config.seed, 9, slot.number + 1]))
 
-    def _obstructed(self, seen: Look, pose: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
+    def _obstructed(self, seen: Look, world_from_camera: Array, slot: Slot, frame: int, foam: Array | None) -> Look:
         nothing = np.empty((0, 4)) if foam is None else foam
-        view = View(self.camera, self.config.imaging, self.rays, pose, seen.points, seen.radiance, nothing)
+        view = View(self.camera, self.config.imaging, self.rays, world_from_camera, seen.points, seen.radiance, nothing)
         rng = np.random.default_rng([self.config.seed, 7, slot.number + 1])
         radiance, hidden = OBSTACLES[slot.kind](view, slot, frame, rng)
         return replace(seen, radiance=radiance.astype(np.float32), hidden=seen.hidden | hidden)
 
 
 def develop(seen: Look, sensor: Sensor, rng: np.random.Generator) -> Frame:
-    """Light to picture; truth only where the picture shows wall."""
+    """Radiance to image; truth only where the image shows the wall."""
     shown = sensor.window & ~seen.hidden
     depth, triangle = np.where(shown, seen.wall, np.float32(0)), np.where(shown, seen.triangle, -1)
     return Frame(sensor.expose(seen.radiance, rng, _distance_ahead(seen.points)), depth, triangle)
@@ -212,11 +227,13 @@ def _distance_ahead(points: Floats) -> Floats:
     return np.maximum(points[..., 2], np.float32(0.1) * np.sqrt(np.einsum("hwc,hwc->hw", points, points)))
 
 
-def _upcoming(poses: Array, index: int) -> Array:
-    """The next pose; after the last one the motion goes on."""
-    if index + 1 < len(poses):
-        return poses[index + 1]
-    return poses[-1] if len(poses) == 1 else poses[-1] @ np.linalg.inv(poses[-2]) @ poses[-1]
+def _next_camera(world_from_camera: Array, index: int) -> Array:
+    """`world_from_camera` (4,4) one frame later; after the last one, by the same motion as before."""
+    if index + 1 < len(world_from_camera):
+        return world_from_camera[index + 1]
+    if len(world_from_camera) == 1:
+        return world_from_camera[-1]
+    return world_from_camera[-1] @ np.linalg.inv(world_from_camera[-2]) @ world_from_camera[-1]
 
 
 @contextmanager

@@ -1,7 +1,7 @@
-"""From radiance to the picture a video processor hands out.
+"""Sensor and video processor: radiance to an 8-bit image.
 
 In this order: lens (vignette, blur, defocus), gain, display encoding, noise, edge enhancement, mask and text,
-colour at half resolution, JPEG. A term at zero leaves the picture as it is, to the bit.
+colour at half resolution, JPEG. A term at zero leaves the image unchanged to the bit.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from haustra.phantom.imaging.processor_overlay import Overlay
 
 Floats = NDArray[np.float32]
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601, as JPEG has it
-GAIN_STEPS = 6  # the clipped mean converges within a few per cent
+GAIN_STEPS = 6  # fixed-point iterations of the gain; the clipped mean converges within a few per cent
 REFERENCE_PX = 320  # image width that `defocus_px` refers to
-MOST_DEFOCUS = 3.0  # times `defocus_px`: a wall that touches the lens would have a blur without bounds
-DEFOCUS_STEPS = (0.5, 1.2, MOST_DEFOCUS)  # times `defocus_px`: ready-blurred copies, blended in between
-BLEED = 0.02  # what a pixel in focus lends to its blurred surroundings; 1 would let sharp edges glow
-HALO_PX = 1.3  # reach of edge enhancement at REFERENCE_PX, standard deviation
+MAX_DEFOCUS = 3.0  # upper bound of the blur over `defocus_px`, which a wall at the lens would exceed
+DEFOCUS_STEPS = (0.5, 1.2, MAX_DEFOCUS)  # blur over `defocus_px` of the blurred copies, blended in between
+BLEED = 0.02  # least weight of a pixel in a blurred copy; 1 would let sharp edges glow into the blur
+HALO_PX = 1.3  # standard deviation of edge enhancement at REFERENCE_PX
 
 
 class Sensor:
-    """Holds what the processor remembers from frame to frame: the gain and the counter."""
+    """Sensor and processor with their state from frame to frame: gain and frame counter."""
 
     def __init__(self, imaging: ImagingConfig, width: int, height: int, seed: int = 0, fps: float = 30.0) -> None:
-        """`window` (H,W) is True where the picture shows the wall: inside the mask and beside the text."""
+        """`window` (H,W) is True where the image shows the wall: inside the mask and beside the text."""
         self._imaging = imaging
         self._scale = width / REFERENCE_PX
         self._falloff = _vignette(imaging.vignette, width, height)[..., None]
@@ -58,7 +58,7 @@ class Sensor:
         return self._process(encoded)
 
     def _process(self, encoded: Floats) -> NDArray[np.uint8]:
-        """What the processor does to the sensor's encoded picture (H,W,3), which is overwritten."""
+        """Image (H,W,3) uint8 after the processor, from the sensor's encoded one, which is overwritten."""
         imaging = self._imaging
         if imaging.sharpen:
             encoded = enhance_edges(encoded, imaging.sharpen, HALO_PX * self._scale)
@@ -75,7 +75,7 @@ class Sensor:
         return jpeg(image, imaging.jpeg_quality, imaging.chroma_px) if imaging.jpeg_quality else image
 
     def _adapt(self, light: Floats) -> float:
-        """Gain that brings the clipped mean brightness to the target, eased from the last frame's."""
+        """Gain that brings the clipped mean brightness to the target, smoothed over frames."""
         imaging = self._imaging
         brightness = (light[::2, ::2] @ LUMA)[self.window[::2, ::2]]
         gain = imaging.exposure / max(float(brightness.mean()), 1e-9)
@@ -93,14 +93,14 @@ def defocus_sigma(depth: Floats, focus_mm: float, defocus_px: float) -> Floats:
     and tends to 1 far away.
     """
     ratio = np.divide(np.float32(focus_mm), depth, out=np.zeros_like(depth), where=depth > 0)
-    return np.float32(defocus_px) * np.minimum(np.abs(1 - ratio), np.float32(MOST_DEFOCUS))
+    return np.float32(defocus_px) * np.minimum(np.abs(1 - ratio), np.float32(MAX_DEFOCUS))
 
 
 def defocus(light: Floats, depth: Floats, focus_mm: float, defocus_px: float) -> Floats:
     """Blur (H,W,3) by distance (H,W) mm: neighbouring ones of a few blurred copies are mixed.
 
     The variance of a mixture is the mixture of variances, so the weights are linear in the squared blur.
-    A copy takes little from pixels that are sharper than itself: a near rim does not glow into the far wall.
+    Pixels sharper than a copy have little weight in it, so that a near rim does not glow into the far wall.
     """
     sigma = defocus_sigma(depth, focus_mm, defocus_px)
     steps = np.array([0.0, *DEFOCUS_STEPS], np.float32) * np.float32(defocus_px)
@@ -119,7 +119,7 @@ def defocus(light: Floats, depth: Floats, focus_mm: float, defocus_px: float) ->
 
 
 def _four(weight: Floats) -> Floats:
-    """A weight (H,W) for four channels alike."""
+    """A weight (H,W) repeated for four channels."""
     return cv2.merge([weight] * 4)
 
 
@@ -131,7 +131,7 @@ def enhance_edges(encoded: Floats, strength: float, reach_px: float) -> Floats:
 
 
 def coarse_colour(encoded: Floats, block_px: int) -> Floats:
-    """One colour for every block of pixels of (H,W,3), its mean; every pixel keeps its own brightness."""
+    """Chroma subsampling of (H,W,3): mean colour per block of pixels; brightness keeps its resolution."""
     height, width = encoded.shape[:2]
     luma = (encoded @ LUMA)[..., None]
     colour = cv2.copyMakeBorder(encoded - luma, 0, -height % block_px, 0, -width % block_px, cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""Light that rides on the tip: what radiance a wall point sends into the lens.
+"""Shading: radiance that wall points lit from the scope's tip send into the lens.
 
 Everything is in camera axes and millimetres, float32 (H,W,...). Brightness is relative: the gain comes later.
 """
@@ -18,9 +18,9 @@ from haustra.phantom.imaging.interreflection import bounced
 Floats = NDArray[np.floating[Any]]  # float32 in practice; numpy's types widen at every scalar
 Planes = Sequence[Floats]  # x, y, z, each (H,W)
 REFERENCE_MM = 25.0  # a frontal white wall at this distance has radiance 1
-LANDS_AGAIN = 0.6  # part of the light leaving a wall of the tube that meets wall again, not the open ways
-SPECULAR_EXPONENT_NORM = 60.0  # glint energy is shared over its lobe: sharper glints are brighter
-FAINTEST = 1e-16  # part of a glint's peak: far below a 255th of the picture's brightest
+RECAPTURE = 0.6  # share of the light leaving a tube's wall that meets wall again instead of the open ends
+SPECULAR_EXPONENT_NORM = 60.0  # exponent at which a glint's peak is `specular`; sharper ones are brighter
+MIN_GLINT = 1e-16  # share of a glint's peak below which it is 0: far below a grey level
 
 
 def light_positions(imaging: ImagingConfig) -> Floats:
@@ -39,7 +39,7 @@ def shade(
     `gloss` (H,W) multiplies the glints: 1 on moist mucosa. `lit` (L,H,W) is the part of light l that arrives, 0 in
     its shadow.
     """
-    place, normal = cv2.split(points), cv2.split(normals)  # planes: thrice as fast as triples
+    place, normal = cv2.split(points), cv2.split(normals)  # planar arrays: three times as fast as (H,W,3)
     distance = np.maximum(_norm(place), 1e-3)
     view = [axis / -distance for axis in place]
     diffuse, glint = np.zeros_like(distance), np.zeros_like(distance)
@@ -51,7 +51,7 @@ def shade(
     diffuse /= max(imaging.lights, 1)
     glint *= gloss
     glint /= max(imaging.lights, 1)
-    # Light from other walls has bounced off tissue, so it is redder, and falls off more slowly.
+    # Ambient light was reflected by tissue, so it is redder, and it falls off more slowly.
     tint = imaging.ambient * REFERENCE_MM / (distance + 5.0)
     planes, matt = [], []
     for paint, colour in zip(cv2.split(albedo), np.asarray(imaging.light_colour, np.float32)):
@@ -66,8 +66,8 @@ def shade(
     direct = cv2.merge(planes)
     if not imaging.bounce:
         return direct
-    # Glints are mirrors, no lamps. Reflections of reflections: a geometric series in albedo, channel by channel.
-    further = albedo / (1 - np.float32(LANDS_AGAIN) * albedo)
+    # Glints light no other wall. Multiple reflections: a geometric series in albedo, channel by channel.
+    further = albedo / (1 - np.float32(RECAPTURE) * albedo)
     return direct + np.float32(imaging.bounce) * further * bounced(points, normals, cv2.merge(matt))
 
 
@@ -93,16 +93,18 @@ def _one_light(
 
 
 def _lobe(aligned: Floats, exponent: float) -> Floats:
-    """`aligned**exponent` (H,W), and 0 where that is too faint to be seen: the power is the slow part."""
-    shines = np.flatnonzero(aligned > np.float32(FAINTEST ** (1 / max(exponent, 1e-3))))
+    """`aligned**exponent` (H,W), 0 below MIN_GLINT, where the slow power is saved."""
+    shines = np.flatnonzero(aligned > np.float32(MIN_GLINT ** (1 / max(exponent, 1e-3))))
     lobe = np.zeros(aligned.shape, np.float32)
     lobe.ravel()[shines] = aligned.ravel()[shines] ** exponent
     return lobe
 
 
 def _dot(a: Planes, b: Planes) -> Floats:
+    """Dot product (H,W)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _norm(a: Planes) -> Floats:
+    """Length (H,W)."""
     return np.sqrt(_dot(a, a))

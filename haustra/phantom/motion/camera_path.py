@@ -1,4 +1,4 @@
-"""Where the tip goes: seeded, smooth camera paths that keep off the wall, with the manoeuvres of a timeline."""
+"""Camera paths: seeded, smooth, with a clearance from the wall and the manoeuvres of a timeline."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from haustra.phantom.raycaster import RayCaster
 from haustra.phantom.timeline import Slot
 
 Array = NDArray[np.float64]
-PUSH_ROUNDS = 80
-WITNESSES_MM = (-8.0, -4.0, 0.0, 4.0, 8.0)  # along the centreline: one way may graze an edge, or end in a polyp's head
-PUSH_SPREAD = 5.0  # frames: a push off the wall starts before the wall is reached
-DIRECTIONS = {"insertion": 1.0, "withdrawal": -1.0, "loop": 1.0}
-STANDSTILL = {"pause": 1.0, "look_back": 1.0, "touch": 0.85}  # part of the speed that a manoeuvre takes away
-SUDDEN = ("quick_turn", "look_back")
+PUSH_ROUNDS = 80  # pushes off the wall before a path is given up
+TARGETS_MM = (-8.0, -4.0, 0.0, 4.0, 8.0)  # along the centreline; a ray to one alone may graze an edge or end in a polyp
+PUSH_SPREAD = 5.0  # frames, standard deviation over which a push off the wall is spread
+DIRECTIONS = {"insertion": 1.0, "withdrawal": -1.0, "loop": 1.0}  # sign of the motion in arc length
+STANDSTILL = {"pause": 1.0, "look_back": 1.0, "touch": 0.85}  # share of the speed that a manoeuvre removes
+SUDDEN = ("quick_turn", "look_back")  # manoeuvres that turn the view
 BENDING_MM = 20.0  # radius of the bending section when it is bent hard
-MOST_SIDEWAYS = 0.4  # of the lumen's radius
-TURNING_POINT = 0.06  # of the frames: how gently a loop's way out becomes its way back
+MAX_SIDEWAYS = 0.4  # of the tip by bending, in lumen radii
+TURNING_POINT = 0.06  # share of the frames over which a loop reverses
 
 
-def camera_path(
+def plan_camera_path(
     colon: Colon, caster: RayCaster, motion: MotionConfig, seed: int, timeline: Sequence[Slot] = ()
 ) -> Array:
     """Poses world_from_camera (N,4,4), mm. The camera looks along increasing arc length, whichever way it moves.
@@ -50,20 +50,20 @@ def camera_path(
     looks = np.radians(motion.look_deg) * _swings(2, motion, clock, rng)
     rolls = np.radians(motion.roll_deg) * _swings(1, motion, clock, rng)
     turns = _look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
-    poses = np.tile(np.eye(4), (motion.frames, 1, 1))
-    poses[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
+    world_from_camera = np.tile(np.eye(4), (motion.frames, 1, 1))
+    world_from_camera[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
     if any(slot.kind in SUDDEN for slot in timeline):
         positions = positions + np.einsum("nij,nj->ni", turns, _bending(colon, motion, timeline, seed))
         positions = _keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
-    poses[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
-    return poses
+    world_from_camera[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
+    return world_from_camera
 
 
 def clearance(colon: Colon, caster: RayCaster, points: Array) -> tuple[Array, Array]:
     """Distance of points (N,3) to the wall (mm, negative outside the lumen) and the unit way off it (N,3).
 
-    Which side a point is on is asked of the centreline, not of the nearest triangle's normal: at the rim of a sharp
-    fold the nearest point lies on an edge, and the normal of either triangle there may point anywhere.
+    The side is determined by rays to the centreline, not by the nearest triangle's normal: at the rim of a sharp fold
+    the nearest point lies on an edge, where the triangles' normals do not tell.
     """
     foot, _ = caster.nearest(points)
     away = points - foot
@@ -73,15 +73,15 @@ def clearance(colon: Colon, caster: RayCaster, points: Array) -> tuple[Array, Ar
 
 
 def inside(colon: Colon, caster: RayCaster, points: Array) -> NDArray[np.bool_]:
-    """True (N,) where most ways to nearby points of the centreline cross the wall an even number of times."""
+    """(N,) whether most segments from a point to the centreline nearby cross the wall an even number of times."""
     arc = colon.line.arc[cKDTree(colon.line.points).query(points)[1]]
-    targets = colon.line.at(arc[:, None] + np.array(WITNESSES_MM))[0]
+    targets = colon.line.at(arc[:, None] + np.array(TARGETS_MM))[0]
     origins = np.broadcast_to(points[:, None], targets.shape)
-    return (caster.crossings(origins, targets) % 2 == 0).sum(axis=1) > len(WITNESSES_MM) / 2
+    return (caster.crossings(origins, targets) % 2 == 0).sum(axis=1) > len(TARGETS_MM) / 2
 
 
 def _going(motion: MotionConfig, timeline: Sequence[Slot]) -> Array:
-    """Part of the speed (N,) that is left by the manoeuvres of each frame."""
+    """Factor (N,) on the speed by the manoeuvres of each frame."""
     going = np.ones(motion.frames)
     for slot in timeline:
         if slot.kind in STANDSTILL:
@@ -90,7 +90,7 @@ def _going(motion: MotionConfig, timeline: Sequence[Slot]) -> Array:
 
 
 def _progress(length: float, motion: MotionConfig, going: Array, rng: np.random.Generator) -> Array:
-    """Arc length (N,) mm of each frame. Only a loop turns round; it ends where it began."""
+    """Arc length (N,) mm of each frame; a loop reverses and ends where it began."""
     pace = np.maximum(0.1, 1 + motion.speed_variation * path_noise(motion.frames, motion.wobble_period, rng))
     steps = motion.speed_mm * pace * going
     if motion.direction == "loop":
@@ -119,7 +119,7 @@ def _keep_off(positions: Array, centre: Array, colon: Colon, caster: RayCaster, 
         distance, away = clearance(colon, caster, positions)
         if (distance >= wanted_mm).all():
             return positions
-        outside = distance < 0  # beyond the wall the nearest way off it may lead astray: go for the centre
+        outside = distance < 0  # outside the lumen the nearest way off the wall may lead outwards: push to the centre
         home = (centre - positions) / np.maximum(np.linalg.norm(centre - positions, axis=1), 1e-9)[:, None]
         push = np.maximum(wanted_mm + 0.3 - distance, 0.0)[:, None] * np.where(outside[:, None], home, away)
         positions = positions + 1.5 * gaussian_filter1d(push, PUSH_SPREAD, axis=0, mode="nearest")
@@ -133,8 +133,7 @@ def _touch(
 ) -> Array:
     """Lead the tip towards the nearest wall and back, once per "touch" slot, to about `touch_mm` from it.
 
-    The wall nearby may be nearer than the place aimed at, and pushes the tip off again: gaps of up to twice
-    `touch_mm` occur, less than half of it never.
+    Other wall nearby may push the tip off again: gaps of up to twice `touch_mm` occur, below half of it never.
     """
     for slot in (slot for slot in timeline if slot.kind == "touch"):
         strength = np.array([slot.strength(tick) for tick in range(motion.frames)])
@@ -159,14 +158,14 @@ def _sudden_turns(motion: MotionConfig, timeline: Sequence[Slot], seed: int) -> 
 
 
 def _bending(colon: Colon, motion: MotionConfig, timeline: Sequence[Slot], seed: int) -> Array:
-    """Sideways way of the tip (N,3) mm in camera axes: it sits on a bending section, and never turns on the spot.
+    """Sideways shift (N,3) mm of the tip in camera axes, by the bending section that turns it.
 
-    An arc of radius r bent by an angle carries its end sideways by r (1 - cos angle); the lumen's wall ends that early.
+    An arc of radius r bent by an angle shifts its end sideways by r (1 - cos angle), at most MAX_SIDEWAYS radii.
     """
     way = np.zeros((motion.frames, 3))
     for slot in (slot for slot in timeline if slot.kind in SUDDEN):
         heading, angle = _turn_of(slot, motion, seed)
-        sideways = np.minimum(BENDING_MM * (1 - np.cos(angle)), MOST_SIDEWAYS * colon.anatomy.radius_mm)
+        sideways = np.minimum(BENDING_MM * (1 - np.cos(angle)), MAX_SIDEWAYS * colon.anatomy.radius_mm)
         way += sideways[:, None] * np.array([np.sin(heading), -np.cos(heading), 0.0])  # where the view turns to
     return way
 

@@ -1,10 +1,10 @@
-"""A contraction that runs along the wall: the mesh moves while the camera films it.
+"""Peristalsis: a contraction that runs along the wall while the camera films it.
 
 Every vertex moves towards the point of the centreline at its own row:
 
     vertex(t) = vertex + w(t) (axis - vertex),   w(t) = strength(t) exp(-((arc - centre(t)) / WIDTH_MM)^2)
 
-with `axis` and `arc` of each vertex kept in the folder's mesh.ply and `centre`, `strength` of each frame in its
+with `axis` and `arc` of each vertex stored in the folder's mesh.ply and `centre`, `strength` of each frame in its
 events.json, so that a reader rebuilds the wall of any frame exactly, without this package.
 """
 
@@ -24,30 +24,30 @@ from haustra.phantom.timeline import Slot
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-WIDTH_MM = 9.0  # a ring contraction is one to three centimetres long
-AHEAD_MM = (65.0, 26.0)  # it comes towards the camera, and ebbs away before it gets there
-NEGLIGIBLE = 1e-3
+WIDTH_MM = 9.0  # of the Gaussian; a ring contraction is one to three centimetres long
+AHEAD_MM = (65.0, 26.0)  # of the camera in arc length, where a contraction begins and where it ends
+NEGLIGIBLE = 1e-3  # strength below which the wall counts as at rest
 
 
 @dataclass(frozen=True)
 class Contraction:
-    """The wave at one frame."""
+    """A contraction at one frame."""
 
     frame: int
     centre_mm: float  # arc length of its middle
-    strength: float  # part of the radius it takes away there
+    strength: float  # share of the radius that it removes there
 
 
 @dataclass(frozen=True)
 class MovedWall:
-    """The wall at one frame: vertices (V,3) mm and how much its normals (V,3) differ from those at rest."""
+    """The wall at one frame."""
 
-    vertices: Floats
-    normal_change: Floats
+    vertices: Floats  # (V,3) mm
+    normal_change: Floats  # (V,3) difference of the normals from those at rest
 
 
 class Peristalsis:
-    """All contractions of a film. `positions` (N,3) mm are the camera's."""
+    """All contractions of a video. `positions` (N,3) mm are the camera centres."""
 
     def __init__(self, colon: Colon, events: EventsConfig, timeline: Sequence[Slot], positions: Array) -> None:
         self._colon = colon
@@ -68,7 +68,7 @@ class Peristalsis:
         return self._colon.line.at(np.clip(self._colon.arc, 0, self._colon.line.arc[-1]))[0]
 
     def vertex_properties(self) -> dict[str, Floats]:
-        """What mesh.ply says of each vertex (V,), so that a reader can move it."""
+        """Vertex properties (V,) of mesh.ply by which a reader can move the wall."""
         columns = self._colon.points.shape[1]
         x, y, z = np.repeat(self.axis, columns, axis=0).T.astype(np.float32)
         arc = np.repeat(self._colon.arc, columns).astype(np.float32)

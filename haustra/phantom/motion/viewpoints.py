@@ -1,4 +1,4 @@
-"""Single camera poses for training: down the lumen, oblique, facing the wall, and close to it."""
+"""Single viewpoints for training: down the lumen, oblique, facing the wall, and close to it."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ KINDS = {
     "en face": (0.12, (70.0, 110.0), (6.0, 100.0)),
     "close": (0.16, (0.0, 80.0), (2.5, 7.0)),
 }
-TRIES = 200
-MOST_MISSES = 0.006  # part of the image that may look out of the open ends
+TRIES = 200  # draws before the best viewpoint so far is taken
+MAX_MISSES = 0.006  # share of the image that may look out of the open ends
 
 
-def random_pose(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
-    """A world_from_camera (4,4) inside the lumen that sees wall (almost) everywhere. `rays` are (H,W,3)."""
+def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
+    """Random `world_from_camera` (4,4) inside the lumen; at most MAX_MISSES of `rays` (H,W,3) leave by open ends."""
     names = list(KINDS)
     kind = names[rng.choice(len(names), p=[KINDS[name][0] for name in names])]
     _, tilts, distances = KINDS[kind]
     probe = rays[:: max(1, rays.shape[0] // 24), :: max(1, rays.shape[1] // 24)].reshape(-1, 3)
     best, fewest = None, np.inf
     for _ in range(TRIES):
-        pose = _draw(colon, tilts, rng)
-        if not distances[0] < clearance(colon, caster, pose[None, :3, 3])[0][0] < distances[1]:
+        world_from_camera = _draw(colon, tilts, rng)
+        if not distances[0] < clearance(colon, caster, world_from_camera[None, :3, 3])[0][0] < distances[1]:
             continue
-        hits = caster.cast(pose[:3, 3], probe @ pose[:3, :3].T)
+        hits = caster.cast(world_from_camera[:3, 3], probe @ world_from_camera[:3, :3].T)
         misses = float(np.mean(~hits.valid))
-        if misses <= MOST_MISSES:
-            return pose
+        if misses <= MAX_MISSES:
+            return world_from_camera
         if misses < fewest:
-            best, fewest = pose, misses
+            best, fewest = world_from_camera, misses
     if best is None:
         raise PhantomError(f"no view of kind {kind!r} in {TRIES} tries: the lumen is too narrow")
     return best
 
 
 def _draw(colon: Colon, tilts: tuple[float, float], rng: np.random.Generator) -> Array:
-    """A pose anywhere in the tube, looking either way, tilted by an angle within `tilts` degrees."""
+    """Random `world_from_camera` (4,4) in the lumen, looking either way, tilted by an angle within `tilts` degrees."""
     length = colon.line.arc[-1]
     centre, frame = colon.line.at(np.array(rng.uniform(0.08, 0.92) * length))
     around, out = rng.uniform(0, 2 * np.pi), 0.9 * colon.anatomy.radius_mm * np.sqrt(rng.uniform())
@@ -57,6 +57,9 @@ def _draw(colon: Colon, tilts: tuple[float, float], rng: np.random.Generator) ->
     roll, pan = rng.uniform(0, 2 * np.pi, 2)
     tilt = np.radians(rng.uniform(*tilts))
     lean = Rotation.from_rotvec(tilt * np.array([np.cos(pan), np.sin(pan), 0.0]))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = frame @ (lean * Rotation.from_rotvec([0, 0, roll])).as_matrix(), position
-    return pose
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = (
+        frame @ (lean * Rotation.from_rotvec([0, 0, roll])).as_matrix(),
+        position,
+    )
+    return world_from_camera

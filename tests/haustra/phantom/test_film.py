@@ -25,7 +25,7 @@ from haustra.phantom.dataset.randomise import randomised
 from haustra.phantom.dataset.shards import ShardPlan, write_shards
 from haustra.phantom.imaging.camera import make_camera
 from haustra.phantom.imaging.render import Phantom
-from haustra.phantom.motion.camera_path import camera_path, clearance
+from haustra.phantom.motion.camera_path import clearance, plan_camera_path
 from tests.helpers.tiny_phantom import SIZE, TINY, corners_of, first_hit, pixel_direction
 
 
@@ -36,7 +36,7 @@ def phantom() -> Phantom:
 
 @pytest.fixture(scope="module")
 def poses(phantom: Phantom) -> np.ndarray:
-    return camera_path(phantom.colon, phantom.caster, TINY.motion, TINY.seed)
+    return plan_camera_path(phantom.colon, phantom.caster, TINY.motion, TINY.seed)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def detail(image: np.ndarray) -> np.ndarray:
 
 def test_same_seed_same_bytes(phantom: Phantom, poses: np.ndarray) -> None:
     again = Phantom(TINY, threads=2)
-    np.testing.assert_array_equal(camera_path(again.colon, again.caster, TINY.motion, TINY.seed), poses)
+    np.testing.assert_array_equal(plan_camera_path(again.colon, again.caster, TINY.motion, TINY.seed), poses)
     for one, other in zip(phantom.film(poses), again.film(poses)):
         assert one.image.tobytes() == other.image.tobytes()
         assert one.depth.tobytes() == other.depth.tobytes()
@@ -145,7 +145,7 @@ def test_seen_faces_equal_brute_force(tmp_path: Path, phantom: Phantom) -> None:
     corners, expected = corners_of(phantom), np.full(len(seen), np.inf)
     np.testing.assert_allclose(mesh.triangles, corners, atol=1e-5)
     poses, camera = (
-        camera_path(phantom.colon, phantom.caster, small.motion, small.seed),
+        plan_camera_path(phantom.colon, phantom.caster, small.motion, small.seed),
         make_camera(small.camera),
     )
     for pose in poses:
@@ -202,7 +202,7 @@ def test_a_lens_that_folds_over_is_refused() -> None:
 @settings(max_examples=15, deadline=None)
 def test_paths_are_rigid_smooth_and_clear_of_the_wall(phantom: Phantom, seed: int, direction: str) -> None:
     motion = replace(TINY.motion, frames=30, direction=direction, start=0.5, wobble_mm=9.0, look_deg=20.0)
-    poses = camera_path(phantom.colon, phantom.caster, motion, seed)
+    poses = plan_camera_path(phantom.colon, phantom.caster, motion, seed)
     turns = poses[:, :3, :3]
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (30, 1, 1)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-9)

@@ -17,7 +17,7 @@ from haustra.phantom.config import CameraConfig, EventsConfig, MotionConfig
 from haustra.phantom.dataset.generate import generate
 from haustra.phantom.imaging.camera import Camera, make_camera
 from haustra.phantom.imaging.render import Phantom
-from haustra.phantom.motion.camera_path import camera_path
+from haustra.phantom.motion.camera_path import plan_camera_path
 from tests.helpers.phantom_oracles import first_hits
 from tests.helpers.tiny_phantom import TINY, corners_of, first_hit
 
@@ -68,7 +68,7 @@ def test_depth_is_brute_force_through_opencvs_lens(lesions: Phantom, lens: str) 
     colon, corners, rng = lesions.colon, corners_of(lesions), np.random.default_rng(0)
     stalked = next(polyp for polyp in colon.polyps if polyp.kind == "pedunculated")
     (pouch,) = colon.diverticula
-    poses = [*camera_path(colon, lesions.caster, replace(TINY.motion, frames=3), 4)]
+    poses = [*plan_camera_path(colon, lesions.caster, replace(TINY.motion, frames=3), 4)]
     for arc, target in ((stalked.arc_mm, np.array(stalked.apex)), (pouch.arc_mm, np.array(pouch.centre))):
         eye = colon.line.at(np.array(arc))[0]
         poses.append(looking_at(eye + 0.2 * (target - eye), target))

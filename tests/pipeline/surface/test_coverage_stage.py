@@ -11,7 +11,7 @@ from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
-from reconstruction.coverage.hole_closing import Closure
+from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, SEEN, unroll
 from tests.helpers.holed_tube import RADIUS, cameras, patch, straight, tube
 
@@ -79,11 +79,11 @@ def test_what_no_posed_frame_passed_is_not_judged():
     assert coverage.regions == []
     starts = [segment.start for segment in coverage.segments(25.0)]
     np.testing.assert_allclose(starts, [0, 25, 100, 125], atol=2)
-    unrolled = unroll(coverage, mesh)
-    middle = (unrolled.arc_edges[1:] + unrolled.arc_edges[:-1]) / 2
-    assert (unrolled.state[(middle > 42) & (middle < 98)] == NOT_JUDGED).all()
-    assert (unrolled.state[(middle > 104) & (middle < 146)] == SEEN).all()
-    assert unrolled.arc_edges[-1] > 150
+    unrolled_map = unroll(coverage, mesh)
+    middle = (unrolled_map.arc_edges[1:] + unrolled_map.arc_edges[:-1]) / 2
+    assert (unrolled_map.state[(middle > 42) & (middle < 98)] == NOT_JUDGED).all()
+    assert (unrolled_map.state[(middle > 104) & (middle < 146)] == SEEN).all()
+    assert unrolled_map.arc_edges[-1] > 150
 
 
 def test_a_ring_has_no_hour(tmp_path):
@@ -103,23 +103,23 @@ def test_a_listed_region_shows_on_the_map_even_beneath_a_fold():
     mesh = tube(straight)
     coverage = measure_coverage(mesh, cameras(straight))
     flank = tube(straight, lambda s, a: ~patch(60, 70, 60, 120)(s, a), radius=lambda s, a: RADIUS - 10 + 0 * s)
-    seen, count = coverage.closure, len(flank.faces)
+    seen, count = coverage.closed_wall, len(flank.faces)
     arc, angle, _ = coverage.line.locate(flank.vertices[flank.faces].mean(axis=1))
-    closure = Closure(
+    closed_wall = ClosedWall(
         np.concatenate([seen.vertices, flank.vertices]),
         np.concatenate([seen.faces, flank.faces + len(seen.vertices)]),
-        np.append(seen.unseen, np.ones(count, bool)),
+        np.append(seen.unobserved, np.ones(count, bool)),
         np.append(seen.arc, arc),
         np.append(seen.angle, angle),
         np.zeros(len(seen.faces) + count, bool),
     )
-    hidden = replace(coverage, closure=closure, region=np.append(coverage.region, np.zeros(count, int)))
+    hidden = replace(coverage, closed_wall=closed_wall, region=np.append(coverage.region, np.zeros(count, int)))
     assert (unroll(hidden, mesh).state != MISSED).all()
-    unrolled = unroll(hidden, mesh, listed=1)
-    rows, columns = np.nonzero(unrolled.state == MISSED)
+    unrolled_map = unroll(hidden, mesh, listed=1)
+    rows, columns = np.nonzero(unrolled_map.state == MISSED)
     assert len(rows) > 100
-    assert set(unrolled.region[rows, columns]) == {0}
-    assert np.degrees(unrolled.angle_edges[columns]).mean() == pytest.approx(90, abs=5)
+    assert set(unrolled_map.region[rows, columns]) == {0}
+    assert np.degrees(unrolled_map.angle_edges[columns]).mean() == pytest.approx(90, abs=5)
 
 
 def test_the_headline_names_the_submap_that_it_speaks_of(tmp_path):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.report.page import coverage_section
 from pipeline.surface.coverage_stage import CoverageResult
-from reconstruction.coverage import hole_closing as closure
+from reconstruction.coverage import hole_closing as closed_wall
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
@@ -28,14 +28,14 @@ def holed():
 @pytest.fixture(scope="module")
 def holed_bend():
     """The same hole in a torus, on the side of the bend's centre."""
-    mesh, poses = tube(bent, HOLE, length=100.0), cameras(bent, end=60.0)
-    return mesh, poses, measure_coverage(mesh, poses)
+    mesh, world_from_camera = tube(bent, HOLE, length=100.0), cameras(bent, end=60.0)
+    return mesh, world_from_camera, measure_coverage(mesh, world_from_camera)
 
 
 def test_a_whole_tube_is_seen_whole():
     """By cameras that go in and come out again: the path is one line all the same."""
-    poses = cameras(straight)
-    coverage = measure_coverage(tube(straight), np.concatenate([poses, poses[::-1]]))
+    world_from_camera = cameras(straight)
+    coverage = measure_coverage(tube(straight), np.concatenate([world_from_camera, world_from_camera[::-1]]))
     assert (coverage.share, coverage.regions) == (1.0, [])
     assert coverage.radius == pytest.approx(RADIUS, rel=0.02)
     # Half a view of 45 degrees: wall leaves the picture one radius ahead of the camera.
@@ -63,7 +63,7 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
 
 def test_a_needle_of_the_closing_without_area_is_no_region(holed, monkeypatch):
     """Poisson's surface has such triangles; one that stands off the wall was once a region, and its middle 0 / 0."""
-    poisson = closure._poisson
+    poisson = closed_wall._poisson
 
     def with_needle(mesh, cell):
         vertices, faces = poisson(mesh, cell)
@@ -71,14 +71,14 @@ def test_a_needle_of_the_closing_without_area_is_no_region(holed, monkeypatch):
         tip = vertices[foot] * (0.5, 0.5, 1)  # half way to the lumen's middle
         return np.vstack([vertices, tip]), np.vstack([faces, [foot, foot, len(vertices)]])
 
-    monkeypatch.setattr(closure, "_poisson", with_needle)
+    monkeypatch.setattr(closed_wall, "_poisson", with_needle)
     coverage = measure_coverage(holed[0], cameras(straight))
     assert (len(coverage.regions), coverage.share) == (len(holed[1].regions), pytest.approx(holed[1].share))
 
 
 def test_the_pocket_behind_a_fold_is_a_missed_region():
-    """A crescent 8 mm deep; the wall for 10 mm behind it is unseen. A flat lid over the hole would measure a third less
-    than the fold's hidden flank and the wall together."""
+    """A crescent 8 mm deep; the wall for 10 mm behind it is unobserved. A flat lid over the hole would measure a
+    third less than the fold's hidden flank and the wall together."""
 
     def fold(s, angle):
         crescent = np.clip(np.cos(angle - np.pi), 0, 1) ** 0.5
@@ -100,24 +100,26 @@ def test_only_the_visited_stretch_is_judged():
     coverage = measure_coverage(mesh, cameras(straight, end=60))
     assert coverage.stretch[1] == pytest.approx(50, abs=2)
     assert coverage.share > 0.999
-    unrolled = unroll(coverage, mesh)
-    middle = (unrolled.arc_edges[1:] + unrolled.arc_edges[:-1]) / 2
-    assert (unrolled.state[(middle < 0) | (middle > coverage.length)] == NOT_JUDGED).all()
-    assert (unrolled.state[(middle > 0) & (middle < coverage.length)] == SEEN).all()
+    unrolled_map = unroll(coverage, mesh)
+    middle = (unrolled_map.arc_edges[1:] + unrolled_map.arc_edges[:-1]) / 2
+    assert (unrolled_map.state[(middle < 0) | (middle > coverage.length)] == NOT_JUDGED).all()
+    assert (unrolled_map.state[(middle > 0) & (middle < coverage.length)] == SEEN).all()
 
 
 def test_cameras_that_look_the_other_way_turn_the_line_round():
-    poses = cameras(straight, start=30.0)
-    poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_euler("y", 180, degrees=True).as_matrix()
-    coverage = measure_coverage(tube(straight, patch(35, 50, 60, 120)), poses)
+    world_from_camera = cameras(straight, start=30.0)
+    world_from_camera[:, :3, :3] = (
+        world_from_camera[:, :3, :3] @ Rotation.from_euler("y", 180, degrees=True).as_matrix()
+    )
+    coverage = measure_coverage(tube(straight, patch(35, 50, 60, 120)), world_from_camera)
     (region,) = [r for r in coverage.regions if r.diameter > 2]
     assert region.clock == pytest.approx(9.0, abs=0.2)  # right becomes left
     assert region.arc == pytest.approx(90 - RADIUS - 42.5, abs=2)
 
 
 def test_the_line_of_a_bend_lies_in_its_middle():
-    mesh, poses = tube(bent, patch(20, 45, 100, 200), length=94.0), cameras(bent, end=60, off=6.0)
-    line = trace_centreline(mesh, poses, lumen_radius(WallRays(mesh), poses))
+    mesh, world_from_camera = tube(bent, patch(20, 45, 100, 200), length=94.0), cameras(bent, end=60, off=6.0)
+    line = trace_centreline(mesh, world_from_camera, lumen_radius(WallRays(mesh), world_from_camera))
     inside = (line.points[:, 2] > 10) & (line.points[:, 0] < 45)
     to_centre = np.hypot(line.points[:, 0] - BEND, line.points[:, 2])[inside]
     np.testing.assert_allclose(to_centre, BEND, atol=2.0)
@@ -133,12 +135,12 @@ def test_the_line_of_a_bend_lies_in_its_middle():
     seed=st.integers(0, 99),
 )
 def test_the_answer_moves_turns_and_scales_with_the_mesh(holed_bend, turn, shift, scale, seed):
-    mesh, poses, here = holed_bend
+    mesh, world_from_camera, here = holed_bend
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
     order = np.random.default_rng(seed).permutation(len(mesh.vertices))
     shuffled = SurfaceMesh.from_triangles(mesh.vertices[order], np.argsort(order)[mesh.faces])
-    other_poses = moved @ poses
+    other_poses = moved @ world_from_camera
     other_poses[:, :3, 3] *= scale
     similarity = np.diag([scale, scale, scale, 1.0]) @ moved
     there = measure_coverage(shuffled.transformed(similarity), other_poses)
@@ -154,7 +156,7 @@ def test_the_answer_moves_turns_and_scales_with_the_mesh(holed_bend, turn, shift
 
 def test_what_is_no_tube_gets_one_sentence():
     plane = tube(straight, lambda s, angle: np.abs(angle - np.pi) > 0.9)
-    for mesh, poses, words in (
+    for mesh, world_from_camera, words in (
         (SurfaceMesh.from_triangles([], []), cameras(straight), "no surface"),
         (tube(straight), cameras(straight, count=1), "one camera"),
         (tube(straight), cameras(straight, start=40, end=41, off=0), "hardly moves"),
@@ -162,19 +164,19 @@ def test_what_is_no_tube_gets_one_sentence():
         (tube(straight, lambda s, angle: s > 5), cameras(straight, start=50), "judge"),
     ):
         with pytest.raises(NotATube, match=words):
-            measure_coverage(mesh, poses)
+            measure_coverage(mesh, world_from_camera)
 
 
 def test_the_map_shows_the_hole_where_it_is(holed):
     mesh, coverage = holed
-    unrolled = unroll(coverage, mesh)
-    rows, columns = np.nonzero(unrolled.state == MISSED)
-    arc = (unrolled.arc_edges[rows] + unrolled.arc_edges[rows + 1]) / 2
+    unrolled_map = unroll(coverage, mesh)
+    rows, columns = np.nonzero(unrolled_map.state == MISSED)
+    arc = (unrolled_map.arc_edges[rows] + unrolled_map.arc_edges[rows + 1]) / 2
     assert arc.mean() == pytest.approx(62.5 - 30, abs=2)
-    assert np.degrees(unrolled.angle_edges[columns]).min() == pytest.approx(60, abs=6)
-    assert np.degrees(unrolled.angle_edges[columns + 1]).max() == pytest.approx(120, abs=6)
-    assert set(unrolled.region[rows, columns]) == {0}
-    assert (unrolled.colour[unrolled.state == SEEN] == 200).all()
+    assert np.degrees(unrolled_map.angle_edges[columns]).min() == pytest.approx(60, abs=6)
+    assert np.degrees(unrolled_map.angle_edges[columns + 1]).max() == pytest.approx(120, abs=6)
+    assert set(unrolled_map.region[rows, columns]) == {0}
+    assert (unrolled_map.colour[unrolled_map.state == SEEN] == 200).all()
 
 
 def test_the_picture_is_written(tmp_path, holed):
@@ -216,10 +218,10 @@ def _around(mesh):
     return centres[:, 0], -centres[:, 1]
 
 
-def test_the_fringe_gives_back_what_voxels_take(holed):
+def test_the_edge_tolerance_gives_back_what_voxels_take(holed):
     mesh, bare = holed
-    fringed = measure_coverage(mesh, cameras(straight), fringe=1.5)
-    lost = bare.regions[0].area - fringed.regions[0].area
+    tolerant = measure_coverage(mesh, cameras(straight), edge_tolerance=1.5)
+    lost = bare.regions[0].area - tolerant.regions[0].area
     perimeter = 2 * (15 + np.pi / 3 * RADIUS)
     assert lost == pytest.approx(1.5 * perimeter - 4 * 1.5**2, rel=0.25)
 

@@ -1,11 +1,11 @@
-"""Which parts of a surface its depth maps bear out: a screen before a wall, seen by some and looked past by others."""
+"""Depth support of a surface: a screen before a wall, seen by some depth maps and looked past by others."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from reconstruction.coverage.depth_support import SurfaceWitness
+from reconstruction.coverage.depth_support import DepthSupport
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 
@@ -20,33 +20,33 @@ def screen_before_wall():
     return mesh, np.array([[50.0, 0, 40], [0, 50.0, 40], [0, 0, 1]]), np.full((80, 80), 30, np.float32)
 
 
-def test_a_wall_that_other_frames_look_through_is_not_believed():
+def test_a_wall_that_other_frames_look_through_is_not_supported():
     """Two of three depth maps see past the screen."""
     mesh, intrinsics, far = screen_before_wall()
-    witness = SurfaceWitness(mesh)
+    support = DepthSupport(mesh)
     near = far.copy()
     near[34:46, 34:46] = 20
     for depth in (near, far, far):
-        witness.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
-    np.testing.assert_allclose(witness.contradiction[441:], 2 / 3, atol=1e-6)
-    assert witness.contradiction[:441].max() == 0
-    assert witness.best_cosine[220] == pytest.approx(1.0)
-    believed = witness.believed()
-    assert (believed.vertices[:, 2] == 30).all()
-    assert len(believed.faces) == len(mesh.faces) // 2
+        support.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
+    np.testing.assert_allclose(support.contradiction[441:], 2 / 3, atol=1e-6)
+    assert support.contradiction[:441].max() == 0
+    assert support.best_cosine[220] == pytest.approx(1.0)
+    supported = support.supported_faces()
+    assert (supported.vertices[:, 2] == 30).all()
+    assert len(supported.faces) == len(mesh.faces) // 2
 
 
 @pytest.mark.parametrize(("off_px", "contradicted"), [(1, 0), (3, 2)])
-def test_an_edge_that_a_frame_meets_a_pixel_off_is_believed(off_px, contradicted):
+def test_an_edge_that_a_frame_meets_a_pixel_off_is_supported(off_px, contradicted):
     """The screen's first column falls on pixel 35, where a frame that is `off_px` wrong sees the wall behind."""
     mesh, intrinsics, far = screen_before_wall()
-    witness = SurfaceWitness(mesh)
+    support = DepthSupport(mesh)
     for first in (35, 35 + off_px):
         depth = far.copy()
         depth[34:46, first:46] = 20
         depth[:, 47:] = 0  # unknown pixels say nothing
-        witness.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
-    column = np.floor(witness._mesh.vertices[441:, 0] * 50 / 20 + 40)
-    doubted = np.unique(column[witness.contradiction[441:] > 0])
+        support.add(depth, np.ones((80, 80), np.float32), intrinsics, np.eye(4))
+    column = np.floor(support._mesh.vertices[441:, 0] * 50 / 20 + 40)
+    doubted = np.unique(column[support.contradiction[441:] > 0])
     assert len(doubted) == contradicted
     assert (doubted == np.arange(35, 35 + contradicted)).all()

@@ -1,4 +1,4 @@
-"""Wall in plain view but in no mesh: against rays and triangles worked out one by one, and in tubes of known shape."""
+"""Visible wall that is in no mesh: against rays and triangles worked out one by one, and in tubes of known shape."""
 
 from dataclasses import replace
 
@@ -13,9 +13,9 @@ from haustra.core.ray_table import RayTable
 from pipeline.surface.coverage_stage import lens_field_of_view
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
-from reconstruction.coverage.hole_closing import Closure
+from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, SEEN, UNMEASURED, unroll
-from reconstruction.coverage.visibility import Picture, Sight, in_plain_view
+from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 from tests.helpers.holed_tube import HOLE, RADIUS, cameras, straight, tube
 
@@ -29,7 +29,7 @@ def through_a_pinhole(points):
     return np.where(points[:, 2:] > 0, pixels[:, :2] / np.maximum(pixels[:, 2:], 1e-9), np.nan)
 
 
-PICTURE = Picture(through_a_pinhole, np.ones((SIZE, SIZE), bool))
+FIELD_OF_VIEW = FieldOfView(through_a_pinhole, np.ones((SIZE, SIZE), bool))
 
 
 def distances(origin, ray, triangles):
@@ -56,15 +56,15 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
     points = rng.uniform((-8, -8, 0), (8, 8, 16), (40, 3))
     normals = rng.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    poses = np.tile(np.eye(4), (6, 1, 1))
-    poses[:, :3, 3] = rng.normal(0, 1, (6, 3))
+    world_from_camera = np.tile(np.eye(4), (6, 1, 1))
+    world_from_camera[:, :3, 3] = rng.normal(0, 1, (6, 3))
     content = rng.random((SIZE, SIZE)) > 0.2
-    picture, sight = Picture(through_a_pinhole, content), Sight(0.3, 12.0, 0.05, 3.0, 1e-3)
-    seen = in_plain_view(points, normals, wall, poses, picture, sight)
+    field_of_view, limits = FieldOfView(through_a_pinhole, content), VisibilityLimits(0.3, 12.0, 0.05, 3.0, 1e-3)
+    seen = visible_points(points, normals, wall, world_from_camera, field_of_view, limits)
     for row, (point, normal) in enumerate(zip(points, normals, strict=True)):
         free, through = 0, 0
-        for pose in poses:
-            way = point - pose[:3, 3]
+        for transform in world_from_camera:
+            way = point - transform[:3, 3]
             length = np.linalg.norm(way)
             if way[2] <= 0 or length > 12:
                 continue
@@ -73,7 +73,7 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
                 continue
             if -normal @ way < 0.3 * length:
                 continue
-            first = min(d for d, _ in distances(pose[:3, 3], way / length, corners))
+            first = min(d for d, _ in distances(transform[:3, 3], way / length, corners))
             if first > length - 0.05:
                 free += 1
                 start = point - 0.05 * way / length
@@ -83,7 +83,7 @@ def test_it_agrees_with_rays_and_triangles_one_by_one(seed):
 
 
 POINT, TOWARDS = np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -1]])
-SIGHT = Sight(0.3, 9.0, 0.1, 2.0, 0.05)
+LIMITS = VisibilityLimits(0.3, 9.0, 0.1, 2.0, 0.05)
 NOTHING = SurfaceMesh.from_triangles([], [])
 
 
@@ -94,39 +94,39 @@ def corners_at(x, y, z, size=1.0):
 
 def moved(*aside):
     """Cameras that look along z from places aside of the origin."""
-    poses = np.tile(np.eye(4), (len(aside), 1, 1))
-    poses[:, 0, 3] = aside
-    return poses
+    world_from_camera = np.tile(np.eye(4), (len(aside), 1, 1))
+    world_from_camera[:, 0, 3] = aside
+    return world_from_camera
 
 
-def is_seen(wall=NOTHING, poses=None, normal=TOWARDS, sight=SIGHT):
-    poses = moved(0, 0.1) if poses is None else poses
-    return bool(in_plain_view(POINT, normal, wall, poses, PICTURE, sight)[0])
+def is_seen(wall=NOTHING, world_from_camera=None, normal=TOWARDS, limits=LIMITS):
+    world_from_camera = moved(0, 0.1) if world_from_camera is None else world_from_camera
+    return bool(visible_points(POINT, normal, wall, world_from_camera, FIELD_OF_VIEW, limits)[0])
 
 
 def test_no_points_and_no_surface_are_answers_too():
     far = SurfaceMesh.from_triangles(corners_at(90, 0, 0), [[0, 1, 2]])
-    assert in_plain_view(np.zeros((0, 3)), np.zeros((0, 3)), far, moved(0, 1), PICTURE, SIGHT).shape == (0,)
+    assert visible_points(np.zeros((0, 3)), np.zeros((0, 3)), far, moved(0, 1), FIELD_OF_VIEW, LIMITS).shape == (0,)
     assert is_seen()
     assert is_seen(far)
-    assert not is_seen(far, sight=replace(SIGHT, farthest=4.9))
+    assert not is_seen(far, limits=replace(LIMITS, max_distance=4.9))
     assert not is_seen(far, normal=-TOWARDS)
 
 
 def test_one_view_is_not_enough_and_standing_still_makes_no_second():
-    assert not is_seen(poses=moved(0))
-    assert not is_seen(poses=moved(*[0] * 30))
-    assert not is_seen(poses=moved(0, 0.04))
-    assert is_seen(poses=moved(0, 0.06))
+    assert not is_seen(world_from_camera=moved(0))
+    assert not is_seen(world_from_camera=moved(*[0] * 30))
+    assert not is_seen(world_from_camera=moved(0, 0.04))
+    assert is_seen(world_from_camera=moved(0, 0.06))
     turned = moved(0, 0)
     turned[1, :3, :3] = Rotation.from_rotvec([0, np.radians(4), 0]).as_matrix()
-    assert is_seen(poses=turned)
+    assert is_seen(world_from_camera=turned)
 
 
 def test_what_stands_between_hides():
     screen = SurfaceMesh.from_triangles(corners_at(0, 0, 3, 0.2), [[0, 1, 2]])
     assert not is_seen(screen)
-    assert is_seen(screen, poses=moved(0, 4, 4.2))  # two of three look past it
+    assert is_seen(screen, world_from_camera=moved(0, 4, 4.2))  # two of three look past it
 
 
 def test_what_cameras_look_through_is_no_wall():
@@ -134,38 +134,41 @@ def test_what_cameras_look_through_is_no_wall():
     facing = SurfaceMesh.from_triangles(corners_at(0, 0, 6), [[0, 1, 2]])
     assert facing.normals[0, 2] < 0
     assert not is_seen(facing)
-    assert is_seen(facing, sight=replace(SIGHT, behind=0.9))
+    assert is_seen(facing, limits=replace(LIMITS, see_through_depth=0.9))
     assert is_seen(SurfaceMesh.from_triangles(corners_at(0, 0, 6), [[0, 2, 1]]))
     small = SurfaceMesh.from_triangles(corners_at(0, 0, 6, 0.02), [[0, 1, 2]])
-    assert not is_seen(small, poses=moved(0, 0.1))
-    assert not is_seen(small, poses=moved(0, 4))  # one of two
-    assert is_seen(small, poses=moved(0, 4, 4.2))
-    assert is_seen(small, poses=moved(*[0] * 9, 4, 4.2))  # however long it stood still
+    assert not is_seen(small, world_from_camera=moved(0, 0.1))
+    assert not is_seen(small, world_from_camera=moved(0, 4))  # one of two
+    assert is_seen(small, world_from_camera=moved(0, 4, 4.2))
+    assert is_seen(small, world_from_camera=moved(*[0] * 9, 4, 4.2))  # however long it stood still
 
 
 def test_a_hole_that_cameras_look_at_is_seen_but_not_measured(tmp_path):
-    mesh, poses = tube(straight, HOLE), cameras(straight)
-    bare, viewed = measure_coverage(mesh, poses), measure_coverage(mesh, poses, picture=PICTURE)
+    mesh, world_from_camera = tube(straight, HOLE), cameras(straight)
+    bare, viewed = (
+        measure_coverage(mesh, world_from_camera),
+        measure_coverage(mesh, world_from_camera, field_of_view=FIELD_OF_VIEW),
+    )
     assert bare.whole.unmeasured_share == 0
     assert (viewed.share, viewed.regions) == (1.0, [])
     assert viewed.whole.unmeasured_share == pytest.approx(1 - bare.share, rel=1e-9)
-    unrolled = unroll(viewed, mesh)
-    missed, open_ = unroll(bare, mesh).state == MISSED, unrolled.state == UNMEASURED
+    unrolled_map = unroll(viewed, mesh)
+    missed, open_ = unroll(bare, mesh).state == MISSED, unrolled_map.state == UNMEASURED
     assert (missed == open_).all()
     assert open_.sum() > 50
-    assert (unrolled.colour[open_] == 0).all()
-    assert (unrolled.colour[unrolled.state == SEEN] > 0).all()
-    draw_coverage(viewed, unrolled, viewed.segments(50), 0, tmp_path / "coverage.png")
+    assert (unrolled_map.colour[open_] == 0).all()
+    assert (unrolled_map.colour[unrolled_map.state == SEEN] > 0).all()
+    draw_coverage(viewed, unrolled_map, viewed.segments(50), 0, tmp_path / "coverage.png")
     assert (tmp_path / "coverage.png").stat().st_size > 10_000
 
 
 def test_a_hole_outside_the_picture_is_still_missed():
     """It lies at 3 o'clock, and the right half of the picture shows nothing."""
-    mesh, poses = tube(straight, HOLE), cameras(straight)
+    mesh, world_from_camera = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)
     content[:, SIZE // 2 :] = False
-    half = measure_coverage(mesh, poses, picture=Picture(through_a_pinhole, content))
-    assert half.share == measure_coverage(mesh, poses).share
+    half = measure_coverage(mesh, world_from_camera, field_of_view=FieldOfView(through_a_pinhole, content))
+    assert half.share == measure_coverage(mesh, world_from_camera).share
 
 
 def test_the_pocket_behind_a_fold_stays_missed():
@@ -178,29 +181,31 @@ def test_the_pocket_behind_a_fold_stays_missed():
     def hidden(s, angle):
         return (s > 60) & (s < 66) & (np.abs(angle - np.pi) < 1.0)
 
-    mesh, poses = tube(straight, hidden, radius=fold), cameras(straight)
-    (bare,) = [r for r in measure_coverage(mesh, poses).regions if r.diameter > 2]
-    (viewed,) = [r for r in measure_coverage(mesh, poses, picture=PICTURE).regions if r.diameter > 2]
+    mesh, world_from_camera = tube(straight, hidden, radius=fold), cameras(straight)
+    (bare,) = [r for r in measure_coverage(mesh, world_from_camera).regions if r.diameter > 2]
+    (viewed,) = [
+        r for r in measure_coverage(mesh, world_from_camera, field_of_view=FIELD_OF_VIEW).regions if r.diameter > 2
+    ]
     assert viewed.area > 0.85 * bare.area
     assert viewed.clock == pytest.approx(6, abs=0.2)
 
 
 def test_the_answer_moves_and_scales_with_the_mesh():
-    mesh, poses = tube(straight, HOLE), cameras(straight)
+    mesh, world_from_camera = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)
     content[40:60] = False
-    here = measure_coverage(mesh, poses, picture=Picture(through_a_pinhole, content))
+    here = measure_coverage(mesh, world_from_camera, field_of_view=FieldOfView(through_a_pinhole, content))
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     similarity = np.eye(4)
     similarity[:3, :3], similarity[:3, 3] = 0.02 * turn, (3, -1, 2)
-    moved = np.tile(np.eye(4), (len(poses), 1, 1))
-    moved[:, :3, :3] = turn @ poses[:, :3, :3]
-    moved[:, :3, 3] = poses[:, :3, 3] @ similarity[:3, :3].T + similarity[:3, 3]
-    there = measure_coverage(mesh.transformed(similarity), moved, picture=Picture(through_a_pinhole, content))
+    moved = np.tile(np.eye(4), (len(world_from_camera), 1, 1))
+    moved[:, :3, :3] = turn @ world_from_camera[:, :3, :3]
+    moved[:, :3, 3] = world_from_camera[:, :3, 3] @ similarity[:3, :3].T + similarity[:3, 3]
+    there = measure_coverage(mesh.transformed(similarity), moved, field_of_view=FieldOfView(through_a_pinhole, content))
     assert there.share == pytest.approx(here.share, abs=0.002)
     assert there.whole.unmeasured_share == pytest.approx(here.whole.unmeasured_share, abs=0.002)
-    assert 0 < here.whole.unmeasured_share < 1 - measure_coverage(mesh, poses).share
+    assert 0 < here.whole.unmeasured_share < 1 - measure_coverage(mesh, world_from_camera).share
 
 
 @pytest.mark.parametrize(
@@ -217,7 +222,7 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
     camera = Camera(model, SIZE, SIZE, params, True)
     content = np.zeros((SIZE, SIZE), np.uint8)
     content[20:80, 10:90] = 255
-    picture = lens_field_of_view(RayTable(camera), content)
+    field_of_view = lens_field_of_view(RayTable(camera), content)
     rng = np.random.default_rng(0)
     angle, turn = np.radians(rng.uniform(0, 70, 4000)), rng.uniform(0, 2 * np.pi, 4000)
     rays = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
@@ -232,20 +237,20 @@ def test_a_lens_shows_what_lies_behind_its_own_pixels_and_nothing_else(model, pa
         clear = np.abs(angle - turning) > 0.1
     else:
         clear = np.ones(len(rays), bool)
-    shown = picture.shows(rays * rng.uniform(1, 9, (4000, 1)))
+    shown = field_of_view.in_view(rays * rng.uniform(1, 9, (4000, 1)))
     assert 300 < on[clear].sum() < 3500
     np.testing.assert_array_equal(shown[clear], on[clear])
 
 
 @pytest.mark.parametrize(("slant", "seen"), [(30, True), (57, True), (63, False), (75, False)])
-def test_more_than_sixty_degrees_off_the_normal_is_no_plain_view(slant, seen):
+def test_more_than_sixty_degrees_off_the_normal_is_not_visible(slant, seen):
     """One triangle ahead of two cameras, which the mesh does not hold and nothing hides."""
     turn = Rotation.from_euler("y", slant, degrees=True).as_matrix()
     corners = np.array([[0, 0.02, 0], [0.02, -0.02, 0], [-0.02, -0.02, 0]]) @ turn.T + (0, 0, 2)
     one = np.array([True])
-    closure = Closure(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one)
-    assert closure.surface.face_normals[0] @ (0, 0, 1) == pytest.approx(-np.cos(np.radians(slant)))
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[1, 1, 3] = 0.1
+    closed_wall = ClosedWall(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one)
+    assert closed_wall.surface.face_normals[0] @ (0, 0, 1) == pytest.approx(-np.cos(np.radians(slant)))
+    world_from_camera = np.tile(np.eye(4), (2, 1, 1))
+    world_from_camera[1, 1, 3] = 0.1
     behind = SurfaceMesh.from_triangles([[-9.0, -9, -5], [9, -9, -5], [0, 9, -5]], [[0, 1, 2]])
-    assert closure.seen_by(behind, poses, PICTURE, 1.0).unmeasured[0] == seen
+    assert closed_wall.with_visible(behind, world_from_camera, FIELD_OF_VIEW, 1.0).unmeasured[0] == seen

@@ -1,4 +1,4 @@
-"""Surface errors against brute force and shapes whose distance is known; observed truth against the formula."""
+"""Surface errors against brute force and shapes whose distance is known; reference surface against the formula."""
 
 import json
 
@@ -9,7 +9,12 @@ import trimesh
 from scipy.spatial.distance import cdist
 
 from haustra.core.errors import ReconstructionError
-from reconstruction.evaluation.reference_surface import ObservedTruth, observed_truth, thin, truth_from_mesh
+from reconstruction.evaluation.reference_surface import (
+    ReferenceSurface,
+    read_reference_surface,
+    reference_from_mesh,
+    thin,
+)
 from reconstruction.evaluation.surface_metrics import point_errors, sample_surface, surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum, write_tum
 from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
@@ -44,7 +49,7 @@ def test_a_sphere_grown_by_a_known_length(grown, score):
     rng = np.random.default_rng(0)
     true = sphere(10)
     points = sample_surface(true.vertices, true.faces, 150_000, rng)
-    errors = surface_errors(sphere(10 + grown), ObservedTruth(points, points), tau=0.5, generator=rng)
+    errors = surface_errors(sphere(10 + grown), ReferenceSurface(points, points), tau=0.5, generator=rng)
     assert errors.accuracy_mean == pytest.approx(grown, abs=0.02)
     assert errors.completeness_mean == pytest.approx(grown, abs=0.02)
     assert errors.f_score == pytest.approx(score, abs=0.01)
@@ -56,7 +61,7 @@ def test_half_a_sphere_is_accurate_and_half_complete():
     true = sphere(10)
     points = sample_surface(true.vertices, true.faces, 20_000, rng)
     half = true.with_faces((true.vertices[true.faces][..., 2] > 0).all(axis=1))
-    errors = surface_errors(half, ObservedTruth(points, points), tau=0.6, generator=rng)
+    errors = surface_errors(half, ReferenceSurface(points, points), tau=0.6, generator=rng)
     assert errors.precision > 0.999
     assert errors.recall == pytest.approx(0.5, abs=0.03)
 
@@ -86,9 +91,9 @@ def write_folder(folder, model="PINHOLE", distortion=(), frames=2):
     params = [50.0, 50.0, 40.0, 30.0, *distortion]
     camera = {"model": model, "width": 80, "height": 60, "params": params, "fps": 30, "depth_unit_mm": 0.01}
     (folder / "camera.json").write_text(json.dumps(camera))
-    poses = np.tile(np.eye(4), (frames, 1, 1))
-    poses[:, 0, 3] = np.arange(frames)
-    write_tum(folder / "trajectory.txt", np.arange(frames) / 30, poses)
+    world_from_camera = np.tile(np.eye(4), (frames, 1, 1))
+    world_from_camera[:, 0, 3] = np.arange(frames)
+    write_tum(folder / "trajectory.txt", np.arange(frames) / 30, world_from_camera)
     depth = np.repeat(np.array([2000, 8000], np.uint16), 30)[:, None] * np.ones((1, 80), np.uint16)
     for number in range(frames):
         cv2.imwrite(str(folder / "depth" / f"{number:05d}.png"), depth)
@@ -96,7 +101,7 @@ def write_folder(folder, model="PINHOLE", distortion=(), frames=2):
 
 
 def test_observed_truth_is_the_back_projected_depth(tmp_path):
-    truth = observed_truth(write_folder(tmp_path), spacing_mm=0.01)
+    truth = read_reference_surface(write_folder(tmp_path), spacing_mm=0.01)
     near = truth.required
     np.testing.assert_allclose(near[:, 2], 20, atol=1e-9)
     assert near[:, 0].min() == pytest.approx((0.5 - 40) / 50 * 20)  # the left pixel's centre
@@ -108,7 +113,7 @@ def test_observed_truth_is_the_back_projected_depth(tmp_path):
 def test_observed_truth_of_a_fisheye_equals_opencvs_projection(tmp_path):
     distortion = (-0.05, 0.01, -0.002, 0.0004)
     folder = write_folder(tmp_path, "OPENCV_FISHEYE", distortion, frames=1)
-    points = observed_truth(folder, spacing_mm=0.001).seen
+    points = read_reference_surface(folder, spacing_mm=0.001).seen
     matrix = np.array([[50.0, 0, 40], [0, 50.0, 30], [0, 0, 1]])
     pixels, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), matrix, np.array(distortion))
     np.testing.assert_allclose(np.abs(pixels % 1 - 0.5), 0, atol=1e-4)
@@ -118,17 +123,17 @@ def test_long_sequences_are_thinned_on_the_way(tmp_path):
     """More frames than are held at once, all of the same wall: the cubes stay as many as the wall has."""
     folder = write_folder(tmp_path, frames=40)
     (folder / "trajectory.txt").write_text("".join(f"{k} 0 0 0 0 0 0 1\n" for k in range(40)))
-    assert len(observed_truth(folder).seen) == len(observed_truth(folder, every=40).seen)
+    assert len(read_reference_surface(folder).seen) == len(read_reference_surface(folder, every=40).seen)
 
 
 def test_truth_without_depth_is_the_mesh_or_what_was_seen_of_it(tmp_path):
     whole = trimesh.creation.icosphere(subdivisions=3, radius=10)
     whole.export(tmp_path / "mesh.ply")
-    points = observed_truth(tmp_path).seen
+    points = read_reference_surface(tmp_path).seen
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 10, atol=0.15)
     whole.face_attributes["seen"] = (whole.triangles_center[:, 2] > 0).astype(np.uint8)
     whole.export(tmp_path / "mesh.ply")
-    half = truth_from_mesh(tmp_path / "mesh.ply").required
+    half = reference_from_mesh(tmp_path / "mesh.ply").required
     assert half[:, 2].min() > -2
     assert len(half) == pytest.approx(len(points) / 2, rel=0.1)
 
@@ -136,28 +141,28 @@ def test_truth_without_depth_is_the_mesh_or_what_was_seen_of_it(tmp_path):
 def test_truth_that_cannot_be_read_is_named(tmp_path):
     folder = write_folder(tmp_path / "a", "EQUIRECTANGULAR")
     with pytest.raises(ReconstructionError, match="EQUIRECTANGULAR"):
-        observed_truth(folder)
+        read_reference_surface(folder)
     folder = write_folder(tmp_path / "b")
     (folder / "depth" / "00001.png").unlink()
     with pytest.raises(ReconstructionError, match="1 depth images for 2 poses"):
-        observed_truth(folder)
+        read_reference_surface(folder)
     (folder / "camera.json").write_text("{}")
     with pytest.raises(ReconstructionError, match="not a camera file"):
-        observed_truth(folder)
+        read_reference_surface(folder)
 
 
 def test_true_depth_of_a_colon_fuses_to_its_surface():
     folder = shared("ctcolon")
     camera = json.loads((folder / "camera.json").read_text())
     fx, fy, cx, cy = camera["params"]
-    _, poses = read_tum(folder / "trajectory.txt")
+    _, world_from_camera = read_tum(folder / "trajectory.txt")
     fusion = SurfaceFusion(FusionSettings(voxel_size=0.7))
     for number in range(0, 80, 4):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
         depth = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / 100
-        fusion.integrate(rgb, depth, None, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), poses[number])
+        fusion.integrate(rgb, depth, None, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), world_from_camera[number])
     mesh, _ = drop_small_components(fusion.extract(), min_fraction=0.01)
-    errors = surface_errors(mesh, observed_truth(folder, every=4), 1.0, np.random.default_rng(0))
+    errors = surface_errors(mesh, read_reference_surface(folder, every=4), 1.0, np.random.default_rng(0))
     assert errors.f_score > 0.97
     assert errors.precision > 0.99
     assert errors.accuracy_mean < 0.25

@@ -23,11 +23,11 @@ SEEDS = st.integers(0, 2**31)
 def random_path(seed=0, count=40):
     """Poses (N,4,4) of a bent path of about 80 mm."""
     rng = np.random.default_rng(seed)
-    poses = np.tile(np.eye(4), (count, 1, 1))
+    world_from_camera = np.tile(np.eye(4), (count, 1, 1))
     turns = np.cumsum(rng.normal(0, 0.1, (count, 3)), axis=0)
-    poses[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
-    poses[:, :3, 3] = np.cumsum(poses[:, :3, 2] * 2 + rng.normal(0, 0.3, (count, 3)), axis=0)
-    return poses
+    world_from_camera[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+    world_from_camera[:, :3, 3] = np.cumsum(world_from_camera[:, :3, 2] * 2 + rng.normal(0, 0.3, (count, 3)), axis=0)
+    return world_from_camera
 
 
 def random_sim3(seed):
@@ -38,23 +38,27 @@ def random_sim3(seed):
     return sim3
 
 
-def moved(poses, sim3):
+def moved(world_from_camera, sim3):
     """Poses after a Sim(3) of the world; rotations stay rotations."""
-    result = sim3 @ poses
+    result = sim3 @ world_from_camera
     result[:, :3, :3] /= np.cbrt(np.linalg.det(sim3[:3, :3]))
     return result
 
 
-def noisy(poses, seed=1, length=0.5, angle=0.02):
+def noisy(world_from_camera, seed=1, length=0.5, angle=0.02):
     rng = np.random.default_rng(seed)
-    result = poses.copy()
-    result[:, :3, 3] += rng.normal(0, length, (len(poses), 3))
-    result[:, :3, :3] = result[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, angle, (len(poses), 3))).as_matrix()
+    result = world_from_camera.copy()
+    result[:, :3, 3] += rng.normal(0, length, (len(world_from_camera), 3))
+    result[:, :3, :3] = (
+        result[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, angle, (len(world_from_camera), 3))).as_matrix()
+    )
     return result
 
 
-def evo_trajectory(poses):
-    return PoseTrajectory3D(poses_se3=list(poses), timestamps=np.arange(len(poses), dtype=float))
+def evo_trajectory(world_from_camera):
+    return PoseTrajectory3D(
+        poses_se3=list(world_from_camera), timestamps=np.arange(len(world_from_camera), dtype=float)
+    )
 
 
 @given(SEEDS)
@@ -158,13 +162,13 @@ def test_simcol3d_medians_equal_the_error_put_in():
 
 
 def test_written_paths_are_read_back_and_by_evo(tmp_path):
-    seconds, poses = np.arange(40) / 30, random_path(3)
-    write_tum(tmp_path / "path.tum", seconds, poses)
+    seconds, world_from_camera = np.arange(40) / 30, random_path(3)
+    write_tum(tmp_path / "path.tum", seconds, world_from_camera)
     read_seconds, read_poses = read_tum(tmp_path / "path.tum")
     np.testing.assert_allclose(read_seconds, seconds, atol=1e-6)
-    np.testing.assert_allclose(read_poses, poses, atol=1e-8)
+    np.testing.assert_allclose(read_poses, world_from_camera, atol=1e-8)
     by_evo = file_interface.read_tum_trajectory_file(str(tmp_path / "path.tum"))
-    np.testing.assert_allclose(np.stack(by_evo.poses_se3), poses, atol=1e-8)
+    np.testing.assert_allclose(np.stack(by_evo.poses_se3), world_from_camera, atol=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ INTRINSICS = np.array([[70.0, 0, SIZE / 2], [0, 70.0, SIZE / 2], [0, 0, 1]])
 RADIUS = 20.0
 
 
-def pose(seed: int) -> np.ndarray:
+def transform(seed: int) -> np.ndarray:
     """A camera near the middle of the sphere, looking roughly along z."""
     rng = np.random.default_rng(seed)
     matrix = np.eye(4)
@@ -49,9 +49,9 @@ def fold_depth(world_from_camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
 def views(count: int, fold: bool = False) -> list[DepthView]:
     found = []
     for seed in range(count):
-        depth = sphere_depth(pose(seed))
-        depth = fold_depth(pose(seed), depth) if fold else depth
-        found.append(DepthView(depth.astype(np.float32), INTRINSICS, pose(seed)))
+        depth = sphere_depth(transform(seed))
+        depth = fold_depth(transform(seed), depth) if fold else depth
+        found.append(DepthView(depth.astype(np.float32), INTRINSICS, transform(seed)))
     return found
 
 

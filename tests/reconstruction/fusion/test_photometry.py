@@ -1,4 +1,4 @@
-"""De-lighting against walls of known reflectance under a known lamp."""
+"""Shading correction of walls of known reflectance under known illumination."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from reconstruction.fusion.photometry import GAMMA, _blurred, fit_lamp, geometry
+from reconstruction.fusion.photometry import GAMMA, _blurred, fit_illumination, geometry
 
 K = np.array([[80.0, 0, 64], [0, 80, 48], [0, 0, 1]])
 HEIGHT, WIDTH = 96, 128
@@ -31,14 +31,14 @@ def tube(radius, tilt_x, tilt_y):
     return depth.astype(np.float32), depth * length, -(ray * inward).sum(-1) / length
 
 
-def lit(radius, tilt_x, tilt_y, gain, exponents, seed=0):
-    """Picture and depth of a blotchy tube under the lamp, and its reflectance."""
+def lit(radius, tilt_x, tilt_y, exposure_gain, exponents, seed=0):
+    """Image and depth of a blotchy tube lit from the camera, and its reflectance."""
     depth, distance, cosine = tube(radius, tilt_x, tilt_y)
     rng = np.random.default_rng(seed)
     blotches = 1 + 0.15 * np.kron(rng.normal(0, 1, (HEIGHT // 8, WIDTH // 8)), np.ones((8, 8)))
     reflectance = np.clip(blotches, 0.6, 1.4)[..., None] * np.array([0.6, 0.3, 0.2])
     ahead = depth / distance
-    light = gain * (distance / 20) ** exponents[0] * cosine ** exponents[1] * ahead ** exponents[2]
+    light = exposure_gain * (distance / 20) ** exponents[0] * cosine ** exponents[1] * ahead ** exponents[2]
     rgb = np.rint(255 * np.clip(reflectance * light[..., None], 0, 1) ** (1 / GAMMA)).astype(np.uint8)
     return rgb, depth, reflectance
 
@@ -47,23 +47,25 @@ TUBES = [(20, 0.5, 0.1, 0.9), (14, -0.3, 0.4, 0.5), (30, 0.2, -0.6, 1.8), (18, -
 
 
 @pytest.mark.parametrize("exponents", [(-2.0, 1.0, 0.0), (-1.2, 0.5, 1.5)])
-def test_exponents_are_found_whatever_each_frames_gain(exponents):
+def test_exponents_are_found_whatever_each_frames_exposure_gain(exponents):
     frames = [lit(*shape, exponents, seed)[:2] for seed, shape in enumerate(TUBES)]
-    lamp = fit_lamp(frames, K)
-    assert lamp.frames == len(TUBES)
-    assert lamp.distance == pytest.approx(exponents[0], abs=0.1)
-    assert lamp.slant == pytest.approx(exponents[1], abs=0.15)
-    assert lamp.axis == pytest.approx(exponents[2], abs=0.15)
+    illumination = fit_illumination(frames, K)
+    assert illumination.frames == len(TUBES)
+    assert illumination.distance == pytest.approx(exponents[0], abs=0.1)
+    assert illumination.slant == pytest.approx(exponents[1], abs=0.15)
+    assert illumination.axis == pytest.approx(exponents[2], abs=0.15)
 
 
 def test_what_is_left_is_the_reflectance_up_to_one_factor_for_the_film():
     shown = [lit(*shape, (-2.0, 1.0, 0.0), seed) for seed, shape in enumerate(TUBES)]
-    lamp = fit_lamp([(rgb, depth) for rgb, depth, _ in shown], K)
+    illumination = fit_illumination([(rgb, depth) for rgb, depth, _ in shown], K)
     ratios, before = [], []
     for (rgb, depth, reflectance), shape in zip(shown, TUBES, strict=True):
         _, distance, cosine = tube(*shape[:3])
-        fair = (distance < 50) & (cosine > 0.3)  # farther and flatter, the gain's bound or the grey levels' steps rule
-        result = lamp.delit(rgb, depth, K)
+        fair = (distance < 50) & (
+            cosine > 0.3
+        )  # farther and flatter, the correction's bound or the grey levels' steps rule
+        result = illumination.shading_corrected(rgb, depth, K)
         fair &= result.max(axis=-1) < 250
         ratios.append(np.log((result[fair] / 255) ** GAMMA / reflectance[fair]))
         before.append(np.log((rgb[fair] / 255) ** GAMMA / reflectance[fair]))
@@ -72,14 +74,14 @@ def test_what_is_left_is_the_reflectance_up_to_one_factor_for_the_film():
     assert np.std(np.concatenate(before)) > 5 * spread
 
 
-def test_a_film_without_depth_has_no_lamp_and_a_frame_without_depth_stays_as_it_is():
+def test_a_film_without_depth_has_no_illumination_and_a_frame_without_depth_stays_as_it_is():
     rgb, depth, _ = lit(*TUBES[0], (-2.0, 1.0, 0.0))
-    assert fit_lamp([(rgb, np.zeros_like(depth))], K) is None
-    lamp = fit_lamp([(rgb, depth)], K)
-    np.testing.assert_array_equal(lamp.delit(rgb, np.zeros_like(depth), K), rgb)
+    assert fit_illumination([(rgb, np.zeros_like(depth))], K) is None
+    illumination = fit_illumination([(rgb, depth)], K)
+    np.testing.assert_array_equal(illumination.shading_corrected(rgb, np.zeros_like(depth), K), rgb)
     holed = depth.copy()
     holed[:, :64] = np.nan
-    np.testing.assert_array_equal(lamp.delit(rgb, holed, K)[:, :60], rgb[:, :60])
+    np.testing.assert_array_equal(illumination.shading_corrected(rgb, holed, K)[:, :60], rgb[:, :60])
 
 
 def test_glints_do_not_bend_the_fit():
@@ -88,19 +90,19 @@ def test_glints_do_not_bend_the_fit():
         rgb, depth, _ = lit(*shape, (-2.0, 1.0, 0.0), seed)
         rgb[30:40, 40:60] = 255
         frames.append((rgb, depth))
-    lamp = fit_lamp(frames, K)
-    assert lamp.distance == pytest.approx(-2, abs=0.1)
+    illumination = fit_illumination(frames, K)
+    assert illumination.distance == pytest.approx(-2, abs=0.1)
 
 
 @settings(max_examples=25, deadline=None)
 @given(scale=st.floats(0.01, 100), seed=st.integers(0, 9))
 def test_the_unit_of_depth_does_not_matter(scale, seed):
     frames = [lit(*shape, (-2.0, 1.0, 0.0), k)[:2] for k, shape in enumerate(TUBES[:2])]
-    lamp = fit_lamp(frames, K, seed)
-    scaled = fit_lamp([(rgb, depth * np.float32(scale)) for rgb, depth in frames], K, seed)
+    illumination = fit_illumination(frames, K, seed)
+    scaled = fit_illumination([(rgb, depth * np.float32(scale)) for rgb, depth in frames], K, seed)
     rgb, depth = frames[0]
-    there = lamp.delit(rgb, depth, K).astype(int)
-    assert np.abs(scaled.delit(rgb, depth * np.float32(scale), K).astype(int) - there).max() <= 1
+    there = illumination.shading_corrected(rgb, depth, K).astype(int)
+    assert np.abs(scaled.shading_corrected(rgb, depth * np.float32(scale), K).astype(int) - there).max() <= 1
 
 
 def test_geometry_of_a_tube_is_exact():
@@ -114,24 +116,24 @@ def test_rough_depth_hardly_changes_the_picture():
     """Completed depth is a few percent rough; its raw normals would paint that roughness onto the wall."""
     rng = np.random.default_rng(0)
     rgb, depth, _ = lit(*TUBES[0], (-2.0, 1.0, 0.0))
-    lamp = fit_lamp([(rgb, depth)], K)
+    illumination = fit_illumination([(rgb, depth)], K)
     rough = (depth * (1 + 0.02 * rng.normal(size=depth.shape))).astype(np.float32)
-    change = lamp.delit(rgb, rough, K).astype(int) - lamp.delit(rgb, depth, K)
+    change = illumination.shading_corrected(rgb, rough, K).astype(int) - illumination.shading_corrected(rgb, depth, K)
     assert np.median(np.abs(change)) <= 4
 
 
 def test_each_frame_is_brought_to_the_films_median():
-    """The stated price of not knowing the camera's gain: half the reflectance looks like half the gain."""
+    """The exposure gain is unknown: half the reflectance looks like half the exposure gain."""
     shape = TUBES[0]
-    lamp = fit_lamp([lit(*shape, (-2.0, 1.0, 0.0))[:2]], K)
+    illumination = fit_illumination([lit(*shape, (-2.0, 1.0, 0.0))[:2]], K)
     darker = (*shape[:3], shape[3] / 2)
-    one, other = (lamp.delit(*lit(*s, (-2.0, 1.0, 0.0))[:2], K) for s in (shape, darker))
+    one, other = (illumination.shading_corrected(*lit(*s, (-2.0, 1.0, 0.0))[:2], K) for s in (shape, darker))
     assert np.median(np.abs(one.astype(int) - other)) <= 2
 
 
 def test_two_fits_agree():
     frames = [lit(*shape, (-2.0, 1.0, 0.0), k)[:2] for k, shape in enumerate(TUBES)]
-    assert fit_lamp(frames, K, 3) == fit_lamp(frames, K, 3)
+    assert fit_illumination(frames, K, 3) == fit_illumination(frames, K, 3)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1000.0])

@@ -15,8 +15,8 @@ from tests.helpers.sphere_views import INTRINSICS, RADIUS, RED, SIZE, VOXEL, fus
 
 @pytest.fixture(scope="module")
 def sphere():
-    poses = views()
-    return fuse(poses, [sphere_depth(pose) for pose in poses])
+    world_from_camera = views()
+    return fuse(world_from_camera, [sphere_depth(transform) for transform in world_from_camera])
 
 
 def wall(depth):
@@ -32,9 +32,9 @@ def test_a_sphere_from_inside_has_its_radius(sphere):
 
 def test_pixel_centres_lie_at_half_integers():
     """Taken as whole numbers, a tilted wall 20 away with f = 60 would move sideways by a sixth of a unit."""
-    pose = np.eye(4)
+    transform = np.eye(4)
     depth = (20 / (1 - 1.5 * pixel_rays()[..., 0].clip(-1, 0.5))).astype(np.float32)
-    mesh = fuse([pose], [depth], voxel_size=0.3)
+    mesh = fuse([transform], [depth], voxel_size=0.3)
     slanted = mesh.vertices[(mesh.vertices[:, 0] > -8) & (mesh.vertices[:, 0] < 10)]
     assert np.abs(np.mean(slanted[:, 2] - 1.5 * slanted[:, 0]) - 20) < 0.03
 
@@ -62,40 +62,42 @@ def test_observations_count_the_frames_that_saw_the_wall():
 
 
 def test_order_of_frames_does_not_matter():
-    poses = views(6)
-    depths = [sphere_depth(pose) for pose in poses]
+    world_from_camera = views(6)
+    depths = [sphere_depth(transform) for transform in world_from_camera]
     confidences = np.random.default_rng(1).uniform(0.1, 1, (6, SIZE, SIZE)).astype(np.float32)
-    forward = fuse(poses, depths, confidences)
-    backward = fuse(poses[::-1], depths[::-1], confidences[::-1])
+    forward = fuse(world_from_camera, depths, confidences)
+    backward = fuse(world_from_camera[::-1], depths[::-1], confidences[::-1])
     assert len(forward.vertices) == len(backward.vertices)
     assert cKDTree(forward.vertices).query(backward.vertices)[0].max() < 1e-3 * VOXEL
 
 
 def test_the_same_frames_give_the_same_arrays():
-    poses = views(4)
-    first, second = (fuse(poses, [sphere_depth(pose) for pose in poses]) for _ in range(2))
+    world_from_camera = views(4)
+    first, second = (
+        fuse(world_from_camera, [sphere_depth(transform) for transform in world_from_camera]) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.faces, second.faces)
 
 
 def test_one_thread_gives_the_same_bytes_as_four(monkeypatch):
-    poses = views(4)
-    depths = [sphere_depth(pose) for pose in poses]
-    monkeypatch.setattr("reconstruction.fusion.tsdf.BLOCKS_AT_ONCE", 5)
+    world_from_camera = views(4)
+    depths = [sphere_depth(transform) for transform in world_from_camera]
+    monkeypatch.setattr("reconstruction.fusion.tsdf.BLOCKS_PER_TASK", 5)
     meshes = []
     for threads in (1, 4):
         monkeypatch.setattr("reconstruction.fusion.tsdf.THREADS", threads)
-        meshes.append(fuse(poses, depths))
+        meshes.append(fuse(world_from_camera, depths))
     for name in ("vertices", "faces", "colours", "confidence", "observations"):
         np.testing.assert_array_equal(*(getattr(mesh, name) for mesh in meshes))
 
 
 def test_nothing_is_lost_when_memory_grows(monkeypatch):
-    poses = views(3)
-    depths = [sphere_depth(pose) for pose in poses]
-    roomy = fuse(poses, depths)
+    world_from_camera = views(3)
+    depths = [sphere_depth(transform) for transform in world_from_camera]
+    roomy = fuse(world_from_camera, depths)
     monkeypatch.setattr("reconstruction.fusion.voxel_grid.FIRST_CAPACITY", 16)
-    np.testing.assert_array_equal(fuse(poses, depths).vertices, roomy.vertices)
+    np.testing.assert_array_equal(fuse(world_from_camera, depths).vertices, roomy.vertices)
 
 
 def test_confidence_zero_changes_nothing():
@@ -159,14 +161,17 @@ def between(mesh):
 
 def test_hardly_a_web_between_a_fold_and_the_wall_behind_it():
     """A disc at 15 before a wall at 30, seen from a row of places: between them there is nothing."""
-    poses = np.tile(np.eye(4), (9, 1, 1))
-    poses[:, 0, 3] = np.linspace(-4, 4, 9)
+    world_from_camera = np.tile(np.eye(4), (9, 1, 1))
+    world_from_camera[:, 0, 3] = np.linspace(-4, 4, 9)
     depths = []
-    for pose in poses:
-        at_disc = 15 * pixel_rays() + pose[:3, 3]
+    for transform in world_from_camera:
+        at_disc = 15 * pixel_rays() + transform[:3, 3]
         depths.append(np.where(np.hypot(at_disc[..., 0], at_disc[..., 1]) < 5, 15, 30).astype(np.float32))
-    assert between(fuse(poses[4:5], depths[4:5])) == 0
-    webs, webs_unscreened = between(fuse(poses, depths)), between(fuse(poses, depths, max_grazing_deg=89.9))
+    assert between(fuse(world_from_camera[4:5], depths[4:5])) == 0
+    webs, webs_unscreened = (
+        between(fuse(world_from_camera, depths)),
+        between(fuse(world_from_camera, depths, max_grazing_deg=89.9)),
+    )
     assert webs < 0.01
     assert webs < 0.4 * webs_unscreened
 

@@ -5,11 +5,13 @@ import pytest
 import trimesh
 
 from haustra.core.errors import ReconstructionError
-from reconstruction.mesh.mesh_io import read_face_property, read_mesh, write_mesh
+from reconstruction.mesh.formats import MESH_FORMATS, MeshFormat
+from reconstruction.mesh.mesh_io import check_textured, read_face_property, read_mesh, write_mesh, write_textured
 from reconstruction.mesh.open3d_import import import_open3d
 from reconstruction.mesh.surface_mesh import SurfaceMesh
+from reconstruction.mesh.textured_mesh import TexturedMesh
 
-SUFFIXES = [".ply", ".glb", ".obj", ".stl"]
+SUFFIXES = list(MESH_FORMATS)
 
 
 @pytest.fixture
@@ -112,3 +114,27 @@ def test_arrays_that_do_not_belong_together_are_refused(mesh):
         SurfaceMesh.from_triangles(mesh.vertices, mesh.faces, confidence=np.zeros(3))
     with pytest.raises(ReconstructionError, match="outside"):
         SurfaceMesh.from_triangles(mesh.vertices, mesh.faces + len(mesh.vertices))
+
+
+def test_a_new_format_is_one_row_for_plain_and_textured_export(mesh, tmp_path, monkeypatch):
+    """A toy format of one line: how many vertices and faces, and the texture's side where it has one."""
+
+    def write(what, path):
+        path.write_text(f"{len(what.vertices)} {len(what.faces)}")
+
+    def write_with_texture(what, path):
+        path.write_text(f"{len(what.vertices)} {len(what.faces)} {len(what.texture)}")
+
+    monkeypatch.setitem(MESH_FORMATS, ".toy", MeshFormat(write, write_with_texture, without_faces=True))
+    assert write_mesh(mesh, tmp_path / "a.toy").read_text() == f"{len(mesh.vertices)} {len(mesh.faces)}"
+    assert write_mesh(SurfaceMesh.from_triangles([], []), tmp_path / "b.TOY").read_text() == "0 0"
+    laid = TexturedMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.vertices[:, :2], np.zeros((8, 8, 3), np.uint8))
+    check_textured(tmp_path / "c.toy")
+    assert write_textured(laid, tmp_path / "c.toy").read_text() == f"{len(mesh.vertices)} {len(mesh.faces)} 8"
+    with pytest.raises(ReconstructionError, match=r"meshes are written as \.ply, \.glb, \.obj, \.stl, \.toy"):
+        write_mesh(mesh, tmp_path / "mesh.fbx")
+    with pytest.raises(ReconstructionError, match=r"\.glb or \.obj or \.toy"):
+        check_textured(tmp_path / "mesh.stl")
+    monkeypatch.setitem(MESH_FORMATS, ".bare", MeshFormat(write))
+    with pytest.raises(ReconstructionError, match=r"without faces can be written as \.ply, \.toy only"):
+        write_mesh(SurfaceMesh.from_triangles([], []), tmp_path / "b.bare")

@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 from haustra.core.errors import ReconstructionError
+from reconstruction.mesh.mesh_io import write_textured
 from reconstruction.mesh.surface_mesh import SurfaceMesh
-from reconstruction.mesh.texture_atlas import distance_to_surface, simplified, textured, write_textured
+from reconstruction.mesh.texture_atlas import distance_to_surface, simplified, textured
 
 
 def painted_tube(rings=60, around=72):

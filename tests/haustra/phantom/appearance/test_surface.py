@@ -269,7 +269,7 @@ def test_views_keep_their_tilt_and_distance_and_the_first_good_one_is_taken(
     dense = cKDTree(np.einsum("kc,fcx->fkx", weights, corners).reshape(-1, 3))  # at most 0.15 mm apart
     for seed in range(25):
         caster.views = 0
-        pose = viewpoints.random_pose(colon, caster, rays, np.random.default_rng(seed))
+        pose = viewpoints.random_viewpoint(colon, caster, rays, np.random.default_rng(seed))
         away = dense.query(pose[:3, 3])[0]
         assert distances[0] - 0.02 < away < distances[1] + 0.02
         tangent = colon.line.frames[cKDTree(colon.line.points).query(pose[:3, 3])[1]][:, 2]
@@ -286,7 +286,7 @@ def test_views_out_of_the_open_ends_are_turned_down() -> None:
     views = []
     for seed in range(12):
         caster.views = 0
-        pose = viewpoints.random_pose(colon, caster, rays, np.random.default_rng(seed))
+        pose = viewpoints.random_viewpoint(colon, caster, rays, np.random.default_rng(seed))
         views.append(caster.views)
         missed = ~caster.cast(pose[:3, 3], rays.reshape(-1, 3) @ pose[:3, :3].T).valid
         assert missed.mean() <= 0.006, seed

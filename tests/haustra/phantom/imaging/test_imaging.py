@@ -28,7 +28,7 @@ from haustra.phantom.imaging.interreflection import bounced
 from haustra.phantom.imaging.render import Frame, Phantom
 from haustra.phantom.imaging.sensor import Sensor, border_window, coarse_colour, defocus_sigma
 from haustra.phantom.imaging.shading import shade
-from haustra.phantom.motion.camera_path import camera_path
+from haustra.phantom.motion.camera_path import plan_camera_path
 
 SIZE = 64
 ANATOMY = AnatomyConfig(length_mm=100.0, radius_mm=14.0, fold_depth_mm=4.0, edge_mm=2.0, polyps=0, flexures=0)
@@ -57,7 +57,7 @@ def phantom() -> Phantom:
 
 def filmed(phantom: Phantom, imaging: ImagingConfig) -> Frame:
     view = phantom.seen_through(imaging, FILM.camera)
-    return next(view.film(camera_path(view.colon, view.caster, FILM.motion, FILM.seed)))
+    return next(view.film(plan_camera_path(view.colon, view.caster, FILM.motion, FILM.seed)))
 
 
 def edge(height: int, width: int, left: float, right: float) -> np.ndarray:

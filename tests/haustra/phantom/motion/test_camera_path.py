@@ -15,7 +15,7 @@ from haustra.phantom.anatomy.colon import build_colon
 from haustra.phantom.config import EventsConfig, MotionConfig
 from haustra.phantom.dataset.scenes import SCENES, film_of, scene_config
 from haustra.phantom.imaging.render import Phantom
-from haustra.phantom.motion.camera_path import camera_path, clearance, inside
+from haustra.phantom.motion.camera_path import clearance, inside, plan_camera_path
 from haustra.phantom.raycaster import RayCaster
 from haustra.phantom.timeline import plan_timeline
 from tests.helpers.tiny_phantom import TINY
@@ -31,7 +31,7 @@ def phantom() -> Phantom:
 def filmed(phantom: Phantom, motion: MotionConfig, seed: int = 1) -> tuple[np.ndarray, dict[str, slice]]:
     """The path, and the frames of each manoeuvre at full strength."""
     timeline = plan_timeline(motion, EventsConfig(), seed)
-    poses = camera_path(phantom.colon, phantom.caster, motion, seed, timeline)
+    poses = plan_camera_path(phantom.colon, phantom.caster, motion, seed, timeline)
     full = {slot.kind: [f for f in range(motion.frames) if slot.strength(f) == 1] for slot in timeline}
     return poses, {kind: slice(frames[0], frames[-1] + 1) for kind, frames in full.items()}
 

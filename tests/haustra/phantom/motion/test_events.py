@@ -15,7 +15,7 @@ from haustra.phantom.config import EventsConfig, PhantomConfig
 from haustra.phantom.dataset.generate import generate, is_finished
 from haustra.phantom.imaging.forceps import _ray_capsule
 from haustra.phantom.imaging.render import Frame, Phantom
-from haustra.phantom.motion.camera_path import camera_path
+from haustra.phantom.motion.camera_path import plan_camera_path
 from haustra.phantom.motion.peristalsis import Peristalsis
 from haustra.phantom.timeline import Slot, plan_timeline
 from tests.helpers.tiny_phantom import SIZE, TINY, first_hit, pixel_direction
@@ -32,7 +32,7 @@ def phantom() -> Phantom:
 @pytest.fixture(scope="module")
 def poses(phantom: Phantom) -> np.ndarray:
     motion = replace(TINY.motion, frames=FRAMES, speed_mm=0.2)
-    return camera_path(phantom.colon, phantom.caster, motion, TINY.seed)
+    return plan_camera_path(phantom.colon, phantom.caster, motion, TINY.seed)
 
 
 @pytest.fixture(scope="module")

@@ -116,7 +116,7 @@ def test_the_scene_holds_what_the_run_holds(run, page):
 
 def test_the_timeline_counts_every_frame(page):
     film = page[page.index('class="timeline"') : page.index('class="key"') + 1500]
-    for words in ("used (125)", "blurred (2)", "black (2)", "burnt out (1)", "repeated (1)", "posed, submap 1 (30)"):
+    for words in ("used (125)", "blurred (2)", "black (2)", "overexposed (1)", "duplicate (1)", "posed, submap 1 (30)"):
         assert words in film, words
     assert "used, but not posed (5)" in film
     assert film.count('class="shown"') == 60
