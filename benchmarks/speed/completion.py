@@ -23,10 +23,10 @@ from benchmarks.common.record import shown, spread
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_scale_free
-from completion.inference.cpu.int8_unet import can_use_eight_bits
 from completion.inference.onnx_export import export_onnx
 from completion.inference.resolution import SIDE_FOR_MANY
 from completion.networks.classical import CLASSICAL
+from completion.networks.cpu.int8_unet import can_use_eight_bits
 from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
 from completion.networks.registry import build_model
 from pipeline.run_folder.malloc import keep_freed_memory

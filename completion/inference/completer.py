@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from completion.confidence import confidence_from_error
 from completion.data.sampling_training import normalise_log
-from completion.inference.cpu.fused_conv import can_fuse, fuse_convolutions
-from completion.inference.cpu.int8_unet import EightBitUNet, can_use_eight_bits, channel_reaches
-from completion.inference.cpu.numba_mscsa import compile_look, picture_planes
 from completion.inference.resolution import resized, resized_back, working_factor
 from completion.networks.checkpoint import load_network
+from completion.networks.cpu.fused_conv import can_fuse, fuse_convolutions
+from completion.networks.cpu.int8_unet import EightBitUNet, can_use_eight_bits, channel_reaches
+from completion.networks.cpu.numba_mscsa import compile_look, picture_planes
 from completion.networks.mscsa_sfm import REACHES, SPREAD, ScaleFreeMSCSANet, picture_inputs
 from completion.networks.recurrence import MOST_LOOKS, look_again
 from completion.networks.recurrent_norm import fold_batch_norm

@@ -14,12 +14,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from completion.networks.gaenet import GAENet, GAENetConfig
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
 from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
-from completion.networks.nlspn import NLSPN, NLSPNConfig
 from completion.networks.registry import MSCSAModel
-from completion.networks.sparse_to_dense import StDConfig, StDNet
+from completion.networks.rivals.gaenet import GAENet, GAENetConfig
+from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
+from completion.networks.rivals.sparse_to_dense import StDConfig, StDNet
 from haustra.core.errors import CompletionError
 
 Network = MSCSANet | ScaleFreeMSCSANet | StDNet | NLSPN | GAENet

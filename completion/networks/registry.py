@@ -11,10 +11,10 @@ from typing import Any, Literal
 from torch import Tensor
 
 from completion.networks.classical import CLASSICAL as CLASSICAL
-from completion.networks.gaenet import GAENet, GAENetConfig
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
-from completion.networks.nlspn import NLSPN, NLSPNConfig
-from completion.networks.sparse_to_dense import StDConfig, StDNet
+from completion.networks.rivals.gaenet import GAENet, GAENetConfig
+from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
+from completion.networks.rivals.sparse_to_dense import StDConfig, StDNet
 from haustra.core.errors import CompletionError
 
 Size = Literal["paper", "small"]

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from completion import DepthCompleter
 from completion.inference.completer import load_scale_free
-from completion.inference.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.inference.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
 from completion.networks.channel_attention import attention_features
+from completion.networks.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.networks.mscsa import DoubleConv
 from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
 from completion.networks.recurrent_norm import fold_batch_norm

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from completion.networks.checkpoint import load_network, save_network
-from completion.networks.gaenet import GAENet, GAENetConfig
 from completion.networks.registry import NAMES, build_model
-from completion.networks.resnet import resnet_stages
-from completion.networks.sparse_to_dense import UpProj
+from completion.networks.rivals.gaenet import GAENet, GAENetConfig
+from completion.networks.rivals.resnet import resnet_stages
+from completion.networks.rivals.sparse_to_dense import UpProj
 from haustra.core.errors import CompletionError
 
 TINY = {

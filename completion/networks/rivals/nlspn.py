@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.networks.padding import pad_to_multiple
-from completion.networks.resnet import out_widths, resnet_stages
+from completion.networks.rivals.resnet import out_widths, resnet_stages
 from haustra.core.errors import CompletionError
 
 Affinity = Literal["AS", "ASS", "TC", "TGASS"]

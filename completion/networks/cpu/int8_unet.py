@@ -19,8 +19,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from completion.inference.cpu.fused_conv import Layouts, can_fuse
-from completion.inference.cpu.int8_resize import LARGEST, MIDDLE, WORD, beside_doubled, words_of
+from completion.networks.cpu.fused_conv import Layouts, can_fuse
+from completion.networks.cpu.int8_resize import LARGEST, MIDDLE, WORD, beside_doubled, words_of
 from completion.networks.mscsa import UNet
 
 # The best of 4, 6, 8, 12 and 16 on 40 rendered frames kept for choosing: fewer cut off too much, more are coarser.

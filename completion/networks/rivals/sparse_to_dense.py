@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.networks.padding import pad_to_multiple
-from completion.networks.resnet import conv_bn, init_fan_out, out_widths, resnet_stages
+from completion.networks.rivals.resnet import conv_bn, init_fan_out, out_widths, resnet_stages
 from haustra.core.errors import CompletionError
 
 Decoder = Literal["upproj", "upconv", "deconv2", "deconv3"]

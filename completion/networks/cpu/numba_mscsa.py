@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from completion.inference.cpu.numba_normalized_conv import LinearConfidence, rows
+from completion.networks.cpu.numba_normalized_conv import LinearConfidence, rows
 from completion.networks.mscsa_sfm import LEAST_TRUST, LOG_ERROR_RANGE, STRIDE, Anchor, ScaleFreeMSCSANet, Steps, double
 from haustra.core.numba_cache import compiled
 

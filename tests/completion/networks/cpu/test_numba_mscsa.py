@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_scale_free
-from completion.inference.cpu.numba_mscsa import CompiledAnchor, halved_points, own_inputs, picture_planes, unfolded
+from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, own_inputs, picture_planes, unfolded
 from completion.networks.mscsa_sfm import LOG_ERROR_RANGE, REACHES, SPREAD, Anchor, halve_points, picture_inputs, unfold
 from completion.networks.mscsa_sfm import own_inputs as own_inputs_in_torch
 from completion.networks.recurrence import look_again

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from completion.inference.completer import load_scale_free
-from completion.inference.cpu.numba_normalized_conv import LinearConfidence
+from completion.networks.cpu.numba_normalized_conv import LinearConfidence
 from completion.networks.normalized_conv import MultiScaleConfidence
 
 

@@ -18,15 +18,15 @@ from torch import nn
 from completion import DepthCompleter
 from completion.inference import completer as infer
 from completion.inference.completer import choose_precision, load_scale_free
-from completion.inference.cpu.int8_resize import beside_doubled
-from completion.inference.cpu.int8_unet import (
+from completion.networks import mscsa_sfm as scale_free
+from completion.networks.cpu.int8_resize import beside_doubled
+from completion.networks.cpu.int8_unet import (
     PARTS,
     EightBitConvReLU,
     EightBitUNet,
     can_use_eight_bits,
     channel_reaches,
 )
-from completion.networks import mscsa_sfm as scale_free
 from completion.networks.mscsa import UNet
 from completion.networks.mscsa_sfm import SPREAD
 from completion.networks.recurrent_norm import fold_batch_norm
@@ -280,7 +280,7 @@ def test_a_point_beyond_all_numbers_leaves_depth_finite():
 @needs_vnni
 def test_a_onednn_that_is_kept_from_the_instructions_is_not_trusted():
     """Sums of bytes are then cut off at 16 bits, and nobody says so."""
-    code = "from completion.inference.cpu.int8_unet import can_use_eight_bits as can; print(can())"
+    code = "from completion.networks.cpu.int8_unet import can_use_eight_bits as can; print(can())"
     for instructions, expected in (("AVX2", "False"), ("ALL", "True")):
         environment = {**os.environ, "ONEDNN_MAX_CPU_ISA": instructions}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
