@@ -27,7 +27,7 @@ from completion.inference.onnx_export import export_onnx
 from completion.inference.resolution import SIDE_FOR_MANY
 from completion.networks.classical import CLASSICAL
 from completion.networks.cpu.int8_unet import can_use_eight_bits
-from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+from completion.networks.protocol import DepthNetwork
 from completion.networks.registry import build_model
 from pipeline.run_folder.malloc import keep_freed_memory
 
@@ -63,7 +63,7 @@ def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> C
     return call
 
 
-def exported(network: ScaleFreeMSCSANet, rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
+def exported(network: DepthNetwork, rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
     """A network's graph for a picture of this size, and what goes in."""
     path = export_onnx(network, folder / "m.onnx", rgb.shape[0])
     trust = (sparse > 0).astype(np.float32)[None, None]

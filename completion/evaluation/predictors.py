@@ -45,7 +45,7 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
         return Predictor(lambda rgb, sparse, intrinsics: (fill(sparse), None))
     from completion.inference.completer import DepthCompleter
     from completion.networks.checkpoint import load_network, read_metadata
-    from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+    from completion.networks.protocol import DepthNetwork
     from completion.weights.shipped import resolve_weights
 
     try:
@@ -53,7 +53,7 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     except CompletionError as error:
         raise CompletionError(f"{error}, {', '.join(CLASSICAL)}") from None
     network = load_network(path)
-    if isinstance(network, ScaleFreeMSCSANet):
+    if isinstance(network, DepthNetwork):
         completer = DepthCompleter(network, device, precision)
         return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), completer.network, completer.precision)
     return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)

@@ -11,12 +11,9 @@ from completion.confidence import confidence_from_error
 from completion.data.sampling_training import normalise_log
 from completion.inference.resolution import resized, resized_back, working_factor
 from completion.networks.checkpoint import load_network
-from completion.networks.cpu.fused_conv import can_fuse, fuse_convolutions
-from completion.networks.cpu.int8_unet import EightBitUNet, can_use_eight_bits, channel_reaches
-from completion.networks.cpu.numba_mscsa import compile_look, picture_planes
-from completion.networks.mscsa_sfm import REACHES, SPREAD, ScaleFreeMSCSANet, picture_inputs
+from completion.networks.precision import choose_precision
+from completion.networks.protocol import DepthNetwork, most_iterations
 from completion.networks.recurrence import MOST_LOOKS, look_again
-from completion.networks.recurrent_norm import fold_batch_norm
 from completion.weights.shipped import check_looks, resolve_weights
 from haustra.core.errors import CompletionError
 
@@ -34,7 +31,7 @@ class DepthCompleter:
 
     def __init__(
         self,
-        network: ScaleFreeMSCSANet,
+        network: DepthNetwork,
         device: str = "auto",
         precision: str = "auto",
         working_side: int | None = None,
@@ -46,35 +43,18 @@ class DepthCompleter:
         `looks`: how often the network completes a frame, each time with its last estimate
         (`networks.recurrence`), and time grows with it; None: as often as it was trained for, at most `MOST_LOOKS`.
         """
-        if precision not in ("auto", "int8", "bf16", "fp32"):
-            raise CompletionError(f"precision is auto, int8, bf16 or fp32, not {precision!r}")
-        self.looks = min(MOST_LOOKS, network.config.looks) if looks is None else looks
+        trained = most_iterations(network.config)
+        self.looks = min(MOST_LOOKS, trained) if looks is None else looks
         if self.looks < 1 or (working_side is not None and working_side < 1):
             raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
-        check_looks(self.looks, network.config.looks)
+        check_looks(self.looks, trained)
         self.device = choose_device(device)
         self.working_side = working_side
-        self.precision = choose_precision(precision, self.device)
-        self.network = self._for_inference(network, again=False)
-        self.later = self._for_inference(network, again=True) if self.looks > 1 else self.network
-
-    def _for_inference(self, network: ScaleFreeMSCSANet, again: bool) -> ScaleFreeMSCSANet:
-        """A copy without what only training needs, its U-Net's convolutions in int8 or bfloat16 where fast."""
-        copy = fold_batch_norm(network, again)
-        if self.precision == "bf16":
-            for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
-                part.to(torch.bfloat16)
-        copy = copy.to(self.device, memory_format=torch.channels_last)
-        if self.device.type == "cpu":
-            compile_look(copy)
-        if self.precision == "int8":
-            half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
-            dtype = torch.bfloat16 if half else torch.float32
-            reaches = torch.tensor(REACHES[0] + (REACHES[1] if network.config.looks > 1 else ()))
-            copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), reaches, (SPREAD,), dtype)
-        elif self.precision == "bf16" and self.device.type == "cpu" and can_fuse(torch.bfloat16):
-            fuse_convolutions(copy.unet)  # in float32 it gains little
-        return copy
+        self.precision = choose_precision(precision, self.device, network.precisions)
+        self.network = network.for_device(self.device, self.precision, recurrent=False)
+        self.recurrent = self.network
+        if self.looks > 1:
+            self.recurrent = network.for_device(self.device, self.precision, recurrent=True)
 
     @classmethod
     def load(
@@ -142,21 +122,17 @@ class DepthCompleter:
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
-            looks = self.network.look, self.later.look
-            estimate = look_again(*looks, self._picture(rgb), log_sparse, weights, self.looks)
+            image = self.network.prepare(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2))
+            iterations = self.network.iterate, self.recurrent.iterate
+            estimate = look_again(*iterations, image, log_sparse, weights, self.looks)
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
 
-    def _picture(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
-        if self.device.type == "cpu":
-            return picture_planes(rgb)
-        return picture_inputs(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255)
 
-
-def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:
+def load_scale_free(model: str | Path) -> DepthNetwork:
     """The network of a shipped name or a weight file; CompletionError if it is one of the paper's metric ones."""
     network = load_network(resolve_weights(model))
-    if not isinstance(network, ScaleFreeMSCSANet):
+    if not isinstance(network, DepthNetwork):
         raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-free one")
     return network
 
@@ -187,25 +163,3 @@ def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
     for name, array in (("sparse depth", sparse), ("sparse error", error)):
         if array is not None and array.shape != rgb.shape[:3]:
             raise CompletionError(f"the {name} must have the image's size {rgb.shape[1:3]}, not {array.shape[1:]}")
-
-
-def choose_precision(precision: str, device: torch.device) -> str:
-    """Of the U-Net's convolutions: int8 on CPUs that multiply 8-bit integers fast, else bf16 where that is, else fp32.
-
-    CompletionError if int8 was asked for and can't be had.
-    """
-    if precision in ("bf16", "fp32"):
-        return precision
-    if device.type == "cpu" and can_use_eight_bits():
-        return "int8"
-    if precision == "int8":
-        raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")
-    return "bf16" if has_fast_bfloat16(device) else "fp32"
-
-
-def has_fast_bfloat16(device: torch.device) -> bool:
-    """True on a GPU and on CPUs with native bfloat16; emulated bfloat16 is slower than float32."""
-    if device.type != "cpu":
-        return True
-    capability = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
-    return bool(capability and capability())

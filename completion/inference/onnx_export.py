@@ -1,6 +1,6 @@
 """The scale-free network as an ONNX graph, for programs without torch.
 
-Inputs and outputs are those of `ScaleFreeMSCSANet.forward`, for a batch of any size at one fixed image size: what
+Inputs and outputs are those of a `DepthNetwork`'s `folded` copy, for a batch of any size at one fixed image size: what
 `DepthCompleter` does around it is a few lines of array code, which the file's description tells.
 """
 
@@ -12,9 +12,7 @@ from typing import Any
 
 import torch
 
-from completion.networks.mscsa_sfm import STRIDE, ScaleFreeMSCSANet
-from completion.networks.recurrence import Estimate
-from completion.networks.recurrent_norm import fold_batch_norm
+from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
 from haustra.core.errors import CompletionError
 
 INPUTS, OUTPUTS = ("rgb", "log_sparse", "trust"), ("log_depth", "log_error")
@@ -31,19 +29,19 @@ DESCRIPTION = (
 AGAIN = " To look again, run the graph exported for that: as last_log_depth and last_log_error it takes what came out."
 
 
-def export_onnx(network: ScaleFreeMSCSANet, path: Path, side: int, again: bool = False) -> Path:
+def export_onnx(network: DepthNetwork, path: Path, side: int, again: bool = False) -> Path:
     """Write a graph for square images of `side` px; CompletionError without the onnx packages or for another side.
 
     `again`: the graph of looks after the first; CompletionError if the network was trained to look once.
     """
-    if side <= 0 or side % STRIDE:
-        raise CompletionError(f"the image side must be a multiple of {STRIDE} px, not {side}")
+    if side <= 0 or side % network.stride:
+        raise CompletionError(f"the image side must be a multiple of {network.stride} px, not {side}")
     try:
         import onnx
         import onnxscript  # noqa: F401
     except ImportError:
         raise CompletionError("exporting to ONNX needs further packages: pip install 'haustra[onnx]'") from None
-    folded = fold_batch_norm(network, again)
+    folded = network.folded(again)
 
     def inputs_of(make: Callable[[int], Any]) -> tuple[Any, ...]:
         """What `make` gives for the channels of each input."""
@@ -62,6 +60,6 @@ def export_onnx(network: ScaleFreeMSCSANet, path: Path, side: int, again: bool =
     )
     assert program is not None
     model = program.model_proto
-    model.doc_string = DESCRIPTION + AGAIN * (network.config.looks > 1)
+    model.doc_string = DESCRIPTION + AGAIN * (most_iterations(network.config) > 1)
     onnx.save(model, path)
     return path

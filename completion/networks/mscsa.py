@@ -4,7 +4,7 @@
 `scale_free.py`.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -83,9 +83,6 @@ class MSCSAConfig:
     residual: bool = False  # the U-Net corrects MSC's depth; not in the paper, see `MSCSANet`
     similar: bool = False  # SA weighs like channels most, as the paper's text says; its released relatives do not
 
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
-
 
 class MSCSANet(nn.Module):
     """The paper's network: metric sparse depth in, metric dense depth out.
@@ -106,8 +103,9 @@ class MSCSANet(nn.Module):
         attention = StructureAwareness(sign=sign) if self.config.use_sa else None
         self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention)
 
-    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> Tensor:
-        """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit."""
+    def forward(self, rgb: Tensor, sparse_depth: Tensor, intrinsics: Tensor | None = None) -> Tensor:
+        """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit; intrinsics
+        unused."""
         height, width = rgb.shape[2:]
         rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
         if self.msc is None:

@@ -8,31 +8,15 @@ among the points, trusted as far as the first look expected to err, so that norm
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
-
-
-class Estimate(NamedTuple):
-    """What a look makes of a frame: log(depth / median of the points) and log of its expected error, (B,1,H,W)."""
-
-    log_depth: Tensor
-    log_error: Tensor
-
-
-class Grid(NamedTuple):
-    """Every `step`-th row and column from `first` on, which is less than `step`."""
-
-    step: int
-    first: int
-
+from completion.networks.protocol import Estimate, Grid
 
 Look = Callable[[Tensor, Tensor, Tensor, Estimate | None], Estimate]
 MOST_LOOKS = 2  # unless more are asked for: a third gains at most 3 % and costs as much time again
-GRID = Grid(9, 4)  # of own points, px: some 800 in a picture of 256 px
 
 
 def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Grid) -> tuple[Tensor, Tensor]:
@@ -52,7 +36,7 @@ def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Gri
 def look_again(first: Look, later: Look, picture: Tensor, log_sparse: Tensor, trust: Tensor, looks: int) -> Estimate:
     """`looks` looks, at least one, each after the first with the last one's estimate.
 
-    `first`, `later`: a `ScaleFreeMSCSANet`'s `look`, or that of the network folded for the one and the other.
+    `first`, `later`: the method `iterate` of a network, or of its copies for the first and for later iterations.
     """
     estimate = first(picture, log_sparse, trust, None)
     for _ in range(looks - 1):

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from completion.data.sampling_training import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet, picture_inputs
-from completion.networks.recurrence import MOST_LOOKS, Estimate, Grid, look_again
-from completion.networks.registry import build_model
+from completion.networks.protocol import DepthNetwork, Estimate, Grid, most_iterations
+from completion.networks.recurrence import MOST_LOOKS, look_again
+from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
 from completion.training.losses import completion_loss, masked_l1
 
@@ -34,13 +34,13 @@ class Task(Protocol):
         """Completed depth (B,1,H,W) mm from points that validation draws of the true depth."""
 
 
-class ScaleFreeTask:
-    """Median-normalised log depth from random SfM-like patterns."""
+class SfmTask:
+    """Median-normalised log depth from random SfM-like patterns, for each `DepthNetwork`."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, network: DepthNetwork) -> None:
         self.config = config
-        size = ScaleFreeConfig(width=config.width, anchor=config.anchor, looks=config.looks)
-        self.network: nn.Module = ScaleFreeMSCSANet(size)
+        self.iterations = most_iterations(network.config)
+        self.network: nn.Module = network  # type: ignore[assignment]
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
@@ -57,7 +57,7 @@ class ScaleFreeTask:
     ) -> tuple[Estimate | None, Grid]:
         """The estimate after 0 to `looks` - 1 looks (None after 0), without gradients, and the grid of the next."""
         last = None
-        earlier = int(torch.randint(self.config.looks, (), generator=generator))
+        earlier = int(torch.randint(self.iterations, (), generator=generator))
         for _ in range(earlier):
             with torch.no_grad():
                 last = self.network(rgb, log_sparse, trust, last, _draw_grid(generator))
@@ -71,8 +71,8 @@ class ScaleFreeTask:
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            looks = min(MOST_LOOKS, self.config.looks)
-            estimate = look_again(network.look, network.look, picture_inputs(rgb), log_sparse, trust, looks)
+            looks = min(MOST_LOOKS, self.iterations)
+            estimate = look_again(network.iterate, network.iterate, network.prepare(rgb), log_sparse, trust, looks)
             return torch.exp(estimate.log_depth) * median
 
 
@@ -88,9 +88,9 @@ class PaperTask:
     zero is not judged by how fast it learns the number 25.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, network: nn.Module) -> None:
         self.config = config
-        self.network: nn.Module = build_model(config.model, config.size)
+        self.network = network
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
@@ -110,6 +110,10 @@ class PaperTask:
             return network(rgb, sparse / self.config.unit_mm, lens).float()
 
 
-def make_task(config: TrainConfig) -> ScaleFreeTask | PaperTask:
-    """The task that a configuration names."""
-    return ScaleFreeTask(config) if config.model == "scale-free" else PaperTask(config)
+def make_task(config: TrainConfig) -> Task:
+    """The task of the network that a configuration names, which is built from torch's current seed."""
+    entry = find_entry(config.model)
+    if entry.is_metric:
+        return PaperTask(config, build_model(config.model, config.size))
+    options = {name: getattr(config, name) for name in ("width", "anchor", "looks") if name in entry.options()}
+    return SfmTask(config, build_model(config.model, **options))

@@ -33,6 +33,7 @@ from completion.networks.checkpoint import (
     save_network,
     save_tensors,
 )
+from completion.networks.registry import canonical_name, find_entry
 from completion.training.config import TrainConfig
 from completion.training.distributed import Team
 from completion.training.graceful_interrupt import Interruption
@@ -77,6 +78,7 @@ class Run:
             return
         tensors, metadata = load_tensors(self.checkpoint)
         before, now = metadata["config"], self._identity()
+        before["model"] = canonical_name(before["model"])
         if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
             raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
         for name, module in (("network.", self.task.network), ("average.", self.average)):
@@ -86,7 +88,7 @@ class Run:
 
     def _identity(self) -> dict[str, object]:
         settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
-        return json.loads(settings) | {"processes": self.team.size}
+        return json.loads(settings) | {"model": canonical_name(self.config.model), "processes": self.team.size}
 
 
 def _start_from(path: Path, network: nn.Module) -> None:
@@ -219,5 +221,5 @@ def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
         training, held_out = shard.split()
         if len(training) < config.batch or not len(held_out):
             raise CompletionError(f"{folder} has {len(training)} frames to train on: fewer than a batch")
-        if config.model == "gaenet" and shard.lenses is None:
-            raise CompletionError(f"{folder} has no intrinsics.npy, which gaenet needs")
+        if find_entry(config.model).needs_intrinsics and shard.lenses is None:
+            raise CompletionError(f"{folder} has no intrinsics.npy, which {config.model} needs")

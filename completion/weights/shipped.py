@@ -20,11 +20,12 @@ def resolve_weights(model: str | Path) -> Path:
 def check_weights(model: str | Path, looks: int | None = None) -> None:
     """Refuse a model that cannot be loaded, or cannot look so often, before any work is done; reads the file's header
     only."""
-    from completion.networks.checkpoint import read_metadata
+    from completion.networks.checkpoint import read_config
+    from completion.networks.protocol import most_iterations
 
-    about = read_metadata(resolve_weights(model))
+    config = read_config(resolve_weights(model))
     if looks is not None:
-        check_looks(looks, about.get("config", {}).get("looks", 1))
+        check_looks(looks, most_iterations(config))
 
 
 def check_looks(looks: int, trained: int) -> None:

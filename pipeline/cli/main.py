@@ -157,7 +157,9 @@ def evaluate(
 def train(
     shards: Annotated[list[Path], typer.Argument(help="folders made by haustra phantom --training")],
     out: Annotated[Path, typer.Option(help="weights.safetensors; OUT.checkpoint beside it")],
-    model: Annotated[str | None, typer.Option(help="scale-free (ours) or a name of networks/registry.py")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="mscsa-sfm (ours, for SfM points) or another name of networks/registry.py")
+    ] = None,
     preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
     size: Annotated[str | None, typer.Option(help="paper or small, of the networks of networks/registry.py")] = None,
     steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,

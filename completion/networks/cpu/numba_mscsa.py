@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from completion.networks.cpu.numba_normalized_conv import LinearConfidence, rows
-from completion.networks.mscsa_sfm import LEAST_TRUST, LOG_ERROR_RANGE, STRIDE, Anchor, ScaleFreeMSCSANet, Steps, double
+from completion.networks.mscsa_sfm_kernels import (
+    LEAST_TRUST,
+    LOG_ERROR_RANGE,
+    STRIDE,
+    Anchor,
+    Steps,
+    double,
+    image_inputs,
+)
 from haustra.core.numba_cache import compiled
 
 # What the loops take of other files they are given: a change there would not compile them anew.
@@ -22,14 +30,6 @@ GUARD = np.float32(LEAST_TRUST)
 ERROR_BOUNDS = np.array(LOG_ERROR_RANGE, np.float32)
 LEVELS = torch.arange(256) / 255  # of a channel in 8 bits
 TABLES = torch.stack([*3 * [LEVELS - 0.5], torch.log(LEVELS + 1 / 255)]).numpy()  # red, green, blue and brightness
-
-
-def compile_look(network: ScaleFreeMSCSANet) -> None:
-    """Put these in place of the network's own, in place."""
-    network.msc = LinearConfidence(network.msc)
-    network.steps = Steps(halved_points, own_inputs, unfolded)
-    if network.anchor is not None:
-        network.anchor = CompiledAnchor(network.anchor)
 
 
 class CompiledAnchor(nn.Module):
@@ -50,8 +50,13 @@ class CompiledAnchor(nn.Module):
         return double(torch.sigmoid(gate) * correction)
 
 
-def picture_planes(rgb: NDArray[np.uint8]) -> Tensor:
-    """`picture_inputs` of pictures (B,H,W,3) in 8 bits."""
+def folded_image(rgb: Tensor) -> Tensor:
+    """`image_inputs`, by tables for 8-bit images (B,3,H,W)."""
+    return image_planes(rgb.permute(0, 2, 3, 1).numpy()) if rgb.dtype == torch.uint8 else image_inputs(rgb)
+
+
+def image_planes(rgb: NDArray[np.uint8]) -> Tensor:
+    """`image_inputs` of images (B,H,W,3)."""
     around = [(0, 0), *((0, -side % STRIDE) for side in rgb.shape[1:3])]
     planes = [[*cv2.split(frame), np.maximum.reduce(cv2.split(frame))] for frame in rgb]
     padded = np.pad(planes, [*around[:1], (0, 0), *around[1:]], mode="edge")
@@ -68,7 +73,7 @@ def halved_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
-    """`scale_free.own_inputs`."""
+    """`mscsa_sfm_kernels.own_inputs`."""
     batch, _, height, width = log_depth.shape
     channels = torch.empty(batch, 5, height // 2, width // 2)
     share = np.float32(-1 / (4 * LOG_ERROR_RANGE[0]))
@@ -82,6 +87,9 @@ def unfolded(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
     given = np.ascontiguousarray(out.permute(0, 2, 3, 1).numpy())
     fill_unfolded(given, rows(whole_spread), ERROR_BOUNDS, log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
     return log_depth, log_error
+
+
+COMPILED = Steps(folded_image, halved_points, own_inputs, unfolded)
 
 
 def _halves(image: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,1 +1,1 @@
-"""The networks that the paper compares with MSCSA-Net: Sparse-to-Dense, NLSPN and GAENet, from their papers and codes."""
+"""The networks that the paper compares with MSCSA-Net: Sparse-to-Dense, NLSPN, GAENet; each a row of the registry."""

@@ -6,7 +6,7 @@ the affinity-weighted mean of its neighbours. The released code calls a CUDA ker
 for a step; here a step is one bilinear `grid_sample` of all eight neighbours.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -142,9 +142,6 @@ class NLSPNConfig:
             raise CompletionError(f"NLSPN's base width must be a multiple of 4, got {self.base}")
         if self.affinity not in ("AS", "ASS", "TC", "TGASS"):
             raise CompletionError(f"NLSPN has no affinity '{self.affinity}'")
-
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
 
 
 class NLSPN(nn.Module):

@@ -5,7 +5,7 @@ upsampling stages that halve them again, and a 3x3 convolution; the last factor 
 activation on the output. The first convolution and, here, everything else starts from scratch.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -89,9 +89,6 @@ class StDConfig:
             raise CompletionError(f"StD's base width must be a multiple of 4, got {self.base}")
         if self.decoder not in ("upproj", "upconv", "deconv2", "deconv3"):
             raise CompletionError(f"StD has no decoder '{self.decoder}'")
-
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
 
 
 class StDNet(nn.Module):

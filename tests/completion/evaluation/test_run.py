@@ -15,7 +15,8 @@ from completion.data.sampling_benchmark import features, like_sfm, uniform
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.predictors import load_predictor
 from completion.evaluation.run import Outputs, evaluate, protocol_of
-from completion.inference.completer import choose_device, choose_precision
+from completion.inference.completer import choose_device
+from completion.networks.precision import choose_precision
 from haustra.core.errors import CompletionError
 from haustra.core.progress import SilentProgress
 from haustra.phantom.config import EventsConfig

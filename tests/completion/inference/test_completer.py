@@ -14,7 +14,8 @@ from completion.inference.onnx_export import AGAIN, DESCRIPTION, LAST, export_on
 from completion.networks.channel_attention import attention_features
 from completion.networks.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.networks.mscsa import DoubleConv
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
+from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.networks.mscsa_sfm_kernels import halve_points
 from completion.networks.recurrent_norm import fold_batch_norm
 from completion.networks.registry import build_model
 from haustra.core.errors import CompletionError

@@ -53,9 +53,9 @@ def test_each_frame_of_a_batch_is_completed_at_its_own_size(network):
             np.testing.assert_allclose(mixed[index], fixed(rgb[index], sparse[index])[0], rtol=1e-3)
 
 
-def noting_size(look, seen, picture_inputs, log_sparse, *rest):
+def noting_size(iterate, seen, image, log_sparse, *rest):
     seen.append(log_sparse.shape[2:])
-    return look(picture_inputs, log_sparse, *rest)
+    return iterate(image, log_sparse, *rest)
 
 
 @pytest.mark.parametrize(("side", "points", "expected"), [(100, 300, (100, 80)), (None, 1000, (448, 358))])
@@ -65,8 +65,8 @@ def test_a_picture_is_completed_at_the_working_size_and_comes_back_in_its_own(
     rgb, sparse = picture(points)
     completer = DepthCompleter(network, precision="fp32", working_side=side)
     seen = []
-    for made in (completer.network, completer.later):
-        monkeypatch.setattr(made, "look", partial(noting_size, made.look, seen))
+    for made in (completer.network, completer.recurrent):
+        monkeypatch.setattr(made, "iterate", partial(noting_size, made.iterate, seen))
     depth, confidence = completer(rgb, sparse)
     assert seen == [expected, expected]
     assert depth.shape == confidence.shape == (400, 320)

@@ -10,10 +10,11 @@ from completion import DepthCompleter
 from completion.confidence import error_from_confidence
 from completion.inference.completer import load_scale_free
 from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
-from completion.networks.recurrence import Estimate, Grid, look_again, with_own_points
+from completion.networks.protocol import Estimate, Grid
+from completion.networks.recurrence import look_again, with_own_points
 from completion.networks.recurrent_norm import fold_batch_norm
 from completion.training.config import make_config
-from completion.training.tasks import ScaleFreeTask
+from completion.training.tasks import make_task
 from haustra.core.errors import CompletionError
 
 
@@ -178,7 +179,7 @@ def test_weights_without_statistics_of_later_looks_are_refused():
 
 
 def test_training_draws_how_many_looks_came_before_and_does_not_train_through_them():
-    task = ScaleFreeTask(make_config(shards=("none",), out="none", width=4))
+    task = make_task(make_config(shards=("none",), out="none", width=4))
     calls = []
     task.network.register_forward_hook(lambda *call: calls.append(call))
     inputs = some_points(2)
@@ -202,7 +203,7 @@ def test_training_draws_how_many_looks_came_before_and_does_not_train_through_th
 def test_the_look_that_is_judged_trains_every_parameter_whatever_came_before():
     """The earlier looks run without gradients in the same autocast, which keeps converted weights."""
     torch.manual_seed(0)
-    task = ScaleFreeTask(make_config(shards=("none",), out="none", width=4))
+    task = make_task(make_config(shards=("none",), out="none", width=4))
     rgb, _, _ = some_points(5)
     depth = 20 + 10 * torch.rand(1, 1, 64, 96)
     for seed in range(4):
@@ -220,7 +221,7 @@ def test_two_looks_of_the_completer_are_not_one_and_neither_touches_the_scale():
     assert np.abs(np.log(once(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     np.testing.assert_allclose(twice(rgb, 7 * sparse)[0], 7 * twice(rgb, sparse)[0], rtol=1e-4)
     both_first = DepthCompleter(network, precision="fp32", looks=2)
-    both_first.later = both_first.network
+    both_first.recurrent = both_first.network
     assert np.abs(np.log(both_first(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     with pytest.raises(CompletionError, match="at least 1"):
         DepthCompleter(network, looks=0)

@@ -16,9 +16,8 @@ from scipy.signal import correlate
 from torch import nn
 
 from completion import DepthCompleter
-from completion.inference import completer as infer
-from completion.inference.completer import choose_precision, load_scale_free
-from completion.networks import mscsa_sfm as scale_free
+from completion.inference.completer import load_scale_free
+from completion.networks import precision as formats
 from completion.networks.cpu.int8_resize import beside_doubled
 from completion.networks.cpu.int8_unet import (
     PARTS,
@@ -28,7 +27,9 @@ from completion.networks.cpu.int8_unet import (
     channel_reaches,
 )
 from completion.networks.mscsa import UNet
-from completion.networks.mscsa_sfm import SPREAD
+from completion.networks.mscsa_sfm_kernels import REACHES as INPUT_REACHES
+from completion.networks.mscsa_sfm_kernels import SPREAD
+from completion.networks.precision import choose_precision
 from completion.networks.recurrent_norm import fold_batch_norm
 from haustra.core.errors import CompletionError
 
@@ -252,7 +253,7 @@ def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
     sparse = np.where(rng.random((64, 96)) < 0.1, rng.uniform(10, 40, (64, 96)), 0).astype(np.float32)
     completer = DepthCompleter.load("mscsa", precision="int8")
     given = []
-    for network in (completer.network, completer.later):
+    for network in (completer.network, completer.recurrent):
         made = network.unet.joined
         monkeypatch.setattr(
             network.unet, "joined", lambda parts, made=made: given.append((parts, made(parts))) or given[-1][1]
@@ -260,7 +261,7 @@ def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
     completer(rgb, sparse)
     assert len(given) == 2
     for parts, out in given:
-        steps = torch.cat(parts, dim=1)[:, SPREAD] * 127 / scale_free.REACHES[0][SPREAD]
+        steps = torch.cat(parts, dim=1)[:, SPREAD] * 127 / INPUT_REACHES[0][SPREAD]
         held = out.float() - 128
         assert (held[:, SPREAD] - steps).abs().max() > 0.4
         assert (held[:, SPREAD] + held[:, 27] / PARTS - steps).abs().max() < 0.5 / PARTS + 1e-4
@@ -296,11 +297,11 @@ def test_making_it_draws_no_random_number():
 
 def test_without_such_a_processor_the_next_best_is_taken(monkeypatch):
     cpu = torch.device("cpu")
-    monkeypatch.setattr(infer, "can_use_eight_bits", lambda: True)
+    monkeypatch.setattr(formats, "can_use_eight_bits", lambda: True)
     assert [choose_precision(p, cpu) for p in ("auto", "int8", "bf16", "fp32")] == ["int8", "int8", "bf16", "fp32"]
     assert choose_precision("auto", torch.device("cuda")) == "bf16"
-    monkeypatch.setattr(infer, "can_use_eight_bits", lambda: False)
-    monkeypatch.setattr(infer, "has_fast_bfloat16", lambda device: False)
+    monkeypatch.setattr(formats, "can_use_eight_bits", lambda: False)
+    monkeypatch.setattr(formats, "has_fast_bfloat16", lambda device: False)
     assert choose_precision("auto", cpu) == "fp32"
     with pytest.raises(CompletionError, match="VNNI"):
         choose_precision("int8", cpu)

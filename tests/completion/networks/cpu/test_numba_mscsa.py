@@ -9,9 +9,17 @@ from hypothesis import strategies as st
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_scale_free
-from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, own_inputs, picture_planes, unfolded
-from completion.networks.mscsa_sfm import LOG_ERROR_RANGE, REACHES, SPREAD, Anchor, halve_points, picture_inputs, unfold
-from completion.networks.mscsa_sfm import own_inputs as own_inputs_in_torch
+from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, image_planes, own_inputs, unfolded
+from completion.networks.mscsa_sfm_kernels import (
+    LOG_ERROR_RANGE,
+    REACHES,
+    SPREAD,
+    Anchor,
+    halve_points,
+    image_inputs,
+    unfold,
+)
+from completion.networks.mscsa_sfm_kernels import own_inputs as own_inputs_in_torch
 from completion.networks.recurrence import look_again
 from completion.networks.recurrent_norm import fold_batch_norm
 
@@ -52,8 +60,8 @@ def test_what_goes_in_again_and_what_comes_out_is_laid_out_alike(shape, seed):
 @given(st.integers(1, 2), st.integers(1, 70), st.integers(1, 70), st.integers(0, 2**32 - 1))
 def test_pictures_of_any_size_are_folded_alike(batch, height, width, seed):
     rgb = np.random.default_rng(seed).integers(0, 256, (batch, height, width, 3), dtype=np.uint8)
-    expected = picture_inputs(torch.from_numpy(rgb).permute(0, 3, 1, 2).float() / 255)
-    torch.testing.assert_close(picture_planes(rgb), expected, rtol=1e-5, atol=1e-5)
+    expected = image_inputs(torch.from_numpy(rgb).permute(0, 3, 1, 2).float() / 255)
+    torch.testing.assert_close(image_planes(rgb), expected, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5])
@@ -82,11 +90,10 @@ def test_a_frame_is_completed_as_by_the_network_itself():
     completer = DepthCompleter(network, precision="fp32", device="cpu")
     again = fold_batch_norm(network), fold_batch_norm(network, again=True)
     with torch.inference_mode():
-        looks = (folded.look for folded in again)
-        expected = look_again(*looks, completer._picture(rgb), log_sparse, trust, completer.looks)
-        compiled = look_again(
-            completer.network.look, completer.later.look, completer._picture(rgb), log_sparse, trust, 2
-        )
+        image = completer.network.prepare(torch.from_numpy(rgb).permute(0, 3, 1, 2))
+        iterations = (folded.iterate for folded in again)
+        expected = look_again(*iterations, image, log_sparse, trust, completer.looks)
+        compiled = look_again(completer.network.iterate, completer.recurrent.iterate, image, log_sparse, trust, 2)
     for got, exact in zip(compiled, expected, strict=True):
         torch.testing.assert_close(got, exact, rtol=1e-4, atol=1e-4)
     depth = (torch.exp(expected.log_depth) * median)[0, 0].numpy()
@@ -104,7 +111,7 @@ def test_the_unet_is_given_what_the_reaches_are_of(monkeypatch):
     sparse = np.where(rng.random(depth.shape) < 0.02, depth, 0).astype(np.float32)
     completer = DepthCompleter.load("mscsa", precision="fp32", device="cpu")
     given, spreads = [], []
-    for network in (completer.network, completer.later):
+    for network in (completer.network, completer.recurrent):
         joined, spread = network.unet.joined, network.msc.forward
         monkeypatch.setattr(network.unet, "joined", lambda parts, made=joined: given.append(parts) or made(parts))
         monkeypatch.setattr(

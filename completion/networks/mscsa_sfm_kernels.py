@@ -1,0 +1,109 @@
+"""What `ScaleFreeMSCSANet` does around its U-Net: images, points and estimates to half resolution and back.
+
+Plain PyTorch, for training and export; `completion.networks.cpu.numba_mscsa` has the same as compiled loops.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from completion.networks.normalized_conv import MultiScaleConfidence
+from completion.networks.padding import pad_to_multiple
+
+STRIDE = 32  # half resolution, then four halvings of the U-Net and of both confidence pyramids
+LEAST_TRUST = 1e-12  # of a block of pixels, below which the mean of its points tends to zero
+LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
+LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
+INPUTS, OWN_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: of every look, and those of later looks
+# How far those and these go: colours, log brightness, MSC's log depth and confidence, the points'; the last estimate
+# against MSC's, its error, the measured points. In 8 bits what goes further is cut off: of MSC's depth
+# up to a tenth in tubes 150 mm long, where depth was no better with a reach of 3 or 4.
+REACHES = (*12 * [0.5], *4 * [math.log(256)], 2.0, 1.0, 2.0, 1.0), (*4 * [1.0], 1.0, 2.0, 1.0)
+SPREAD = 16  # the channel of MSC's depth, of which 8 bits are too few
+
+
+class Steps(NamedTuple):
+    """What a look does around its U-Net. `numba_mscsa` has the same as compiled loops, for inference on a CPU."""
+
+    image_inputs: Callable[[Tensor], Tensor]
+    halve: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+    own_inputs: Callable[[Tensor, Tensor, Tensor], Tensor]
+    unfold: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
+def image_inputs(rgb: Tensor) -> Tensor:
+    """Image (B,3,H,W), uint8 or float in [0,1] -> colours and log brightness of four pixels each, (B,16,h,w) at half
+    resolution, after padding to a multiple of `STRIDE`."""
+    if rgb.dtype == torch.uint8:
+        rgb = rgb.float() / 255
+    with torch.autocast(rgb.device.type, enabled=False):
+        # A black margin would read as infinitely far: the picture's edge is repeated instead.
+        rgb = pad_to_multiple(rgb.float(), STRIDE, repeat_edge=True)
+        red, green, blue = rgb.split(1, dim=1)
+        # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
+        log_brightness = torch.log(torch.maximum(torch.maximum(red, green), blue) + 1 / 255)
+        return F.pixel_unshuffle(torch.cat([rgb - 0.5, log_brightness], dim=1), 2)
+
+
+def log_of_confidence(confidence: Tensor) -> Tensor:
+    """MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]."""
+    # Not log(c + 1e-8): the ONNX exporter drops an addend that small, and where no point reaches, c is exactly zero.
+    return torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
+
+
+def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
+    """What later looks give the U-Net besides which points were measured: the last estimate against MSC's, (B,1,H,W)
+    all, and its error -> (B,5,H/2,W/2)."""
+    off = F.pixel_unshuffle(log_depth - whole_spread, 2)
+    return torch.cat([off, F.avg_pool2d(log_error, 2) / -LOG_ERROR_RANGE[0]], dim=1)
+
+
+def unfold(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
+    """The U-Net's output (B,9,H/2,W/2) and MSC's estimate (B,1,H,W) -> log depth and log error, (B,1,H,W)."""
+    residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
+    return whole_spread + residual, log_error.clamp(*LOG_ERROR_RANGE)
+
+
+class Anchor(nn.Module):
+    """What points say against a dense estimate, spread from them by a second confidence pyramid.
+
+    A point further off than the estimate's own predicted error allows counts for less (Cauchy's weight): most such
+    points are outliers. The U-Net's gate says where to listen at all.
+    """
+
+    def __init__(self, levels: int) -> None:
+        super().__init__()
+        self.msc = MultiScaleConfidence(levels)
+        self.log_tolerance = nn.Parameter(torch.tensor(1.0))  # in predicted errors; starts at e
+
+    def forward(self, log_depth: Tensor, log_error: Tensor, log_sparse: Tensor, trust: Tensor, gate: Tensor) -> Tensor:
+        """Dense estimate, its log error and the points, all (B,1,H,W), and gate logits at half size -> correction."""
+        with torch.autocast(log_depth.device.type, enabled=False):
+            off = torch.where(trust > 0, log_sparse - log_depth, torch.zeros_like(log_depth))
+            surprise = off * torch.exp(-log_error - self.log_tolerance)
+            correction, _ = self.msc(*halve_points(off, trust / (1 + surprise * surprise)))
+            return double(torch.sigmoid(gate) * correction)
+
+
+def halve_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (B,1,H,W) of even sides at half resolution: trust-weighted mean of each 2x2 block, its greatest trust."""
+    (a, b, c, d), (w, x, y, z) = _quarters(trust), _quarters(values * trust)  # forward twice as fast as pooling
+    most = torch.maximum(torch.maximum(a, b), torch.maximum(c, d))
+    return (w + x + y + z) / (a + b + c + d).clamp_min(LEAST_TRUST), most
+
+
+def _quarters(image: Tensor) -> list[Tensor]:
+    """The four pixels of each 2x2 block, apart."""
+    return [image[..., row::2, column::2] for row in (0, 1) for column in (0, 1)]
+
+
+def double(coarse: Tensor) -> Tensor:
+    """Bilinear upsampling by two."""
+    return F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+PLAIN = Steps(image_inputs, halve_points, own_inputs, unfold)
