@@ -86,8 +86,18 @@ class DepthSettings(Settings):
 
     keyframe_motion: float = Field(0.02, gt=0, description="share of the width that shared points move by")
     min_points: int = Field(12, ge=1, description="fewer sparse points do not fix a frame's depth")
-    looks: PositiveInt | None = Field(None, description="of the model at each frame, no more than it knows; None: 2")
+    iterations: PositiveInt | None = Field(
+        None, description="of the network for each frame, at most as many as it was trained for; None: 2"
+    )
     max_fov_deg: float = Field(120.0, description="deg; a pinhole image wider than this is mostly stretched border")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _reads_former_names(cls, values: Any) -> Any:
+        """`looks`, as earlier releases wrote it into `run.yaml`, is `iterations`."""
+        if not isinstance(values, dict) or "looks" not in values or "iterations" in values:
+            return values
+        return {"iterations" if name == "looks" else name: value for name, value in values.items()}
 
 
 class FusionSettings(Settings):

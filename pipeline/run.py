@@ -37,7 +37,7 @@ def reconstruct(
     config, progress = config or Config(), progress or SilentProgress()
     video = Source(Path(source))
     check_choice(config.camera, video.path)
-    check_weights(config.model, config.depth.looks)
+    check_weights(config.model, config.depth.iterations)
     choose_device(config.device)  # refused now, not after the film has been tracked
     if config.scale_file is not None:
         check_scale_file(Path(config.scale_file))

@@ -2,9 +2,9 @@
 
     python -m benchmarks.speed completion --runs 20 --json completion_speed.json
 
-One 320x320 frame, 100 points, every core; then the default model over image sizes, points, looks and working sizes.
-Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole of
-`DepthCompleter` (exposure, normalisation, confidence). "network alone" is that of one look at 320 px by onnxruntime
+One 320x320 frame, 100 points, every core; then the default model over image sizes, points, iterations and
+working sizes. Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole
+of `DepthCompleter` (exposure, normalisation, confidence). "network alone" is one iteration at 320 px by onnxruntime
 and, where it is installed, by OpenVINO in both precisions. Each run measures all of them once, in a new order.
 """
 
@@ -102,7 +102,7 @@ def by_openvino(path: Path, inputs: Graph) -> Calls:
 
 
 def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
-    """The default as it is, then over image sizes, points, looks, working sizes and precisions."""
+    """The default as it is, then over image sizes, points, iterations, working sizes and precisions."""
     completer = DepthCompleter.load("mscsa")
     calls: Calls = {"mscsa (default), 320 px, 100 points": partial(completer, rgb, sparse)}
     for size in SIZES:
@@ -110,9 +110,9 @@ def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
     network = load_scale_free("mscsa")
-    for looks, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
-        other = DepthCompleter(network, working_side=side, looks=looks)
-        calls[f"mscsa, {looks} look{'s' * (looks > 1)} at {side} px"] = partial(other, rgb, sparse)
+    for iterations, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
+        other = DepthCompleter(network, working_side=side, iterations=iterations)
+        calls[f"mscsa, {iterations} iteration{'s' * (iterations > 1)} at {side} px"] = partial(other, rgb, sparse)
     for precision in ("int8", "bf16", "fp32"):
         if precision != "int8" or can_use_eight_bits():
             calls[f"mscsa, {precision}"] = partial(DepthCompleter(network, precision=precision), rgb, sparse)

@@ -66,7 +66,7 @@ class Score:
 
 @dataclass(frozen=True)
 class FrameResult(Score):
-    """A score with what is needed to look at it."""
+    """A score with the arrays that it was computed from."""
 
     rgb: NDArray[np.uint8]
     truth: Array

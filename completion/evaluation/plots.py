@@ -64,7 +64,7 @@ def attention_sheet(path: Path, frames: Sequence[tuple[FrameResult, Features, Fe
     for column, (result, *features) in enumerate(frames):
         _image_with_points(axes[0, column], result)
         for row, maps in enumerate(features, start=1):
-            # Each on its own scale: what matters is where the network looks, not by how much the module amplifies.
+            # Each on its own scale: what matters is where features are strong, not by how much the module amplifies.
             axes[row, column].imshow(np.abs(maps).mean(axis=0), cmap="inferno", interpolation="bilinear")
     for row, label in enumerate(("image, points", "before", "after")):
         axes[row, 0].set_ylabel(label)

@@ -1,5 +1,6 @@
 """`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
 
+import warnings
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,8 @@ from completion.inference.resolution import resized, resized_back, working_facto
 from completion.networks.checkpoint import load_network
 from completion.networks.precision import choose_precision
 from completion.networks.protocol import DepthNetwork, most_iterations
-from completion.networks.recurrence import MOST_LOOKS, look_again
-from completion.weights.shipped import check_looks, resolve_weights
+from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
+from completion.weights.shipped import check_iterations, resolve_weights
 from haustra.core.errors import CompletionError
 
 # Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
@@ -35,33 +36,40 @@ class DepthCompleter:
         device: str = "auto",
         precision: str = "auto",
         working_side: int | None = None,
+        iterations: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """`working_side`: px, longer side that every picture is brought to, however small it is; None chooses by looks
-        and points (`completion.inference.resolution`).
+        """working_side: px, longer side to which every image is resized; None chooses by iterations and points
+        (`completion.inference.resolution`).
 
-        `looks`: how often the network completes a frame, each time with its last estimate
-        (`networks.recurrence`), and time grows with it; None: as often as it was trained for, at most `MOST_LOOKS`.
+        iterations: of the network for each frame (`completion.networks.recurrence`), in proportion to which time
+        grows; None: as many as it was trained for, at most `DEFAULT_ITERATIONS`. looks: its former name, deprecated.
         """
+        iterations = renamed_looks(iterations, looks)
         trained = most_iterations(network.config)
-        self.looks = min(MOST_LOOKS, trained) if looks is None else looks
-        if self.looks < 1 or (working_side is not None and working_side < 1):
-            raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
-        check_looks(self.looks, trained)
+        self.iterations = min(DEFAULT_ITERATIONS, trained) if iterations is None else iterations
+        if self.iterations < 1 or (working_side is not None and working_side < 1):
+            raise CompletionError(f"iterations and working_side are at least 1, not {iterations} and {working_side}")
+        check_iterations(self.iterations, trained)
         self.device = choose_device(device)
         self.working_side = working_side
         self.precision = choose_precision(precision, self.device, network.precisions)
         self.network = network.for_device(self.device, self.precision, recurrent=False)
         self.recurrent = self.network
-        if self.looks > 1:
+        if self.iterations > 1:
             self.recurrent = network.for_device(self.device, self.precision, recurrent=True)
 
     @classmethod
     def load(
-        cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto", looks: int | None = None
+        cls,
+        model: str | Path = "mscsa",
+        device: str = "auto",
+        precision: str = "auto",
+        iterations: int | None = None,
+        looks: int | None = None,
     ) -> "DepthCompleter":
         """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
-        return cls(load_scale_free(model), device, precision, looks=looks)
+        return cls(load_scale_free(model), device, precision, iterations=renamed_looks(iterations, looks))
 
     def __call__(
         self,
@@ -103,7 +111,7 @@ class DepthCompleter:
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
         if self.working_side is not None:
             return self.working_side / max(shape)
-        return working_factor(max(shape), points, self.looks)
+        return working_factor(max(shape), points, self.iterations)
 
     def _resized(
         self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
@@ -123,10 +131,17 @@ class DepthCompleter:
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
             image = self.network.prepare(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2))
-            iterations = self.network.iterate, self.recurrent.iterate
-            estimate = look_again(*iterations, image, log_sparse, weights, self.looks)
+            first, recurrent = self.network.iterate, self.recurrent.iterate
+            estimate = refine_iteratively(first, recurrent, image, log_sparse, weights, self.iterations)
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
+
+
+def renamed_looks(iterations: int | None, looks: int | None) -> int | None:
+    """The iterations asked for, by that name or by the one of earlier releases."""
+    if looks is not None:
+        warnings.warn("looks= is now iterations=, and will be refused", DeprecationWarning, stacklevel=3)
+    return looks if iterations is None else iterations
 
 
 def load_scale_free(model: str | Path) -> DepthNetwork:

@@ -26,13 +26,15 @@ DESCRIPTION = (
     "relative error that is expected. A picture that is completed at another size is resized before, points by (p +"
     " 0.5) * factor."
 )
-AGAIN = " To look again, run the graph exported for that: as last_log_depth and last_log_error it takes what came out."
+RECURRENT_USE = (
+    " For a further iteration run the recurrent graph: its last_log_depth and last_log_error are these outputs."
+)
 
 
-def export_onnx(network: DepthNetwork, path: Path, side: int, again: bool = False) -> Path:
+def export_onnx(network: DepthNetwork, path: Path, side: int, recurrent: bool = False) -> Path:
     """Write a graph for square images of `side` px; CompletionError without the onnx packages or for another side.
 
-    `again`: the graph of looks after the first; CompletionError if the network was trained to look once.
+    `recurrent`: the graph of iterations after the first; CompletionError if the network was trained for one iteration.
     """
     if side <= 0 or side % network.stride:
         raise CompletionError(f"the image side must be a multiple of {network.stride} px, not {side}")
@@ -41,18 +43,18 @@ def export_onnx(network: DepthNetwork, path: Path, side: int, again: bool = Fals
         import onnxscript  # noqa: F401
     except ImportError:
         raise CompletionError("exporting to ONNX needs further packages: pip install 'haustra[onnx]'") from None
-    folded = network.folded(again)
+    folded = network.folded(recurrent)
 
     def inputs_of(make: Callable[[int], Any]) -> tuple[Any, ...]:
         """What `make` gives for the channels of each input."""
-        last = (Estimate(make(1), make(1)),) if again else ()
+        last = (Estimate(make(1), make(1)),) if recurrent else ()
         return (make(3), make(1), make(1), *last)
 
     batch = torch.export.Dim("batch")
     program = torch.onnx.export(
         folded,
         inputs_of(lambda channels: torch.zeros(2, channels, side, side)),
-        input_names=[*INPUTS, *(LAST if again else ())],
+        input_names=[*INPUTS, *(LAST if recurrent else ())],
         output_names=list(OUTPUTS),
         dynamic_shapes=inputs_of(lambda channels: {0: batch}),
         dynamo=True,
@@ -60,6 +62,6 @@ def export_onnx(network: DepthNetwork, path: Path, side: int, again: bool = Fals
     )
     assert program is not None
     model = program.model_proto
-    model.doc_string = DESCRIPTION + AGAIN * (most_iterations(network.config) > 1)
+    model.doc_string = DESCRIPTION + RECURRENT_USE * (most_iterations(network.config) > 1)
     onnx.save(model, path)
     return path

@@ -13,14 +13,17 @@ Image = NDArray[np.float32]
 Frame = tuple[NDArray[np.uint8], Image, Image]  # rgb (H,W,3), sparse depth and trust (H,W)
 
 SIDE = 320  # px, longer side; the weights were trained on images of 192 to 320 px
-SIDE_FOR_MANY, MANY_POINTS = 448, 600  # where it looks more than once; with one look a second would be worth more
+SIDE_FOR_MANY, MANY_POINTS = (
+    448,
+    600,
+)  # px and points, with more than one iteration; with a single one, a second would be worth more
 MOST_ENLARGED = 1.5
 EDGE = 1.2  # ratio of depths within 3x3 pixels from which a resized depth keeps an edge there instead of a slope
 
 
-def working_factor(side: int, points: int, looks: int) -> float:
+def working_factor(side: int, points: int, iterations: int) -> float:
     """Factor by which a picture of longer side `side` px is resized for its completion."""
-    if looks > 1 and points >= MANY_POINTS:
+    if iterations > 1 and points >= MANY_POINTS:
         return min(SIDE_FOR_MANY / side, MOST_ENLARGED)
     return min(SIDE / side, 1.0)
 

@@ -33,7 +33,7 @@ from completion.networks.padding import pad_to_multiple
 from completion.networks.precision import PRECISIONS, has_fast_bfloat16
 from completion.networks.protocol import GRID, Estimate, Grid
 from completion.networks.recurrence import with_own_points
-from completion.networks.recurrent_norm import fold_batch_norm, give_looks, set_look
+from completion.networks.recurrent_norm import add_recurrent_norm, fold_batch_norm, set_recurrent
 from haustra.core.errors import CompletionError
 
 
@@ -44,12 +44,12 @@ class ScaleFreeConfig:
     width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
     msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
     anchor: bool = True
-    looks: int = 1  # most looks that it was trained for, see completion.feedback; more than one adds input channels
+    iterations: int = 1  # most that it was trained for; with more than one the U-Net has more input channels
 
     def __post_init__(self) -> None:
-        if not 1 <= self.msc_levels <= 4 or self.width < 1 or self.looks < 1:
-            sizes = f"{self.width}, {self.looks} and {self.msc_levels}"
-            raise CompletionError(f"width and looks must be positive and msc_levels 1 to 4, got {sizes}")
+        if not 1 <= self.msc_levels <= 4 or self.width < 1 or self.iterations < 1:
+            sizes = f"{self.width}, {self.iterations} and {self.msc_levels}"
+            raise CompletionError(f"width and iterations must be positive and msc_levels 1 to 4, got {sizes}")
 
 
 class ScaleFreeMSCSANet(nn.Module):
@@ -58,8 +58,8 @@ class ScaleFreeMSCSANet(nn.Module):
     log depth = MSC's dense estimate + the U-Net's residual + what the points still say against their sum. The second
     output is log b, the scale of a Laplace distribution over the log-depth error, so b reads as a relative error.
 
-    Trained for several looks it takes its last estimate too. MSC then starts from that; the U-Net is told which points
-    were measured; and only those correct the sum.
+    Trained for several iterations it takes its last estimate too. MSC then starts from that estimate, the U-Net has
+    channels of the measured points alone, and only measured points correct the sum.
     """
 
     precisions = PRECISIONS
@@ -71,10 +71,10 @@ class ScaleFreeMSCSANet(nn.Module):
         self.msc = MultiScaleConfidence(self.config.msc_levels)
         attention = StructureAwareness(similarity="mean", learned_gain=True)
         widths = tuple(factor * self.config.width for factor in (1, 2, 4, 6, 6))
-        inputs = INPUTS + (OWN_INPUTS if self.config.looks > 1 else 0)
+        inputs = INPUTS + (OWN_INPUTS if self.config.iterations > 1 else 0)
         self.unet = UNet(inputs, 4 * 2 + 1, widths, attention)
-        if self.config.looks > 1:
-            give_looks(self.unet)
+        if self.config.iterations > 1:
+            add_recurrent_norm(self.unet)
         self.anchor = Anchor(self.config.msc_levels) if self.config.anchor else None
         self.steps = PLAIN
 
@@ -84,7 +84,7 @@ class ScaleFreeMSCSANet(nn.Module):
         """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
         in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32.
 
-        `last`: what the look before made of the same; `grid`: where that joins the points. CompletionError if the
+        last: the estimate of the iteration before; grid: pixels at which that joins the points. CompletionError if the
         network was not trained for it.
         """
         return self.iterate(self.prepare(rgb), log_sparse, trust, last, grid)
@@ -97,9 +97,9 @@ class ScaleFreeMSCSANet(nn.Module):
         self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: Grid = GRID
     ) -> Estimate:
         """`forward` of an image that `prepare` has folded, which all iterations of a frame have in common."""
-        if last is not None and self.config.looks == 1:
-            raise CompletionError("this network was trained to look once, and cannot take an estimate of its own")
-        set_look(self.unet, last is not None)
+        if last is not None and self.config.iterations == 1:
+            raise CompletionError("this network was trained for one iteration, and cannot take an estimate of its own")
+        set_recurrent(self.unet, last is not None)
         height, width = log_sparse.shape[2:]
         unpadded = log_sparse.float(), trust.float()
         log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in unpadded)
@@ -114,7 +114,7 @@ class ScaleFreeMSCSANet(nn.Module):
             if last is not None:
                 log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
                 channels += [self.steps.own_inputs(log_depth, log_error, whole_spread), *measured]
-            elif self.config.looks > 1:  # zeros, which cost a hundredth to convolve
+            elif self.config.iterations > 1:  # zeros, which cost a hundredth to convolve
                 channels.append(torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1))
         # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
         out = self.unet(self.unet.joined(channels)).float()
@@ -148,7 +148,7 @@ class ScaleFreeMSCSANet(nn.Module):
         half = can_fuse(torch.bfloat16)
         if precision == "int8":
             dtype = torch.bfloat16 if half and has_fast_bfloat16(torch.device("cpu")) else torch.float32
-            reaches = torch.tensor(REACHES[0] + (REACHES[1] if self.config.looks > 1 else ()))
+            reaches = torch.tensor(REACHES[0] + (REACHES[1] if self.config.iterations > 1 else ()))
             self.unet = EightBitUNet(self.unet, channel_reaches(trained), reaches, (SPREAD,), dtype)
         elif precision == "bf16" and half:
             fuse_convolutions(self.unet)  # in float32 it gains little

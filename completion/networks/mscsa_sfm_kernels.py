@@ -18,7 +18,7 @@ STRIDE = 32  # half resolution, then four halvings of the U-Net and of both conf
 LEAST_TRUST = 1e-12  # of a block of pixels, below which the mean of its points tends to zero
 LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
 LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
-INPUTS, OWN_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: of every look, and those of later looks
+INPUTS, OWN_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: all iterations, recurrent ones
 # How far those and these go: colours, log brightness, MSC's log depth and confidence, the points'; the last estimate
 # against MSC's, its error, the measured points. In 8 bits what goes further is cut off: of MSC's depth
 # up to a tenth in tubes 150 mm long, where depth was no better with a reach of 3 or 4.
@@ -27,7 +27,7 @@ SPREAD = 16  # the channel of MSC's depth, of which 8 bits are too few
 
 
 class Steps(NamedTuple):
-    """What a look does around its U-Net. `numba_mscsa` has the same as compiled loops, for inference on a CPU."""
+    """What an iteration does around its U-Net. `numba_mscsa` has the same as compiled loops, for inference on a CPU."""
 
     image_inputs: Callable[[Tensor], Tensor]
     halve: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -56,8 +56,9 @@ def log_of_confidence(confidence: Tensor) -> Tensor:
 
 
 def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
-    """What later looks give the U-Net besides which points were measured: the last estimate against MSC's, (B,1,H,W)
-    all, and its error -> (B,5,H/2,W/2)."""
+    """The last estimate minus MSC's depth, and its error, as the U-Net's channels in recurrent iterations.
+
+    (B,1,H,W) each -> (B,5,H/2,W/2): four pixels' differences, mean log error over its least value."""
     off = F.pixel_unshuffle(log_depth - whole_spread, 2)
     return torch.cat([off, F.avg_pool2d(log_error, 2) / -LOG_ERROR_RANGE[0]], dim=1)
 

@@ -31,8 +31,8 @@ GRID = Grid(9, 4)  # px: some 800 samples of an image of 256 px
 class DepthNetwork(Protocol):
     """Scale-invariant depth completion: image and log sparse depth to an `Estimate`, once or iteratively.
 
-    The class is an `nn.Module`. `config` is a dataclass, saved in the header of weight files; its field `looks`, where
-    it has one, is the greatest number of iterations that the network was trained for, else that is 1.
+    The class is an `nn.Module`. `config` is a dataclass, saved in the header of weight files; its field `iterations`,
+    where it has one, is the greatest number that the network was trained for, else that is 1.
     """
 
     config: Any
@@ -61,4 +61,4 @@ class DepthNetwork(Protocol):
 
 def most_iterations(config: Any) -> int:
     """Iterations that a network of this configuration was trained for, at most."""
-    return getattr(config, "looks", 1)
+    return getattr(config, "iterations", 1)

@@ -57,7 +57,7 @@ def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = 
 # (50 to 130 ms forward and backward at 160 px). Cut: channels everywhere; of NLSPN also 34 layers to 18; of GAENet
 # half of a point's features, since its point map must stay narrower than the first level.
 REGISTRY: dict[str, Entry] = {
-    "mscsa-sfm": Entry(ScaleFreeMSCSANet, ScaleFreeConfig),
+    "mscsa-sfm": Entry(ScaleFreeMSCSANet, ScaleFreeConfig, old_options={"looks": "iterations"}),
     "unet": _mscsa(False, False),
     "unet+sa": _mscsa(False, True),
     "unet+msc": _mscsa(True, False),

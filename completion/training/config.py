@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from completion.networks.registry import find_entry
+from completion.networks.registry import canonical_name, find_entry
 from haustra.core.errors import CompletionError
 
 
@@ -22,7 +22,7 @@ class TrainConfig(BaseModel):
     size: Literal["paper", "small"] = "paper"  # of the metric networks
     width: int = Field(32, gt=0)  # of mscsa-sfm
     anchor: bool = True  # its last stage
-    looks: int = Field(3, gt=0)  # at most; of mscsa-sfm, see completion.networks.recurrence
+    iterations: int = Field(3, gt=0)  # at most; of mscsa-sfm, see completion.networks.recurrence
     init: Path | None = None  # weights to begin with instead of random ones
     seed: int = Field(0, ge=0)
     steps: int = Field(12000, gt=0)
@@ -56,6 +56,13 @@ PAPER: dict[str, Any] = {
     "ema": 0.0,
 }
 PAPER_EPOCHS = 10
+RENAMED = {"looks": "iterations"}  # of checkpoints that earlier releases wrote
+
+
+def with_new_names(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings as a checkpoint has them, in today's names of settings and networks."""
+    renamed = {RENAMED.get(name, name): value for name, value in settings.items()}
+    return renamed | {"model": canonical_name(renamed["model"])}
 
 
 def make_config(preset: str | None = None, **values: Any) -> TrainConfig:

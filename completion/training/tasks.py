@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from completion.data.sampling_training import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
 from completion.networks.protocol import DepthNetwork, Estimate, Grid, most_iterations
-from completion.networks.recurrence import MOST_LOOKS, look_again
+from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
 from completion.training.losses import completion_loss, masked_l1
@@ -48,14 +48,14 @@ class SfmTask:
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
         target = torch.log(depth.clamp_min(1e-3) / median).clamp(-3.9, 3.9)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            last, grid = self._earlier_looks(rgb, log_sparse, trust, generator)
+            last, grid = self._earlier_iterations(rgb, log_sparse, trust, generator)
             log_depth, log_error = self.network(rgb, log_sparse, trust, last, grid)
         return completion_loss(log_depth, log_error, target, valid)
 
-    def _earlier_looks(
+    def _earlier_iterations(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator
     ) -> tuple[Estimate | None, Grid]:
-        """The estimate after 0 to `looks` - 1 looks (None after 0), without gradients, and the grid of the next."""
+        """The estimate after 0 to `iterations` - 1 iterations (None after 0), without gradients; the next's grid."""
         last = None
         earlier = int(torch.randint(self.iterations, (), generator=generator))
         for _ in range(earlier):
@@ -66,13 +66,13 @@ class SfmTask:
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From 100 SfM-like points, in as many looks as it will be used with."""
+        """From 100 SfM-like points, in as many iterations as it will be used with."""
         pattern = SfmPattern(min_points=100, max_points=100, hole_share=0.0)
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            looks = min(MOST_LOOKS, self.iterations)
-            estimate = look_again(network.iterate, network.iterate, network.prepare(rgb), log_sparse, trust, looks)
+            image, iterations = network.prepare(rgb), min(DEFAULT_ITERATIONS, self.iterations)
+            estimate = refine_iteratively(network.iterate, network.iterate, image, log_sparse, trust, iterations)
             return torch.exp(estimate.log_depth) * median
 
 
@@ -115,5 +115,5 @@ def make_task(config: TrainConfig) -> Task:
     entry = find_entry(config.model)
     if entry.is_metric:
         return PaperTask(config, build_model(config.model, config.size))
-    options = {name: getattr(config, name) for name in ("width", "anchor", "looks") if name in entry.options()}
+    options = {name: getattr(config, name) for name in ("width", "anchor", "iterations") if name in entry.options()}
     return SfmTask(config, build_model(config.model, **options))

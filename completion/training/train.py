@@ -33,8 +33,8 @@ from completion.networks.checkpoint import (
     save_network,
     save_tensors,
 )
-from completion.networks.registry import canonical_name, find_entry
-from completion.training.config import TrainConfig
+from completion.networks.registry import find_entry
+from completion.training.config import TrainConfig, with_new_names
 from completion.training.distributed import Team
 from completion.training.graceful_interrupt import Interruption
 from completion.training.log import Say, TrainLog
@@ -77,8 +77,7 @@ class Run:
         if not self.checkpoint.exists():
             return
         tensors, metadata = load_tensors(self.checkpoint)
-        before, now = metadata["config"], self._identity()
-        before["model"] = canonical_name(before["model"])
+        before, now = with_new_names(metadata["config"]), self._identity()
         if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
             raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
         for name, module in (("network.", self.task.network), ("average.", self.average)):
@@ -88,7 +87,7 @@ class Run:
 
     def _identity(self) -> dict[str, object]:
         settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
-        return json.loads(settings) | {"model": canonical_name(self.config.model), "processes": self.team.size}
+        return with_new_names(json.loads(settings)) | {"processes": self.team.size}
 
 
 def _start_from(path: Path, network: nn.Module) -> None:

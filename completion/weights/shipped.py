@@ -17,18 +17,17 @@ def resolve_weights(model: str | Path) -> Path:
     raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(MODELS)}")
 
 
-def check_weights(model: str | Path, looks: int | None = None) -> None:
-    """Refuse a model that cannot be loaded, or cannot look so often, before any work is done; reads the file's header
-    only."""
+def check_weights(model: str | Path, iterations: int | None = None) -> None:
+    """CompletionError for a model that cannot be loaded or was trained for fewer iterations; reads the header only."""
     from completion.networks.checkpoint import read_config
     from completion.networks.protocol import most_iterations
 
     config = read_config(resolve_weights(model))
-    if looks is not None:
-        check_looks(looks, most_iterations(config))
+    if iterations is not None:
+        check_iterations(iterations, most_iterations(config))
 
 
-def check_looks(looks: int, trained: int) -> None:
-    """Refuse more looks than a model was trained for."""
-    if looks > trained:
-        raise CompletionError(f"the model was trained for {trained} looks at most, and {looks} are asked for")
+def check_iterations(iterations: int, trained: int) -> None:
+    """Refuse more iterations than a model was trained for."""
+    if iterations > trained:
+        raise CompletionError(f"the model was trained for {trained} iterations at most, and {iterations} are asked for")

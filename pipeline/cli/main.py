@@ -165,7 +165,12 @@ def train(
     steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
     batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
-    looks: Annotated[int | None, typer.Option(help="most looks at a frame, of ours; 1: no feedback")] = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option(
+            "--iterations", "--looks", help="most per frame, of mscsa-sfm; 1: no recurrence (--looks: deprecated)"
+        ),
+    ] = None,
     learning_rate: Annotated[float | None, typer.Option(help="greatest")] = None,
     warm_up: Annotated[int | None, typer.Option(help="steps until then")] = None,
     seed: Annotated[int | None, typer.Option(help="of weights, order and points")] = None,
@@ -178,7 +183,8 @@ def train(
     from haustra.core.progress import TerminalProgress
 
     given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
-    given |= {"looks": looks, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads, "device": device}
+    given |= {"iterations": iterations, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads}
+    given |= {"device": device}
     config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:
@@ -190,13 +196,16 @@ def onnx(
     out: Annotated[Path, typer.Argument(help="model.onnx")],
     model: Annotated[str, typer.Option(help="mscsa, or a weight file of ours for SfM points")] = "mscsa",
     side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 320,
-    again: Annotated[bool, typer.Option("--again", help="for looks after the first, as the file's text says")] = False,
+    recurrent: Annotated[
+        bool,
+        typer.Option("--recurrent", "--again", help="the graph of iterations after the first (--again: deprecated)"),
+    ] = False,
 ) -> None:
     """Write a completion network for programs without torch."""
     from completion.inference.completer import load_scale_free
     from completion.inference.onnx_export import export_onnx
 
-    print(export_onnx(load_scale_free(model), out, side, again))
+    print(export_onnx(load_scale_free(model), out, side, recurrent))
 
 
 def run_cleanly(command: Callable[[], Any]) -> int:

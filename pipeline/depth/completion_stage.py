@@ -79,7 +79,7 @@ def complete_depth(
     workspace.confidence.mkdir(exist_ok=True)
     for number, part in enumerate(dense):
         write_json(camera_path(workspace, number), part.camera.to_dict())
-    completer = DepthCompleter.load(config.model, config.device, looks=config.depth.looks)
+    completer = DepthCompleter.load(config.model, config.device, iterations=config.depth.iterations)
     total = sum(len(part) for part in dense)
     done, kept = 0, []
     with progress.bar("depth completion", total) as advance:

@@ -1,4 +1,4 @@
-"""What a look of `ScaleFreeMSCSANet` does around its U-Net, for inference on a CPU: the same as compiled loops.
+"""`mscsa_sfm_kernels` as compiled loops, for inference on a CPU.
 
 In PyTorch that is a hundred small operations, each of which passes over the whole frame. Images are float32.
 """

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from completion import DepthCompleter
 from completion.inference.completer import load_scale_free
-from completion.inference.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
+from completion.inference.onnx_export import DESCRIPTION, LAST, RECURRENT_USE, export_onnx
 from completion.networks.channel_attention import attention_features
 from completion.networks.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.networks.mscsa import DoubleConv
@@ -64,7 +64,7 @@ def test_bfloat16_agrees_with_float32_to_the_stated_tolerance(completer, frames)
 
 @pytest.mark.parametrize("factor", [0.013, 7, 1000])
 def test_the_shipped_model_is_scale_equivariant(completer, frames, factor):
-    """To single precision's rounding, both looks; what bfloat16 rounds may fall to the other side."""
+    """To single precision's rounding, both iterations; what bfloat16 rounds may fall to the other side."""
     rgb, sparse = (array[1] for array in frames[:2])
     np.testing.assert_allclose(completer(rgb, factor * sparse)[0], factor * completer(rgb, sparse)[0], rtol=1e-5)
     half = DepthCompleter.load("mscsa", precision="bf16")
@@ -106,7 +106,7 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
     with pytest.raises(CompletionError, match="auto, int8, bf16 or fp32"):
         DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
     for precision in ("fp32", "bf16", "auto"):
-        with pytest.raises(CompletionError, match="folded for one look already"):
+        with pytest.raises(CompletionError, match="folded already"):
             DepthCompleter(DepthCompleter.load("mscsa", precision=precision).network)
 
 
@@ -146,13 +146,13 @@ def test_attention_features_are_what_goes_in_and_comes_out(name):
         torch.testing.assert_close(network.unet.attention(before[None])[0], after)
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, recurrent):
     import onnx
     import onnxruntime
 
-    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, again)
-    assert onnx.load(path).doc_string == DESCRIPTION + AGAIN
+    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, recurrent)
+    assert onnx.load(path).doc_string == DESCRIPTION + RECURRENT_USE
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     network = load_scale_free("mscsa")
     rgb = torch.from_numpy(frames[0][:, :64, :64]).permute(0, 3, 1, 2).float() / 255
@@ -163,7 +163,7 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
         inputs = {"rgb": rgb[:count], "log_sparse": log_sparse[:count], "trust": trust[:count]}
         with torch.inference_mode():
             expected = network(*inputs.values())
-            if again:
+            if recurrent:
                 inputs |= dict(zip(LAST, expected, strict=True))
                 expected = network(rgb[:count], log_sparse[:count], trust[:count], expected)
         got = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
@@ -174,8 +174,8 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
 def test_onnx_refuses_what_it_cannot_do(tmp_path):
     with pytest.raises(CompletionError, match="multiple of 32"):
         export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 100)
-    with pytest.raises(CompletionError, match="look once"):
-        export_onnx(ScaleFreeMSCSANet(ScaleFreeConfig(width=4)), tmp_path / "m.onnx", 64, again=True)
+    with pytest.raises(CompletionError, match="one iteration"):
+        export_onnx(ScaleFreeMSCSANet(ScaleFreeConfig(width=4)), tmp_path / "m.onnx", 64, recurrent=True)
 
 
 def test_the_shipped_header_says_what_was_trained():

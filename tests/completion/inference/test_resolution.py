@@ -26,7 +26,7 @@ def picture(points, height=400, width=320, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("side", "points", "looks", "expected"),
+    ("side", "points", "iterations", "expected"),
     [
         (640, 100, 1, 320),
         (640, 1000, 1, 320),
@@ -39,17 +39,17 @@ def picture(points, height=400, width=320, seed=0):
         (200, 100, 1, 200),
     ],
 )
-def test_the_size_follows_looks_and_points(side, points, looks, expected):
-    assert working_factor(side, points, looks) * side == pytest.approx(expected)
+def test_the_size_follows_iterations_and_points(side, points, iterations, expected):
+    assert working_factor(side, points, iterations) * side == pytest.approx(expected)
 
 
 def test_each_frame_of_a_batch_is_completed_at_its_own_size(network):
     frames = [picture(points) for points in (100, 1000)]
     rgb, sparse = (np.stack(part) for part in zip(*frames, strict=True))
-    for looks, sides in ((1, (320, 320)), (2, (320, 448))):
-        mixed = DepthCompleter(network, precision="fp32", looks=looks).batch(rgb, sparse)[0]
+    for iterations, sides in ((1, (320, 320)), (2, (320, 448))):
+        mixed = DepthCompleter(network, precision="fp32", iterations=iterations).batch(rgb, sparse)[0]
         for index, side in enumerate(sides):
-            fixed = DepthCompleter(network, precision="fp32", working_side=side, looks=looks)
+            fixed = DepthCompleter(network, precision="fp32", working_side=side, iterations=iterations)
             np.testing.assert_allclose(mixed[index], fixed(rgb[index], sparse[index])[0], rtol=1e-3)
 
 

@@ -20,7 +20,7 @@ from completion.networks.mscsa_sfm_kernels import (
     unfold,
 )
 from completion.networks.mscsa_sfm_kernels import own_inputs as own_inputs_in_torch
-from completion.networks.recurrence import look_again
+from completion.networks.recurrence import refine_iteratively
 from completion.networks.recurrent_norm import fold_batch_norm
 
 SIDES = st.tuples(st.integers(1, 2), st.just(1), *2 * [st.integers(1, 9).map(lambda half: 2 * half)])
@@ -79,7 +79,7 @@ def test_an_anchor_hears_the_same_points(share):
 
 
 def test_a_frame_is_completed_as_by_the_network_itself():
-    """Both looks, in single precision, at a size that must be padded."""
+    """Both iterations, in single precision, at a size that must be padded."""
     rng = np.random.default_rng(2)
     rgb = rng.integers(20, 236, (1, 90, 120, 3), dtype=np.uint8)
     rgb = (rgb * (130 / rgb.max(axis=3).mean())).clip(0, 255).astype(np.uint8)
@@ -88,12 +88,14 @@ def test_a_frame_is_completed_as_by_the_network_itself():
     log_sparse, median = normalise_log(torch.from_numpy(sparse)[:, None])
     trust = (torch.from_numpy(sparse)[:, None] > 0).float()
     completer = DepthCompleter(network, precision="fp32", device="cpu")
-    again = fold_batch_norm(network), fold_batch_norm(network, again=True)
+    again = fold_batch_norm(network), fold_batch_norm(network, recurrent=True)
     with torch.inference_mode():
         image = completer.network.prepare(torch.from_numpy(rgb).permute(0, 3, 1, 2))
         iterations = (folded.iterate for folded in again)
-        expected = look_again(*iterations, image, log_sparse, trust, completer.looks)
-        compiled = look_again(completer.network.iterate, completer.recurrent.iterate, image, log_sparse, trust, 2)
+        expected = refine_iteratively(*iterations, image, log_sparse, trust, completer.iterations)
+        compiled = refine_iteratively(
+            completer.network.iterate, completer.recurrent.iterate, image, log_sparse, trust, 2
+        )
     for got, exact in zip(compiled, expected, strict=True):
         torch.testing.assert_close(got, exact, rtol=1e-4, atol=1e-4)
     depth = (torch.exp(expected.log_depth) * median)[0, 0].numpy()
@@ -124,7 +126,7 @@ def test_the_unet_is_given_what_the_reaches_are_of(monkeypatch):
         assert torch.equal(channels[:, SPREAD : SPREAD + 1], spread)
         largest = channels.abs().amax(dim=(0, 2, 3))
         assert (largest <= reaches * 1.001).all()
-    used = largest > 0.1 * reaches  # by the later look
+    used = largest > 0.1 * reaches  # by the recurrent iteration
     assert used[[0, 4, 8, 12, SPREAD, 17, 18, 19, 24, 25, 26]].all()
     trusts = torch.stack([channels[:, 19], channels[:, 26]])
     assert (trusts.amin(), trusts.amax()) == (0, 1)
