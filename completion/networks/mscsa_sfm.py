@@ -31,8 +31,8 @@ from completion.networks.mscsa_sfm_kernels import (
 from completion.networks.normalized_conv import MultiScaleConfidence
 from completion.networks.padding import pad_to_multiple
 from completion.networks.precision import PRECISIONS, has_fast_bfloat16
-from completion.networks.protocol import GRID, Estimate, Grid
-from completion.networks.recurrence import with_own_points
+from completion.networks.protocol import GRID, Estimate, SampleGrid
+from completion.networks.recurrence import self_conditioned_input
 from completion.networks.recurrent_norm import add_recurrent_norm, fold_batch_norm, set_recurrent
 from haustra.core.errors import CompletionError
 
@@ -79,7 +79,7 @@ class ScaleFreeMSCSANet(nn.Module):
         self.steps = PLAIN
 
     def forward(
-        self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: Grid = GRID
+        self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: SampleGrid = GRID
     ) -> Estimate:
         """rgb (B,3,H,W) in [0,1]; log_sparse (B,1,H,W) = log(depth / median), 0 where trust is 0; trust (B,1,H,W)
         in [0,1], 0 = no point -> log(depth / median) and log b, both (B,1,H,W) float32.
@@ -94,7 +94,7 @@ class ScaleFreeMSCSANet(nn.Module):
         return self.steps.image_inputs(rgb)
 
     def iterate(
-        self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: Grid = GRID
+        self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: SampleGrid = GRID
     ) -> Estimate:
         """`forward` of an image that `prepare` has folded, which all iterations of a frame have in common."""
         if last is not None and self.config.iterations == 1:
@@ -106,7 +106,7 @@ class ScaleFreeMSCSANet(nn.Module):
         with torch.autocast(image.device.type, enabled=False):
             points = measured = self.steps.halve(log_sparse, trust)
             if last is not None:  # its points join before padding, since the margin has none
-                joined = with_own_points(*unpadded, last, grid)
+                joined = self_conditioned_input(*unpadded, last, grid)
                 points = self.steps.halve(*(pad_to_multiple(x, STRIDE) for x in joined))
             spread, confidence = self.msc(*points)
             whole_spread = double(spread)

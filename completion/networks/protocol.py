@@ -17,14 +17,14 @@ class Estimate(NamedTuple):
     log_error: Tensor
 
 
-class Grid(NamedTuple):
+class SampleGrid(NamedTuple):
     """Every `step`-th row and column of pixels from `first` on, 0 <= first < step."""
 
     step: int
     first: int
 
 
-GRID = Grid(9, 4)  # px: some 800 samples of an image of 256 px
+GRID = SampleGrid(9, 4)  # px: some 800 samples of an image of 256 px
 
 
 @runtime_checkable
@@ -43,7 +43,7 @@ class DepthNetwork(Protocol):
         """Image (B,3,H,W), uint8 or float in [0,1] -> what `iterate` takes of it, once for all iterations."""
 
     def iterate(
-        self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: Grid = GRID
+        self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: SampleGrid = GRID
     ) -> Estimate:
         """One iteration. image: of `prepare`; log_sparse (B,1,H,W) = log(depth / median), 0 where there is no point;
         trust (B,1,H,W) in [0,1], 0 = no point; last: the iteration before's estimate, None in the first.

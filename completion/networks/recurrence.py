@@ -13,13 +13,15 @@ import torch
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
-from completion.networks.protocol import Estimate, Grid
+from completion.networks.protocol import Estimate, SampleGrid
 
 Iterate = Callable[[Tensor, Tensor, Tensor, Estimate | None], Estimate]
 DEFAULT_ITERATIONS = 2  # a third lowers the error by 3 % at most and costs as much time again
 
 
-def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Grid) -> tuple[Tensor, Tensor]:
+def self_conditioned_input(
+    log_sparse: Tensor, trust: Tensor, last: Estimate, grid: SampleGrid
+) -> tuple[Tensor, Tensor]:
     """Log sparse depth and trust (B,1,H,W) -> both with the last iteration's estimate at the grid's pixels added.
 
     Measured points stay as they are; the estimate's trust is that of a measured point of its predicted error.

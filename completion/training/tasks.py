@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from completion.data.sampling_training import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
-from completion.networks.protocol import DepthNetwork, Estimate, Grid, most_iterations
+from completion.networks.protocol import DepthNetwork, Estimate, SampleGrid, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
@@ -54,7 +54,7 @@ class SfmTask:
 
     def _earlier_iterations(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator
-    ) -> tuple[Estimate | None, Grid]:
+    ) -> tuple[Estimate | None, SampleGrid]:
         """The estimate after 0 to `iterations` - 1 iterations (None after 0), without gradients; the next's grid."""
         last = None
         earlier = int(torch.randint(self.iterations, (), generator=generator))
@@ -76,9 +76,9 @@ class SfmTask:
             return torch.exp(estimate.log_depth) * median
 
 
-def _draw_grid(generator: torch.Generator) -> Grid:
+def _draw_grid(generator: torch.Generator) -> SampleGrid:
     step = int(torch.randint(*GRID_STEPS, (), generator=generator))
-    return Grid(step, int(torch.randint(step, (), generator=generator)))
+    return SampleGrid(step, int(torch.randint(step, (), generator=generator)))
 
 
 class PaperTask:

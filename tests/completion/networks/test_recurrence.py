@@ -10,8 +10,8 @@ from completion import DepthCompleter
 from completion.confidence import error_from_confidence
 from completion.inference.completer import load_scale_free
 from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
-from completion.networks.protocol import Estimate, Grid
-from completion.networks.recurrence import refine_iteratively, with_own_points
+from completion.networks.protocol import Estimate, SampleGrid
+from completion.networks.recurrence import refine_iteratively, self_conditioned_input
 from completion.networks.recurrent_norm import fold_batch_norm
 from completion.training.config import make_config
 from completion.training.tasks import make_task
@@ -47,7 +47,7 @@ def test_own_points_are_the_estimate_on_a_grid_and_measured_ones_stay(seed, step
     rng = np.random.default_rng(seed)
     estimate, log_error = rng.normal(size=(2, 64, 96)).astype(np.float32)
     points, weights, *last = (torch.from_numpy(x)[None, None] for x in (log_sparse, trust, estimate, log_error))
-    got = with_own_points(points, weights, Estimate(*last), Grid(step, first))
+    got = self_conditioned_input(points, weights, Estimate(*last), SampleGrid(step, first))
     got, got_trust = (x.numpy()[0, 0] for x in got)
     for row in range(64):
         for column in range(96):
