@@ -19,9 +19,9 @@ from completion.networks.mscsa import UNet
 from completion.networks.mscsa_sfm_kernels import (
     INPUTS,
     LOG_RANGE,
-    OWN_INPUTS,
     PLAIN,
     REACHES,
+    RECURRENT_INPUTS,
     SPREAD,
     STRIDE,
     Anchor,
@@ -71,7 +71,7 @@ class ScaleFreeMSCSANet(nn.Module):
         self.msc = MultiScaleConfidence(self.config.msc_levels)
         attention = StructureAwareness(similarity="mean", learned_gain=True)
         widths = tuple(factor * self.config.width for factor in (1, 2, 4, 6, 6))
-        inputs = INPUTS + (OWN_INPUTS if self.config.iterations > 1 else 0)
+        inputs = INPUTS + (RECURRENT_INPUTS if self.config.iterations > 1 else 0)
         self.unet = UNet(inputs, 4 * 2 + 1, widths, attention)
         if self.config.iterations > 1:
             add_recurrent_norm(self.unet)
@@ -113,9 +113,9 @@ class ScaleFreeMSCSANet(nn.Module):
             channels = [image, spread, log_of_confidence(confidence), *points]
             if last is not None:
                 log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
-                channels += [self.steps.own_inputs(log_depth, log_error, whole_spread), *measured]
+                channels += [self.steps.recurrent_inputs(log_depth, log_error, whole_spread), *measured]
             elif self.config.iterations > 1:  # zeros, which cost a hundredth to convolve
-                channels.append(torch.zeros_like(spread).expand(-1, OWN_INPUTS, -1, -1))
+                channels.append(torch.zeros_like(spread).expand(-1, RECURRENT_INPUTS, -1, -1))
         # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
         out = self.unet(self.unet.joined(channels)).float()
         log_depth, log_error = self.steps.unfold(out, whole_spread)

@@ -18,7 +18,7 @@ STRIDE = 32  # half resolution, then four halvings of the U-Net and of both conf
 LEAST_TRUST = 1e-12  # of a block of pixels, below which the mean of its points tends to zero
 LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
 LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
-INPUTS, OWN_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: all iterations, recurrent ones
+INPUTS, RECURRENT_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: all iterations, recurrent ones
 # How far those and these go: colours, log brightness, MSC's log depth and confidence, the points'; the last estimate
 # against MSC's, its error, the measured points. In 8 bits what goes further is cut off: of MSC's depth
 # up to a tenth in tubes 150 mm long, where depth was no better with a reach of 3 or 4.
@@ -31,7 +31,7 @@ class Steps(NamedTuple):
 
     image_inputs: Callable[[Tensor], Tensor]
     halve: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-    own_inputs: Callable[[Tensor, Tensor, Tensor], Tensor]
+    recurrent_inputs: Callable[[Tensor, Tensor, Tensor], Tensor]
     unfold: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
@@ -55,7 +55,7 @@ def log_of_confidence(confidence: Tensor) -> Tensor:
     return torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
 
 
-def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
+def recurrent_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
     """The last estimate minus MSC's depth, and its error, as the U-Net's channels in recurrent iterations.
 
     (B,1,H,W) each -> (B,5,H/2,W/2): four pixels' differences, mean log error over its least value."""
@@ -107,4 +107,4 @@ def double(coarse: Tensor) -> Tensor:
     return F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)
 
 
-PLAIN = Steps(image_inputs, halve_points, own_inputs, unfold)
+PLAIN = Steps(image_inputs, halve_points, recurrent_inputs, unfold)

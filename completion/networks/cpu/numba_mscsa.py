@@ -72,12 +72,12 @@ def halved_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
     return halves
 
 
-def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
-    """`mscsa_sfm_kernels.own_inputs`."""
+def recurrent_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
+    """`mscsa_sfm_kernels.recurrent_inputs`."""
     batch, _, height, width = log_depth.shape
     channels = torch.empty(batch, 5, height // 2, width // 2)
     share = np.float32(-1 / (4 * LOG_ERROR_RANGE[0]))
-    fill_own_inputs(rows(log_depth), rows(log_error), rows(whole_spread), share, channels.numpy())
+    fill_recurrent_inputs(rows(log_depth), rows(log_error), rows(whole_spread), share, channels.numpy())
     return channels
 
 
@@ -89,7 +89,7 @@ def unfolded(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
     return log_depth, log_error
 
 
-COMPILED = Steps(folded_image, halved_points, own_inputs, unfolded)
+COMPILED = Steps(folded_image, halved_points, recurrent_inputs, unfolded)
 
 
 def _halves(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -138,7 +138,7 @@ def halve_rows(a, b, trust_a, trust_b, guard, mean, most):  # type: ignore[no-un
 
 
 @compiled
-def fill_own_inputs(log_depth, log_error, whole_spread, share, channels):  # type: ignore[no-untyped-def]
+def fill_recurrent_inputs(log_depth, log_error, whole_spread, share, channels):  # type: ignore[no-untyped-def]
     """Differences of each pixel of 2x2 blocks, and `share` of the sum of the block's errors."""
     for frame in range(len(channels)):
         for row in range(channels.shape[2]):

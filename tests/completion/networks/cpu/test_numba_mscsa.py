@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_scale_free
-from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, image_planes, own_inputs, unfolded
+from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, image_planes, recurrent_inputs, unfolded
 from completion.networks.mscsa_sfm_kernels import (
     LOG_ERROR_RANGE,
     REACHES,
@@ -19,7 +19,7 @@ from completion.networks.mscsa_sfm_kernels import (
     image_inputs,
     unfold,
 )
-from completion.networks.mscsa_sfm_kernels import own_inputs as own_inputs_in_torch
+from completion.networks.mscsa_sfm_kernels import recurrent_inputs as recurrent_inputs_in_torch
 from completion.networks.recurrence import refine_iteratively
 from completion.networks.recurrent_norm import fold_batch_norm
 
@@ -46,7 +46,7 @@ def test_what_goes_in_again_and_what_comes_out_is_laid_out_alike(shape, seed):
     torch.manual_seed(seed)
     log_depth, log_error, spread = torch.randn(3, *shape)
     torch.testing.assert_close(
-        own_inputs(log_depth, log_error, spread), own_inputs_in_torch(log_depth, log_error, spread)
+        recurrent_inputs(log_depth, log_error, spread), recurrent_inputs_in_torch(log_depth, log_error, spread)
     )
     out = 3 * torch.randn(shape[0], 9, shape[2] // 2, shape[3] // 2)
     for layout in (out, out.contiguous(memory_format=torch.channels_last)):
