@@ -76,7 +76,7 @@ class ScaleFreeMSCSANet(nn.Module):
         if self.config.iterations > 1:
             add_recurrent_norm(self.unet)
         self.anchor = Anchor(self.config.msc_levels) if self.config.anchor else None
-        self.steps = PLAIN
+        self.kernels = PLAIN
 
     def forward(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: SampleGrid = GRID
@@ -91,7 +91,7 @@ class ScaleFreeMSCSANet(nn.Module):
 
     def prepare(self, rgb: Tensor) -> Tensor:
         """Image (B,3,H,W), uint8 or in [0,1] -> (B,16,h,w), the U-Net's channels of it (`image_inputs`)."""
-        return self.steps.image_inputs(rgb)
+        return self.kernels.image_inputs(rgb)
 
     def iterate(
         self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: SampleGrid = GRID
@@ -104,21 +104,21 @@ class ScaleFreeMSCSANet(nn.Module):
         unpadded = log_sparse.float(), trust.float()
         log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in unpadded)
         with torch.autocast(image.device.type, enabled=False):
-            points = measured = self.steps.halve(log_sparse, trust)
+            points = measured = self.kernels.halve(log_sparse, trust)
             if last is not None:  # its points join before padding, since the margin has none
                 joined = self_conditioned_input(*unpadded, last, grid)
-                points = self.steps.halve(*(pad_to_multiple(x, STRIDE) for x in joined))
+                points = self.kernels.halve(*(pad_to_multiple(x, STRIDE) for x in joined))
             spread, confidence = self.msc(*points)
             whole_spread = double(spread)
             channels = [image, spread, log_of_confidence(confidence), *points]
             if last is not None:
                 log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
-                channels += [self.steps.recurrent_inputs(log_depth, log_error, whole_spread), *measured]
+                channels += [self.kernels.recurrent_inputs(log_depth, log_error, whole_spread), *measured]
             elif self.config.iterations > 1:  # zeros, which cost a hundredth to convolve
                 channels.append(torch.zeros_like(spread).expand(-1, RECURRENT_INPUTS, -1, -1))
         # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
         out = self.unet(self.unet.joined(channels)).float()
-        log_depth, log_error = self.steps.unfold(out, whole_spread)
+        log_depth, log_error = self.kernels.unfold(out, whole_spread)
         if self.anchor is not None:
             log_depth = log_depth + self.anchor(log_depth, log_error, log_sparse, trust, out[:, 8:])
         log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
@@ -142,7 +142,7 @@ class ScaleFreeMSCSANet(nn.Module):
     def _for_cpu(self, precision: str, trained: UNet) -> None:
         """Compiled loops and faster convolutions in place of a folded network's own. `trained`: with its norms."""
         self.msc = LinearConfidence(self.msc)
-        self.steps = COMPILED
+        self.kernels = COMPILED
         if self.anchor is not None:
             self.anchor = CompiledAnchor(self.anchor)
         half = can_fuse(torch.bfloat16)

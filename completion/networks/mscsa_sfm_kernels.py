@@ -26,7 +26,7 @@ REACHES = (*12 * [0.5], *4 * [math.log(256)], 2.0, 1.0, 2.0, 1.0), (*4 * [1.0], 
 SPREAD = 16  # the channel of MSC's depth, of which 8 bits are too few
 
 
-class Steps(NamedTuple):
+class Kernels(NamedTuple):
     """What an iteration does around its U-Net. `numba_mscsa` has the same as compiled loops, for inference on a CPU."""
 
     image_inputs: Callable[[Tensor], Tensor]
@@ -107,4 +107,4 @@ def double(coarse: Tensor) -> Tensor:
     return F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)
 
 
-PLAIN = Steps(image_inputs, halve_points, recurrent_inputs, unfold)
+PLAIN = Kernels(image_inputs, halve_points, recurrent_inputs, unfold)

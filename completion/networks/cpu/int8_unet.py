@@ -130,7 +130,7 @@ class EightBitUNet(nn.Module):
 
 
 def with_rests(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
-    """Steps (in,) of the input, of the rests, and of what fills the last word."""
+    """Kernels (in,) of the input, of the rests, and of what fills the last word."""
     steps = torch.cat([steps, steps[list(fine)] / PARTS])
     return F.pad(steps, (0, -len(steps) % WORD), value=1)
 

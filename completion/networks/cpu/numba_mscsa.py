@@ -19,7 +19,7 @@ from completion.networks.mscsa_sfm_kernels import (
     LOG_ERROR_RANGE,
     STRIDE,
     Anchor,
-    Steps,
+    Kernels,
     double,
     image_inputs,
 )
@@ -89,7 +89,7 @@ def unfolded(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
     return log_depth, log_error
 
 
-COMPILED = Steps(folded_image, halved_points, recurrent_inputs, unfolded)
+COMPILED = Kernels(folded_image, halved_points, recurrent_inputs, unfolded)
 
 
 def _halves(image: Tensor) -> tuple[Tensor, Tensor]:
