@@ -52,7 +52,7 @@ def completers_of(arguments: argparse.Namespace) -> dict[Variant, DepthCompleter
     variants = product(arguments.model or ["mscsa"], sizes, iterations, arguments.precision or ["auto"])
     return {
         (model, size, count, precision): DepthCompleter(
-            load_scale_free(model), precision=precision, working_side=size or None, iterations=count
+            load_scale_free(model), precision=precision, resolution=size or None, iterations=count
         )
         for model, size, count, precision in variants
     }

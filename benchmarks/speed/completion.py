@@ -111,7 +111,7 @@ def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
     network = load_scale_free("mscsa")
     for iterations, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
-        other = DepthCompleter(network, working_side=side, iterations=iterations)
+        other = DepthCompleter(network, resolution=side, iterations=iterations)
         calls[f"mscsa, {iterations} iteration{'s' * (iterations > 1)} at {side} px"] = partial(other, rgb, sparse)
     for precision in ("int8", "bf16", "fp32"):
         if precision != "int8" or can_use_eight_bits():

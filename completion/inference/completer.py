@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from completion.confidence import confidence_from_error
 from completion.data.sampling_training import normalise_log
-from completion.inference.resolution import resized, resized_back, working_factor
+from completion.inference.resolution import resized, resolution_factor, restore_resolution
 from completion.networks.checkpoint import load_network
 from completion.networks.precision import choose_precision
 from completion.networks.protocol import DepthNetwork, most_iterations
@@ -35,11 +35,11 @@ class DepthCompleter:
         network: DepthNetwork,
         device: str = "auto",
         precision: str = "auto",
-        working_side: int | None = None,
+        resolution: int | None = None,
         iterations: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """working_side: px, longer side to which every image is resized; None chooses by iterations and points
+        """resolution: px, longer side to which every image is resized; None chooses by iterations and points
         (`completion.inference.resolution`).
 
         iterations: of the network for each frame (`completion.networks.recurrence`), in proportion to which time
@@ -48,11 +48,11 @@ class DepthCompleter:
         iterations = renamed_looks(iterations, looks)
         trained = most_iterations(network.config)
         self.iterations = min(DEFAULT_ITERATIONS, trained) if iterations is None else iterations
-        if self.iterations < 1 or (working_side is not None and working_side < 1):
-            raise CompletionError(f"iterations and working_side are at least 1, not {iterations} and {working_side}")
+        if self.iterations < 1 or (resolution is not None and resolution < 1):
+            raise CompletionError(f"iterations and resolution are at least 1, not {iterations} and {resolution}")
         check_iterations(self.iterations, trained)
         self.device = choose_device(device)
-        self.working_side = working_side
+        self.resolution = resolution
         self.precision = choose_precision(precision, self.device, network.precisions)
         self.network = network.for_device(self.device, self.precision, recurrent=False)
         self.recurrent = self.network
@@ -109,9 +109,9 @@ class DepthCompleter:
         return depth * known, confidence_from_error(error) * known
 
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
-        if self.working_side is not None:
-            return self.working_side / max(shape)
-        return working_factor(max(shape), points, self.iterations)
+        if self.resolution is not None:
+            return self.resolution / max(shape)
+        return resolution_factor(max(shape), points, self.iterations)
 
     def _resized(
         self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
@@ -120,7 +120,7 @@ class DepthCompleter:
         frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
         depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
         size = (sparse.shape[2], sparse.shape[1])
-        back = [resized_back(d, e, size) for d, e in zip(depth, error, strict=True)]
+        back = [restore_resolution(d, e, size) for d, e in zip(depth, error, strict=True)]
         return np.stack([d for d, _ in back]), np.stack([e for _, e in back])
 
     def _predict(

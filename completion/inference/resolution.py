@@ -21,7 +21,7 @@ MOST_ENLARGED = 1.5
 EDGE = 1.2  # ratio of depths within 3x3 pixels from which a resized depth keeps an edge there instead of a slope
 
 
-def working_factor(side: int, points: int, iterations: int) -> float:
+def resolution_factor(side: int, points: int, iterations: int) -> float:
     """Factor by which a picture of longer side `side` px is resized for its completion."""
     if iterations > 1 and points >= MANY_POINTS:
         return min(SIDE_FOR_MANY / side, MOST_ENLARGED)
@@ -44,7 +44,7 @@ def resized(rgb: NDArray[np.uint8], sparse: Image, trust: Image, factor: float) 
     return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC), new_sparse, new_trust
 
 
-def resized_back(depth: Image, error: Image, size: tuple[int, int]) -> tuple[Image, Image]:
+def restore_resolution(depth: Image, error: Image, size: tuple[int, int]) -> tuple[Image, Image]:
     """Depth and error at `size` (width, height): bilinear, but never a depth between the two sides of an edge, where
     there is no surface."""
     if depth.shape == size[::-1]:

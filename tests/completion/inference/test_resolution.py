@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from completion import DepthCompleter
 from completion.inference.completer import load_scale_free
-from completion.inference.resolution import resized, resized_back, working_factor
+from completion.inference.resolution import resized, resolution_factor, restore_resolution
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def picture(points, height=400, width=320, seed=0):
     ],
 )
 def test_the_size_follows_iterations_and_points(side, points, iterations, expected):
-    assert working_factor(side, points, iterations) * side == pytest.approx(expected)
+    assert resolution_factor(side, points, iterations) * side == pytest.approx(expected)
 
 
 def test_each_frame_of_a_batch_is_completed_at_its_own_size(network):
@@ -49,7 +49,7 @@ def test_each_frame_of_a_batch_is_completed_at_its_own_size(network):
     for iterations, sides in ((1, (320, 320)), (2, (320, 448))):
         mixed = DepthCompleter(network, precision="fp32", iterations=iterations).batch(rgb, sparse)[0]
         for index, side in enumerate(sides):
-            fixed = DepthCompleter(network, precision="fp32", working_side=side, iterations=iterations)
+            fixed = DepthCompleter(network, precision="fp32", resolution=side, iterations=iterations)
             np.testing.assert_allclose(mixed[index], fixed(rgb[index], sparse[index])[0], rtol=1e-3)
 
 
@@ -63,7 +63,7 @@ def test_a_picture_is_completed_at_the_working_size_and_comes_back_in_its_own(
     monkeypatch, network, side, points, expected
 ):
     rgb, sparse = picture(points)
-    completer = DepthCompleter(network, precision="fp32", working_side=side)
+    completer = DepthCompleter(network, precision="fp32", resolution=side)
     seen = []
     for made in (completer.network, completer.recurrent):
         monkeypatch.setattr(made, "iterate", partial(noting_size, made.iterate, seen))
@@ -108,7 +108,7 @@ def test_between_the_two_sides_of_an_edge_no_depth_is_invented(height, width, zo
     depth = np.full((height, width), 20, np.float32)
     depth[:, column:] = 40
     size = round(width * zoom), round(height * zoom)
-    back, _ = resized_back(depth, np.ones_like(depth), size)
+    back, _ = restore_resolution(depth, np.ones_like(depth), size)
     assert back.shape == (size[1], size[0])
     assert set(np.unique(back)) == {20, 40}
     # The edge is where it was, to half a pixel of the one and one of the other.
@@ -119,7 +119,7 @@ def test_between_the_two_sides_of_an_edge_no_depth_is_invented(height, width, zo
 def test_a_slope_comes_back_as_a_slope(size):
     rows, columns = np.mgrid[:30, :40].astype(np.float32)
     plane = 50 + 0.5 * columns + 0.3 * rows
-    back, _ = resized_back(plane, plane, size)
+    back, _ = restore_resolution(plane, plane, size)
     y, x = (np.mgrid[: size[1], : size[0]] + 0.5) * 40 / size[0] - 0.5  # pixel centres in the first picture
     inside = (slice(2, -2), slice(2, -2))
     np.testing.assert_allclose(back[inside], (50 + 0.5 * x + 0.3 * y)[inside], rtol=1e-4)
