@@ -15,7 +15,7 @@ from completion.evaluation.uncertainty import DECILES, Calibration, PixelErrors,
 PICTURES = 6
 
 
-class Tally:
+class Accumulator:
     """Scores of every frame, the calibration's pixels, and whole results of 6 to 12 frames spread evenly.
 
     With `trajectory`, depth maps lie in a temporary file meanwhile: SimCol3D's figures need them a second time.
@@ -28,7 +28,7 @@ class Tally:
         self._every = 1
         self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
 
-    def __enter__(self) -> Tally:
+    def __enter__(self) -> Accumulator:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -49,7 +49,7 @@ class Tally:
             np.save(self._maps, result.prediction, allow_pickle=False)
             np.save(self._maps, result.truth, allow_pickle=False)
 
-    def add_all(self, results: Iterable[FrameResult]) -> Tally:
+    def add_all(self, results: Iterable[FrameResult]) -> Accumulator:
         for result in results:
             self.add(result)
         return self

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.readers import read_evaluation_frames
 from completion.data.sampling_benchmark import SAMPLERS
-from completion.evaluation.accumulator import Tally
+from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import (
     FrameResult,
     Protocol,
@@ -95,14 +95,16 @@ def evaluate(
         for protocol in protocols:
             rows, sights = [], {}
             for model, predictor in predictors.items():
-                with Tally(trajectory=outputs.json is not None) as tally:
-                    unit = _run(folder, kind, predictor, protocol, tally, progress.bar(f"{folder.name} {model}", None))
-                    records.append(_record(folder.name, model, predictor.precision, protocol, tally, unit))
-                rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
-                sights[Path(model).name] = tally.sights()
-                renamed += _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
+                with Accumulator(trajectory=outputs.json is not None) as accumulator:
+                    unit = _run(
+                        folder, kind, predictor, protocol, accumulator, progress.bar(f"{folder.name} {model}", None)
+                    )
+                    records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
+                rows.append((model, paper_row(mean_errors(accumulator.scores, protocol), unit)))
+                sights[Path(model).name] = accumulator.sights()
+                renamed += _write_pictures(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
-            about = ", ".join([f"{len(tally.scores)} frames", str(protocol), *precisions])
+            about = ", ".join([f"{len(accumulator.scores)} frames", str(protocol), *precisions])
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
@@ -120,7 +122,7 @@ def _run(
     kind: str | None,
     predictor: Predictor,
     protocol: Protocol,
-    tally: Tally,
+    accumulator: Accumulator,
     bar: AbstractContextManager[Advance],
 ) -> str:
     """Judge every frame, one in memory at a time; returns the unit of the truth."""
@@ -133,8 +135,8 @@ def _run(
             yield frame
 
     with bar as advance:
-        tally.add_all(evaluate_frames(frames(), predictor, protocol, advance))
-    if not tally.scores:
+        accumulator.add_all(evaluate_frames(frames(), predictor, protocol, advance))
+    if not accumulator.scores:
         raise CompletionError(f"{folder} has no frames")
     return unit
 
@@ -154,26 +156,29 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
 
 
 def _record(
-    folder: str, model: str, precision: str | None, protocol: Protocol, tally: Tally, unit: str
+    folder: str, model: str, precision: str | None, protocol: Protocol, accumulator: Accumulator, unit: str
 ) -> dict[str, Any]:
     """Everything about one figure, for JSON."""
-    calibration, simcol = tally.calibration(), tally.simcol3d()
+    calibration, simcol = accumulator.calibration(), accumulator.simcol3d()
     return {
         "folder": folder,
         "model": model,
         "precision": precision,
         "unit": unit,
         "protocol": protocol.model_dump(),
-        "mean": mean_errors(tally.scores, protocol).to_dict(),
+        "mean": mean_errors(accumulator.scores, protocol).to_dict(),
         "simcol3d": simcol.__dict__ if simcol else None,
         "calibration": calibration.to_dict() if calibration else None,
-        "points": {"least": min(r.points for r in tally.scores), "most": max(r.points for r in tally.scores)},
-        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in tally.scores],
+        "points": {
+            "least": min(r.points for r in accumulator.scores),
+            "most": max(r.points for r in accumulator.scores),
+        },
+        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in accumulator.scores],
     }
 
 
 def _write_pictures(
-    outputs: Outputs, tally: Tally, predictor: Predictor, record: dict[str, Any], several: bool
+    outputs: Outputs, accumulator: Accumulator, predictor: Predictor, record: dict[str, Any], several: bool
 ) -> list[Path]:
     """CSV and sheets of one figure; with several figures each file's name says which it is, and is returned."""
     label = _label(record)
@@ -182,10 +187,10 @@ def _write_pictures(
         path and _named(path, label, several) for path in (outputs.csv, outputs.sheet, outputs.attention)
     )
     if csv:
-        write_csv(csv, tally.scores)
+        write_csv(csv, accumulator.scores)
     if sheet:
-        contact_sheet(sheet, tally.sights(), title, record["unit"])
-    frames = _attention(predictor, tally.sights()) if attention else []  # asked of the models that have one
+        contact_sheet(sheet, accumulator.sights(), title, record["unit"])
+    frames = _attention(predictor, accumulator.sights()) if attention else []  # asked of the models that have one
     if attention and frames:
         attention_sheet(attention, frames, title)
     return [path for path in (csv, sheet, attention if frames else None) if path and several]
