@@ -24,7 +24,7 @@ class Accumulator:
     def __init__(self, trajectory: bool = False) -> None:
         self.scores: list[Score] = []
         self._pixels: list[PixelErrors] = []
-        self._sights: list[FrameResult] = []
+        self._sample_frames: list[FrameResult] = []
         self._every = 1
         self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
 
@@ -38,9 +38,9 @@ class Accumulator:
     def add(self, result: FrameResult) -> None:
         """Take in the next frame."""
         if len(self.scores) % self._every == 0:
-            self._sights.append(result)
-        if len(self._sights) == 2 * PICTURES:
-            self._sights, self._every = self._sights[::2], 2 * self._every
+            self._sample_frames.append(result)
+        if len(self._sample_frames) == 2 * PICTURES:
+            self._sample_frames, self._every = self._sample_frames[::2], 2 * self._every
         self.scores.append(Score(result.name, result.points, result.errors))
         if result.confidence is not None:
             error = error_from_confidence(result.confidence)
@@ -54,10 +54,12 @@ class Accumulator:
             self.add(result)
         return self
 
-    def sights(self) -> list[FrameResult]:
+    def sample_frames(self) -> list[FrameResult]:
         """At most `PICTURES` frames from the first to the last."""
-        places = np.linspace(0, len(self._sights) - 1, min(PICTURES, len(self._sights))).round().astype(int)
-        return [self._sights[place] for place in places]
+        places = (
+            np.linspace(0, len(self._sample_frames) - 1, min(PICTURES, len(self._sample_frames))).round().astype(int)
+        )
+        return [self._sample_frames[place] for place in places]
 
     def calibration(self) -> Calibration | None:
         """None for a model that does not predict its error, or for too few pixels."""

@@ -93,7 +93,7 @@ def evaluate(
     records: list[dict[str, Any]] = []
     for folder in folders:
         for protocol in protocols:
-            rows, sights = [], {}
+            rows, sample_frames = [], {}
             for model, predictor in predictors.items():
                 with Accumulator(trajectory=outputs.json is not None) as accumulator:
                     unit = _run(
@@ -101,7 +101,7 @@ def evaluate(
                     )
                     records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
                 rows.append((model, paper_row(mean_errors(accumulator.scores, protocol), unit)))
-                sights[Path(model).name] = accumulator.sights()
+                sample_frames[Path(model).name] = accumulator.sample_frames()
                 renamed += _write_pictures(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
             about = ", ".join([f"{len(accumulator.scores)} frames", str(protocol), *precisions])
@@ -109,7 +109,7 @@ def evaluate(
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
                 path = _named(outputs.compare, label, several)
-                comparison_sheet(path, sights, f"{folder.name}: {about}")
+                comparison_sheet(path, sample_frames, f"{folder.name}: {about}")
                 renamed += [path] * several
     _write_summaries(outputs, records)
     if renamed:
@@ -189,26 +189,28 @@ def _write_pictures(
     if csv:
         write_csv(csv, accumulator.scores)
     if sheet:
-        contact_sheet(sheet, accumulator.sights(), title, record["unit"])
-    frames = _attention(predictor, accumulator.sights()) if attention else []  # asked of the models that have one
+        contact_sheet(sheet, accumulator.sample_frames(), title, record["unit"])
+    frames = (
+        _attention(predictor, accumulator.sample_frames()) if attention else []
+    )  # asked of the models that have one
     if attention and frames:
         attention_sheet(attention, frames, title)
     return [path for path in (csv, sheet, attention if frames else None) if path and several]
 
 
 def _attention(
-    predictor: Predictor, sights: Sequence[FrameResult]
+    predictor: Predictor, sample_frames: Sequence[FrameResult]
 ) -> list[tuple[FrameResult, NDArray[np.floating], NDArray[np.floating]]]:
     """Each frame with its features before and after structure awareness; empty for a model that has none."""
     from completion.networks.channel_attention import attention_features
 
     frames = []
-    for sight in sights:
+    for frame in sample_frames:
         found = predictor.network and attention_features(
-            predictor.network, partial(predictor, sight.rgb, sight.sparse, None)
+            predictor.network, partial(predictor, frame.rgb, frame.sparse, None)
         )
         if found:
-            frames.append((sight, found[0].numpy(), found[1].numpy()))
+            frames.append((frame, found[0].numpy(), found[1].numpy()))
     return frames
 
 
