@@ -17,7 +17,7 @@ Features = NDArray[np.floating]  # (C,h,w)
 ERROR_SHOWN = 0.15  # relative error at which the colour saturates
 
 
-def contact_sheet(path: Path, results: Sequence[FrameResult], title: str, unit: str) -> Path:
+def sample_frames_plot(path: Path, results: Sequence[FrameResult], title: str, unit: str) -> Path:
     """Rows: image with its points, true depth, completed depth, relative error; a column for each frame."""
     plt = _pyplot()
     figure, axes = plt.subplots(4, len(results), figsize=(2.1 * len(results), 9), squeeze=False, layout="constrained")
@@ -39,7 +39,7 @@ def contact_sheet(path: Path, results: Sequence[FrameResult], title: str, unit: 
     return _without_ticks(figure, axes, title, path)
 
 
-def comparison_sheet(path: Path, results: Mapping[str, Sequence[FrameResult]], title: str) -> Path:
+def comparison_plot(path: Path, results: Mapping[str, Sequence[FrameResult]], title: str) -> Path:
     """Rows: frames; columns: image with its points, true depth, then what each method makes of them (paper Fig. 4)."""
     plt = _pyplot()
     frames = next(iter(results.values()))
@@ -57,7 +57,7 @@ def comparison_sheet(path: Path, results: Mapping[str, Sequence[FrameResult]], t
     return _without_ticks(figure, axes, title, path)
 
 
-def attention_sheet(path: Path, frames: Sequence[tuple[FrameResult, Features, Features]], title: str) -> Path:
+def attention_plot(path: Path, frames: Sequence[tuple[FrameResult, Features, Features]], title: str) -> Path:
     """Rows: image, mean strength of the features before and after structure awareness; columns: frames (Fig. 6)."""
     plt = _pyplot()
     figure, axes = plt.subplots(3, len(frames), figsize=(2.1 * len(frames), 6.6), squeeze=False, layout="constrained")

@@ -27,7 +27,13 @@ from completion.evaluation.evaluate import (
     write_csv,
 )
 from completion.evaluation.metrics import Alignment, Averaging
-from completion.evaluation.plots import attention_sheet, calibration_plot, comparison_sheet, contact_sheet, sweep_plot
+from completion.evaluation.plots import (
+    attention_plot,
+    calibration_plot,
+    comparison_plot,
+    sample_frames_plot,
+    sweep_plot,
+)
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.evaluation.uncertainty import Calibration
 from haustra.core.errors import CompletionError
@@ -109,7 +115,7 @@ def evaluate(
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
                 path = _named(outputs.compare, label, several)
-                comparison_sheet(path, sample_frames, f"{folder.name}: {about}")
+                comparison_plot(path, sample_frames, f"{folder.name}: {about}")
                 renamed += [path] * several
     _write_summaries(outputs, records)
     if renamed:
@@ -189,12 +195,12 @@ def _write_pictures(
     if csv:
         write_csv(csv, accumulator.scores)
     if sheet:
-        contact_sheet(sheet, accumulator.sample_frames(), title, record["unit"])
+        sample_frames_plot(sheet, accumulator.sample_frames(), title, record["unit"])
     frames = (
         _attention(predictor, accumulator.sample_frames()) if attention else []
     )  # asked of the models that have one
     if attention and frames:
-        attention_sheet(attention, frames, title)
+        attention_plot(attention, frames, title)
     return [path for path in (csv, sheet, attention if frames else None) if path and several]
 
 
