@@ -11,15 +11,15 @@ from torch import nn
 
 
 @dataclass(frozen=True)
-class Team:
+class ProcessGroup:
     """This process's place among `size`; alone it is 0 of 1."""
 
     rank: int = 0
     size: int = 1
 
     @classmethod
-    def join(cls, device: torch.device) -> Team:
-        """The team that torchrun's environment describes: NCCL between GPUs, Gloo between CPU processes."""
+    def init(cls, device: torch.device) -> ProcessGroup:
+        """The processes that torchrun's environment describes: NCCL between GPUs, Gloo between CPU processes."""
         size = int(os.environ.get("WORLD_SIZE", "1"))
         if size == 1:
             return cls()
@@ -29,7 +29,7 @@ class Team:
             dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
         return cls(dist.get_rank(), size)
 
-    def leave(self) -> None:
+    def shutdown(self) -> None:
         """At the end of the training, after what the first writes alone."""
         if self.size > 1:
             dist.barrier()

@@ -16,7 +16,7 @@ from completion.networks.checkpoint import load_network, load_tensors, save_netw
 from completion.networks.mscsa import MSCSANet
 from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.training.config import TrainConfig, make_config
-from completion.training.distributed import Team
+from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import Interruption
 from completion.training.log import TrainLog
 from completion.training.train import Run, draw_batch, learning_rate, train
@@ -88,7 +88,7 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
             if name in fresh:
                 buffer.copy_(fresh[name])
         opened = Shard.open(shards)
-        batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], Team(rank, 2))
+        batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], ProcessGroup(rank, 2))
         assert len(batch.rgb) == 1
         alone.task.network.zero_grad()
         alone.task.loss(batch.to(alone.device).rgb, batch.depth, None, generator).backward()
