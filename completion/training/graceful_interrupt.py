@@ -7,7 +7,7 @@ import threading
 from types import FrameType
 
 
-class Interruption:
+class GracefulInterrupt:
     """While entered, the first Ctrl-C is only noted in `asked`; the second stops at once, as it always does.
 
     `heeded`: False where another process waits for this one in the middle of a step; Ctrl-C is then as it is elsewhere.
@@ -18,7 +18,7 @@ class Interruption:
         # Only the main thread may say what a signal does.
         self._heeded = heeded and threading.current_thread() is threading.main_thread()
 
-    def __enter__(self) -> Interruption:
+    def __enter__(self) -> GracefulInterrupt:
         if self._heeded:
             self._before = signal.signal(signal.SIGINT, self._note)
         return self

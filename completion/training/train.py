@@ -36,7 +36,7 @@ from completion.networks.checkpoint import (
 from completion.networks.registry import find_entry
 from completion.training.config import TrainConfig, with_new_names
 from completion.training.distributed import ProcessGroup
-from completion.training.graceful_interrupt import Interruption
+from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import Say, TrainLog
 from completion.training.tasks import make_task
 from haustra.core.errors import CompletionError
@@ -187,8 +187,8 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
     if log and run.step:
         say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
     saved, losses = time.monotonic(), []
-    with Interruption(run.processes.size == 1) as interruption:
-        while run.step < config.steps and not interruption.asked:
+    with GracefulInterrupt(run.processes.size == 1) as interrupt:
+        while run.step < config.steps and not interrupt.asked:
             losses.append(train_step(run, shards, splits))
             if advance and log:
                 advance(run.step, config.steps)

@@ -17,7 +17,7 @@ from completion.networks.mscsa import MSCSANet
 from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
 from completion.training.config import TrainConfig, make_config
 from completion.training.distributed import ProcessGroup
-from completion.training.graceful_interrupt import Interruption
+from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import TrainLog
 from completion.training.train import Run, draw_batch, learning_rate, train
 from haustra.core.errors import CompletionError
@@ -156,9 +156,9 @@ def test_ctrl_c_ends_the_step_and_saves_it(shards, tmp_path):
     assert said[0].startswith("going on from step 3 of 4")
     for name, tensor in load_tensors(unbroken)[0].items():
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
-    with Interruption() as interruption:
+    with GracefulInterrupt() as interrupt:
         signal.raise_signal(signal.SIGINT)
-        assert interruption.asked
+        assert interrupt.asked
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
