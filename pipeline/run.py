@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from completion.inference.completer import choose_device
-from completion.weights.shipped import check_weights
+from completion.weights.shipped_weights import validate_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import complete_depth
@@ -37,7 +37,7 @@ def reconstruct(
     config, progress = config or Config(), progress or SilentProgress()
     video = Source(Path(source))
     check_choice(config.camera, video.path)
-    check_weights(config.model, config.depth.iterations)
+    validate_weights(config.model, config.depth.iterations)
     choose_device(config.device)  # refused now, not after the film has been tracked
     if config.scale_file is not None:
         check_scale_file(Path(config.scale_file))

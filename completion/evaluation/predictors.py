@@ -46,7 +46,7 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     from completion.inference.completer import DepthCompleter
     from completion.networks.checkpoint import load_network, read_metadata
     from completion.networks.protocol import DepthNetwork
-    from completion.weights.shipped import resolve_weights
+    from completion.weights.shipped_weights import resolve_weights
 
     try:
         path = resolve_weights(model)

@@ -15,7 +15,7 @@ from completion.networks.checkpoint import load_network
 from completion.networks.precision import choose_precision
 from completion.networks.protocol import DepthNetwork, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
-from completion.weights.shipped import check_iterations, resolve_weights
+from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
 
 # Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
@@ -50,7 +50,7 @@ class DepthCompleter:
         self.iterations = min(DEFAULT_ITERATIONS, trained) if iterations is None else iterations
         if self.iterations < 1 or (resolution is not None and resolution < 1):
             raise CompletionError(f"iterations and resolution are at least 1, not {iterations} and {resolution}")
-        check_iterations(self.iterations, trained)
+        validate_iterations(self.iterations, trained)
         self.device = choose_device(device)
         self.resolution = resolution
         self.precision = choose_precision(precision, self.device, network.precisions)

@@ -170,7 +170,7 @@ def paced(fast: bool) -> dict[str, Any]:
 
 def files_in_full(settings: "Config") -> dict[str, str]:
     """The settings that are files, by their full paths: a task may run in another folder or on another machine."""
-    from completion.weights.shipped import MODELS
+    from completion.weights.shipped_weights import MODELS
     from pipeline.input.camera_presets import PRESETS
 
     names = {"auto", *PRESETS, *MODELS}

@@ -180,7 +180,7 @@ def test_onnx_refuses_what_it_cannot_do(tmp_path):
 
 def test_the_shipped_header_says_what_was_trained():
     from completion.networks.checkpoint import read_metadata
-    from completion.weights.shipped import resolve_weights
+    from completion.weights.shipped_weights import resolve_weights
 
     about = read_metadata(resolve_weights("mscsa"))
     assert about["network"] == "ScaleFreeMSCSANet"

@@ -17,7 +17,7 @@ from completion.networks.protocol import GRID, DepthNetwork, Estimate
 from completion.networks.registry import REGISTRY, Entry
 from completion.training.config import make_config
 from completion.training.train import train
-from completion.weights.shipped import check_weights
+from completion.weights.shipped_weights import validate_weights
 from haustra.core.errors import CompletionError
 from haustra.core.progress import SilentProgress
 from haustra.phantom.dataset.generate import generate
@@ -68,9 +68,9 @@ def weights(monkeypatch, tmp_path):
 
 def test_the_completer_runs_it(weights):
     assert isinstance(load_network(weights), DepthNetwork)
-    check_weights(weights, 1)
+    validate_weights(weights, 1)
     with pytest.raises(CompletionError, match="trained for 1 "):
-        check_weights(weights, 2)
+        validate_weights(weights, 2)
     completer = DepthCompleter.load(weights)
     sparse = np.zeros((40, 50), np.float32)
     sparse[3, 4], sparse[30, 9], sparse[20, 41] = 10, 20, 40

@@ -17,17 +17,17 @@ def resolve_weights(model: str | Path) -> Path:
     raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(MODELS)}")
 
 
-def check_weights(model: str | Path, iterations: int | None = None) -> None:
+def validate_weights(model: str | Path, iterations: int | None = None) -> None:
     """CompletionError for a model that cannot be loaded or was trained for fewer iterations; reads the header only."""
     from completion.networks.checkpoint import read_config
     from completion.networks.protocol import most_iterations
 
     config = read_config(resolve_weights(model))
     if iterations is not None:
-        check_iterations(iterations, most_iterations(config))
+        validate_iterations(iterations, most_iterations(config))
 
 
-def check_iterations(iterations: int, trained: int) -> None:
+def validate_iterations(iterations: int, trained: int) -> None:
     """Refuse more iterations than a model was trained for."""
     if iterations > trained:
         raise CompletionError(f"the model was trained for {trained} iterations at most, and {iterations} are asked for")
