@@ -19,7 +19,7 @@ PASSES, AT_WIDTH = 100, 320
 EDGE = 2.5  # steps between neighbours that are taken for an edge; so steep a wall shows no stairs either
 
 
-def without_steps(depth: Depth, step: float) -> Depth:
+def dequantize(depth: Depth, step: float) -> Depth:
     """Depth (H,W), 0 = none, stored in multiples of `step` in its unit -> the same smoothed, nowhere further than half
     a step from what was stored. CompletionError if the depth does not come in such steps."""
     stored = depth.astype(np.float64)

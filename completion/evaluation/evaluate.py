@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from completion.data.evaluation_frame import EvaluationFrame
-from completion.data.quantized_depth import without_steps
+from completion.data.quantized_depth import dequantize
 from completion.data.sampling_benchmark import get_sampler
 from completion.evaluation.metrics import Alignment, Averaging, DepthErrors, average, depth_errors
 from completion.evaluation.predictors import Predictor
@@ -89,7 +89,7 @@ def evaluate_frames(
     sampler = get_sampler(protocol.sampler)
     for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
         if protocol.depth_step:
-            frame = replace(frame, depth=without_steps(frame.depth, protocol.depth_step))
+            frame = replace(frame, depth=dequantize(frame.depth, protocol.depth_step))
         rng = np.random.default_rng([protocol.seed, place])
         sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
         if not sparse.points:
