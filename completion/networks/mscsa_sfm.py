@@ -12,17 +12,17 @@ from torch import Tensor, nn
 
 from completion.networks.channel_attention import StructureAwareness
 from completion.networks.cpu.fused_conv import can_fuse, fuse_convolutions
-from completion.networks.cpu.int8_unet import EightBitUNet, channel_reaches
+from completion.networks.cpu.int8_unet import EightBitUNet, channel_ranges
 from completion.networks.cpu.numba_mscsa import COMPILED, CompiledAnchor
 from completion.networks.cpu.numba_normalized_conv import LinearConfidence
 from completion.networks.mscsa import UNet
 from completion.networks.mscsa_sfm_kernels import (
+    INPUT_RANGES,
     INPUTS,
     LOG_RANGE,
+    NCONV_DEPTH_CHANNEL,
     PLAIN,
-    REACHES,
     RECURRENT_INPUTS,
-    SPREAD,
     STRIDE,
     Anchor,
     double,
@@ -109,16 +109,16 @@ class ScaleFreeMSCSANet(nn.Module):
                 joined = self_conditioned_input(*unpadded, last, grid)
                 points = self.kernels.halve(*(pad_to_multiple(x, STRIDE) for x in joined))
             spread, confidence = self.msc(*points)
-            whole_spread = double(spread)
+            nconv_depth = double(spread)
             channels = [image, spread, log_of_confidence(confidence), *points]
             if last is not None:
                 log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
-                channels += [self.kernels.recurrent_inputs(log_depth, log_error, whole_spread), *measured]
+                channels += [self.kernels.recurrent_inputs(log_depth, log_error, nconv_depth), *measured]
             elif self.config.iterations > 1:  # zeros, which cost a hundredth to convolve
                 channels.append(torch.zeros_like(spread).expand(-1, RECURRENT_INPUTS, -1, -1))
         # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
         out = self.unet(self.unet.joined(channels)).float()
-        log_depth, log_error = self.kernels.unfold(out, whole_spread)
+        log_depth, log_error = self.kernels.unfold(out, nconv_depth)
         if self.anchor is not None:
             log_depth = log_depth + self.anchor(log_depth, log_error, log_sparse, trust, out[:, 8:])
         log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
@@ -148,7 +148,7 @@ class ScaleFreeMSCSANet(nn.Module):
         half = can_fuse(torch.bfloat16)
         if precision == "int8":
             dtype = torch.bfloat16 if half and has_fast_bfloat16(torch.device("cpu")) else torch.float32
-            reaches = torch.tensor(REACHES[0] + (REACHES[1] if self.config.iterations > 1 else ()))
-            self.unet = EightBitUNet(self.unet, channel_reaches(trained), reaches, (SPREAD,), dtype)
+            ranges = torch.tensor(INPUT_RANGES[0] + (INPUT_RANGES[1] if self.config.iterations > 1 else ()))
+            self.unet = EightBitUNet(self.unet, channel_ranges(trained), ranges, (NCONV_DEPTH_CHANNEL,), dtype)
         elif precision == "bf16" and half:
             fuse_convolutions(self.unet)  # in float32 it gains little

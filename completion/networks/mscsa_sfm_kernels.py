@@ -22,8 +22,8 @@ INPUTS, RECURRENT_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input
 # How far those and these go: colours, log brightness, MSC's log depth and confidence, the points'; the last estimate
 # against MSC's, its error, the measured points. In 8 bits what goes further is cut off: of MSC's depth
 # up to a tenth in tubes 150 mm long, where depth was no better with a reach of 3 or 4.
-REACHES = (*12 * [0.5], *4 * [math.log(256)], 2.0, 1.0, 2.0, 1.0), (*4 * [1.0], 1.0, 2.0, 1.0)
-SPREAD = 16  # the channel of MSC's depth, of which 8 bits are too few
+INPUT_RANGES = (*12 * [0.5], *4 * [math.log(256)], 2.0, 1.0, 2.0, 1.0), (*4 * [1.0], 1.0, 2.0, 1.0)
+NCONV_DEPTH_CHANNEL = 16  # the channel of MSC's depth, of which 8 bits are too few
 
 
 class Kernels(NamedTuple):
@@ -51,22 +51,22 @@ def image_inputs(rgb: Tensor) -> Tensor:
 
 def log_of_confidence(confidence: Tensor) -> Tensor:
     """MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]."""
-    # Not log(c + 1e-8): the ONNX exporter drops an addend that small, and where no point reaches, c is exactly zero.
+    # Not log(c + 1e-8): the ONNX exporter drops an addend that small, and far from every point, c is exactly zero.
     return torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
 
 
-def recurrent_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
+def recurrent_inputs(log_depth: Tensor, log_error: Tensor, nconv_depth: Tensor) -> Tensor:
     """The last estimate minus MSC's depth, and its error, as the U-Net's channels in recurrent iterations.
 
     (B,1,H,W) each -> (B,5,H/2,W/2): four pixels' differences, mean log error over its least value."""
-    off = F.pixel_unshuffle(log_depth - whole_spread, 2)
+    off = F.pixel_unshuffle(log_depth - nconv_depth, 2)
     return torch.cat([off, F.avg_pool2d(log_error, 2) / -LOG_ERROR_RANGE[0]], dim=1)
 
 
-def unfold(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
+def unfold(out: Tensor, nconv_depth: Tensor) -> tuple[Tensor, Tensor]:
     """The U-Net's output (B,9,H/2,W/2) and MSC's estimate (B,1,H,W) -> log depth and log error, (B,1,H,W)."""
     residual, log_error = F.pixel_shuffle(out[:, :8], 2).split(1, dim=1)
-    return whole_spread + residual, log_error.clamp(*LOG_ERROR_RANGE)
+    return nconv_depth + residual, log_error.clamp(*LOG_ERROR_RANGE)
 
 
 class Anchor(nn.Module):

@@ -1,8 +1,8 @@
 """The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
 
 After a ReLU every channel c is held as round(x / s_c), cut off at 255, and s_c goes into the next convolution's
-weights, so that channels of different reach do not share one step: with one step for all of a layer depth erred by up
-to a quarter more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the
+weights, so that channels of different ranges do not share one step: with one step for all of a layer depth erred by up
+to a quarter more. The range of a channel is read from its batch normalisation, which gave it the mean beta and the
 standard deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al.,
 "Data-free quantization", ICCV 2019). What has a sign, the input and what comes from the attention, is held as 128 and
 steps from there. Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The attention, the
@@ -55,34 +55,34 @@ def can_use_eight_bits() -> bool:
 class EightBitUNet(nn.Module):
     """What `joined` makes of (B,in,H,W) -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
 
-    input_reaches: Tensor
+    input_ranges: Tensor
     deepest: Tensor
 
     def __init__(
         self,
         folded: UNet,
-        reaches: list[tuple[Tensor, Tensor]],
-        input_reaches: Tensor,
+        ranges: list[tuple[Tensor, Tensor]],
+        input_ranges: Tensor,
         fine: tuple[int, ...],
         dtype: torch.dtype,
     ) -> None:
-        """`folded`: with its normalisations folded. `reaches`: of the outputs of both convolutions of each encoder
-        block, then of each decoder block (`channel_reaches`). `input_reaches` (in,): where the input is cut off on both
+        """`folded`: with its normalisations folded. `ranges`: of the outputs of both convolutions of each encoder
+        block, then of each decoder block (`channel_ranges`). `input_ranges` (in,): where the input is cut off on both
         sides of zero; `fine`: channels of it whose rest is given too. `dtype`: of the last features and the head.
         """
         super().__init__()
         self.attention = folded.attention
         self.fine = fine
-        self.register_buffer("input_reaches", input_reaches)
+        self.register_buffer("input_ranges", input_ranges)
         levels = len(folded.encoder)
-        steps = [(a / LARGEST, b / LARGEST) for a, b in reaches]
+        steps = [(a / LARGEST, b / LARGEST) for a, b in ranges]
         outputs = [torch.uint8] * (2 * levels - 1)  # of each block, the encoder's first
         for index, output in ((levels - 1, torch.float32), (-1, dtype)):
             # The deepest features and the last stay in floating point, in their own unit.
             steps[index] = steps[index][0], torch.ones_like(steps[index][1])
             outputs[index] = output
-        deepest = torch.cat([reaches[levels - 2][1], reaches[levels - 1][1]]) / REACH
-        inputs = [with_rests(input_reaches / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
+        deepest = torch.cat([ranges[levels - 2][1], ranges[levels - 1][1]]) / REACH
+        inputs = [with_rests(input_ranges / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
         inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
         blocks = [*folded.encoder, *folded.decoder]
         convolutions = [(block[0], block[3]) for block in blocks]  # type: ignore[index]
@@ -105,7 +105,7 @@ class EightBitUNet(nn.Module):
     def joined(self, parts: list[Tensor]) -> Tensor:
         """Channels (B,?,H,W) float32, one after the other, in 8 bits, and after them the rests of the fine ones."""
         images = [image for part in parts for image in part.unbind(dim=1)]
-        per_unit = (REACH / self.input_reaches).tolist()
+        per_unit = (REACH / self.input_ranges).tolist()
         for channel in self.fine:
             steps = images[channel] * per_unit[channel]
             images.append(PARTS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
@@ -179,16 +179,16 @@ class EightBitConvReLU(nn.Module):
         return torch.ops.onednn.qconv_prepack(self.weight, self.scale, 1.0, self.zero_point, *self._shape, shape)
 
 
-def channel_reaches(unet: UNet) -> list[tuple[Tensor, Tensor]]:
+def channel_ranges(unet: UNet) -> list[tuple[Tensor, Tensor]]:
     """How far each channel goes after the first and second ReLU of each encoder block, then of each decoder block.
 
     `unet`: with its normalisations as they were trained, not folded.
     """
     blocks = [*unet.encoder, *unet.decoder]
-    return [(_reach(block[1]), _reach(block[4])) for block in blocks]  # type: ignore[index,arg-type]
+    return [(_range(block[1]), _range(block[4])) for block in blocks]  # type: ignore[index,arg-type]
 
 
-def _reach(norm: nn.BatchNorm2d) -> Tensor:
+def _range(norm: nn.BatchNorm2d) -> Tensor:
     mean, deviation = norm.bias.detach().float(), norm.weight.detach().float().abs()
     return (mean + DEVIATIONS * deviation).clamp_min(1e-3)  # a channel that is never above zero has a step all the same
 

@@ -72,20 +72,20 @@ def halved_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
     return halves
 
 
-def recurrent_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
+def recurrent_inputs(log_depth: Tensor, log_error: Tensor, nconv_depth: Tensor) -> Tensor:
     """`mscsa_sfm_kernels.recurrent_inputs`."""
     batch, _, height, width = log_depth.shape
     channels = torch.empty(batch, 5, height // 2, width // 2)
     share = np.float32(-1 / (4 * LOG_ERROR_RANGE[0]))
-    fill_recurrent_inputs(rows(log_depth), rows(log_error), rows(whole_spread), share, channels.numpy())
+    fill_recurrent_inputs(rows(log_depth), rows(log_error), rows(nconv_depth), share, channels.numpy())
     return channels
 
 
-def unfolded(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
+def unfolded(out: Tensor, nconv_depth: Tensor) -> tuple[Tensor, Tensor]:
     """`unfold`."""
-    log_depth, log_error = torch.empty_like(whole_spread), torch.empty_like(whole_spread)
+    log_depth, log_error = torch.empty_like(nconv_depth), torch.empty_like(nconv_depth)
     given = np.ascontiguousarray(out.permute(0, 2, 3, 1).numpy())
-    fill_unfolded(given, rows(whole_spread), ERROR_BOUNDS, log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
+    fill_unfolded(given, rows(nconv_depth), ERROR_BOUNDS, log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
     return log_depth, log_error
 
 
@@ -138,7 +138,7 @@ def halve_rows(a, b, trust_a, trust_b, guard, mean, most):  # type: ignore[no-un
 
 
 @compiled
-def fill_recurrent_inputs(log_depth, log_error, whole_spread, share, channels):  # type: ignore[no-untyped-def]
+def fill_recurrent_inputs(log_depth, log_error, nconv_depth, share, channels):  # type: ignore[no-untyped-def]
     """Differences of each pixel of 2x2 blocks, and `share` of the sum of the block's errors."""
     for frame in range(len(channels)):
         for row in range(channels.shape[2]):
@@ -146,7 +146,7 @@ def fill_recurrent_inputs(log_depth, log_error, whole_spread, share, channels): 
             for pixel in range(4):
                 whole = 2 * row + pixel // 2
                 subtract_every_second(
-                    channels[frame, pixel, row], log_depth[frame, whole], whole_spread[frame, whole], pixel % 2
+                    channels[frame, pixel, row], log_depth[frame, whole], nconv_depth[frame, whole], pixel % 2
                 )
                 add_every_second(channels[frame, 4, row], log_error[frame, whole], share, pixel % 2)
 
@@ -166,13 +166,13 @@ def add_every_second(out, a, factor, first):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fill_unfolded(out, whole_spread, bounds, log_depth, log_error):  # type: ignore[no-untyped-def]
+def fill_unfolded(out, nconv_depth, bounds, log_depth, log_error):  # type: ignore[no-untyped-def]
     """`out` (B,h,w,9): residuals of the four pixels of a block, their log errors, and a gate."""
     lowest, highest = bounds
     for frame in range(len(out)):
-        for row in range(whole_spread.shape[1]):
+        for row in range(nconv_depth.shape[1]):
             given, pixel = out[frame, row // 2], 2 * (row % 2)
-            spread, depth, error = whole_spread[frame, row], log_depth[frame, row], log_error[frame, row]
+            spread, depth, error = nconv_depth[frame, row], log_depth[frame, row], log_error[frame, row]
             for column in range(len(given)):
                 for side in range(2):
                     depth[2 * column + side] = spread[2 * column + side] + given[column, pixel + side]

@@ -24,11 +24,10 @@ from completion.networks.cpu.int8_unet import (
     EightBitConvReLU,
     EightBitUNet,
     can_use_eight_bits,
-    channel_reaches,
+    channel_ranges,
 )
 from completion.networks.mscsa import UNet
-from completion.networks.mscsa_sfm_kernels import REACHES as INPUT_REACHES
-from completion.networks.mscsa_sfm_kernels import SPREAD
+from completion.networks.mscsa_sfm_kernels import INPUT_RANGES, NCONV_DEPTH_CHANNEL
 from completion.networks.precision import choose_precision
 from completion.networks.recurrent_norm import fold_batch_norm
 from haustra.core.errors import CompletionError
@@ -36,7 +35,7 @@ from haustra.core.errors import CompletionError
 needs_vnni = pytest.mark.skipif(not can_use_eight_bits(), reason="this processor or PyTorch has no fast 8-bit integers")
 # Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
 TOLERANCE = 0.01
-REACHES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
+INPUT_RANGES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
 
 
 def integers(*shape):
@@ -84,14 +83,14 @@ def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
     """Cut off beyond its reach; with the rest it is `PARTS` times as exact."""
     torch.manual_seed(3)
     unet = trained((8, 12))[0]
-    made = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, fine, torch.float32)
-    x = 1.4 * REACHES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
+    made = EightBitUNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, fine, torch.float32)
+    x = 1.4 * INPUT_RANGES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
     x[0, :, 0, 0] = 0
     out = made.joined([x[:, :1], x[:, 1:4], x[:, 4:]])
     assert out.is_contiguous(memory_format=torch.channels_last)
     assert out.shape == (2, 8, 6, 8)  # whole words
     assert (out[0, :5, 0, 0] == 128).all()
-    steps, held = x * (127 / REACHES).view(1, 5, 1, 1), out.float() - 128
+    steps, held = x * (127 / INPUT_RANGES).view(1, 5, 1, 1), out.float() - 128
     for channel in range(5):
         rest = held[:, 5 + fine.index(channel)] / PARTS if channel in fine else 0
         off = (held[:, channel] + rest - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
@@ -125,14 +124,14 @@ def trained(widths):
 
 
 def in_eight_bits(unet, x, dtype=torch.float32):
-    made = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, FINE, dtype)
+    made = EightBitUNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, FINE, dtype)
     return made(made.joined([x]))
 
 
 def by_hand(unet, x):
     """The U-Net with every activation and weight rounded as said, in double precision."""
     folded = fold_batch_norm(unet).double()
-    reaches = [tuple(255 / step.double().view(1, -1, 1, 1) for step in pair) for pair in channel_reaches(unet)]
+    ranges = [tuple(255 / step.double().view(1, -1, 1, 1) for step in pair) for pair in channel_ranges(unet)]
     blocks, levels, x = [*folded.encoder, *folded.decoder], len(folded.encoder), x.double()
 
     def rounded(x, steps):
@@ -149,7 +148,7 @@ def by_hand(unet, x):
         return sums / made + conv.bias.view(1, -1, 1, 1)
 
     def block(index, x, given):
-        first, second = reaches[index]
+        first, second = ranges[index]
         x = rounded(convolved(blocks[index][0], x, given, first).relu(), first)
         exact = index in (levels - 1, 2 * levels - 2)
         x = convolved(blocks[index][3], x, first, torch.ones_like(second) if exact else second).relu()
@@ -158,7 +157,7 @@ def by_hand(unet, x):
     def doubled(x):
         return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
-    of_input = (127 / REACHES).double().view(1, -1, 1, 1)
+    of_input = (127 / INPUT_RANGES).double().view(1, -1, 1, 1)
     rounded_input, fine = signed(x, of_input), list(FINE)
     rest = signed(x[:, fine] - rounded_input[:, fine], PARTS * of_input[:, fine])
     conv = blocks[0][0]
@@ -169,18 +168,18 @@ def by_hand(unet, x):
         [],
     )
     for level in range(levels):
-        x = block(level, F.max_pool2d(x, 2) if level else x, reaches[level - 1][1] if level else given)
+        x = block(level, F.max_pool2d(x, 2) if level else x, ranges[level - 1][1] if level else given)
         skips.append(x)
     x = skips.pop()
     for index in range(levels, 2 * levels - 1):
         finer = 2 * levels - 2 - index
         if index == levels:
-            given = torch.cat([reaches[finer][1], reaches[levels - 1][1]], dim=1) * 127 / 255
+            given = torch.cat([ranges[finer][1], ranges[levels - 1][1]], dim=1) * 127 / 255
             x = signed(torch.cat([skips.pop(), doubled(x)], dim=1), given)
         else:
-            before = reaches[index - 1][1]
+            before = ranges[index - 1][1]
             x = torch.cat([skips.pop(), rounded(doubled(x), before)], dim=1)
-            given = torch.cat([reaches[finer][1], before], dim=1)
+            given = torch.cat([ranges[finer][1], before], dim=1)
         x = block(index, x, given)
     return folded.head(x)
 
@@ -261,10 +260,10 @@ def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
     completer(rgb, sparse)
     assert len(given) == 2
     for parts, out in given:
-        steps = torch.cat(parts, dim=1)[:, SPREAD] * 127 / INPUT_REACHES[0][SPREAD]
+        steps = torch.cat(parts, dim=1)[:, NCONV_DEPTH_CHANNEL] * 127 / INPUT_RANGES[0][NCONV_DEPTH_CHANNEL]
         held = out.float() - 128
-        assert (held[:, SPREAD] - steps).abs().max() > 0.4
-        assert (held[:, SPREAD] + held[:, 27] / PARTS - steps).abs().max() < 0.5 / PARTS + 1e-4
+        assert (held[:, NCONV_DEPTH_CHANNEL] - steps).abs().max() > 0.4
+        assert (held[:, NCONV_DEPTH_CHANNEL] + held[:, 27] / PARTS - steps).abs().max() < 0.5 / PARTS + 1e-4
 
 
 @needs_vnni

@@ -11,9 +11,9 @@ from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_scale_free
 from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, image_planes, recurrent_inputs, unfolded
 from completion.networks.mscsa_sfm_kernels import (
+    INPUT_RANGES,
     LOG_ERROR_RANGE,
-    REACHES,
-    SPREAD,
+    NCONV_DEPTH_CHANNEL,
     Anchor,
     halve_points,
     image_inputs,
@@ -105,7 +105,7 @@ def test_a_frame_is_completed_as_by_the_network_itself():
 
 
 def test_the_unet_is_given_what_the_reaches_are_of(monkeypatch):
-    """Channels in the order of `REACHES`, MSC's depth at `SPREAD`, all within reach on an ordinary frame."""
+    """Channels in the order of `INPUT_RANGES`, MSC's depth at `NCONV_DEPTH_CHANNEL`, all within reach on an ordinary frame."""
     rng = np.random.default_rng(4)
     y, x = np.mgrid[:96, :128] / 96 - 0.5
     depth = 8 / np.maximum(np.hypot(x, y), 0.08)
@@ -120,14 +120,14 @@ def test_the_unet_is_given_what_the_reaches_are_of(monkeypatch):
             network.msc, "forward", lambda *points, made=spread: spreads.append(made(*points)) or spreads[-1]
         )
     completer(rgb, sparse)
-    reaches = torch.tensor(REACHES[0] + REACHES[1])
+    ranges = torch.tensor(INPUT_RANGES[0] + INPUT_RANGES[1])
     for parts, (spread, _) in zip(given, spreads, strict=True):
         channels = torch.cat(parts, dim=1)
-        assert torch.equal(channels[:, SPREAD : SPREAD + 1], spread)
+        assert torch.equal(channels[:, NCONV_DEPTH_CHANNEL : NCONV_DEPTH_CHANNEL + 1], spread)
         largest = channels.abs().amax(dim=(0, 2, 3))
-        assert (largest <= reaches * 1.001).all()
-    used = largest > 0.1 * reaches  # by the recurrent iteration
-    assert used[[0, 4, 8, 12, SPREAD, 17, 18, 19, 24, 25, 26]].all()
+        assert (largest <= ranges * 1.001).all()
+    used = largest > 0.1 * ranges  # by the recurrent iteration
+    assert used[[0, 4, 8, 12, NCONV_DEPTH_CHANNEL, 17, 18, 19, 24, 25, 26]].all()
     trusts = torch.stack([channels[:, 19], channels[:, 26]])
     assert (trusts.amin(), trusts.amax()) == (0, 1)
     assert not ((channels[:, 25] != 0) & (channels[:, 26] == 0)).any()
