@@ -28,7 +28,7 @@ DEVIATIONS = 8.0
 REACH = LARGEST - MIDDLE  # the most steps from the middle
 # Of a step, in which the rest of a fine channel is given. More parts leave their weights too few of their own;
 # as good as 8 on those frames, better than 16.
-PARTS = 4
+RESIDUAL_STEPS = 4
 
 
 @cache
@@ -82,11 +82,11 @@ class EightBitUNet(nn.Module):
             steps[index] = steps[index][0], torch.ones_like(steps[index][1])
             outputs[index] = output
         deepest = torch.cat([ranges[levels - 2][1], ranges[levels - 1][1]]) / REACH
-        inputs = [with_rests(input_ranges / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
+        inputs = [with_residual_bits(input_ranges / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
         inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
         blocks = [*folded.encoder, *folded.decoder]
         convolutions = [(block[0], block[3]) for block in blocks]  # type: ignore[index]
-        convolutions[0] = taking_rests(convolutions[0][0], fine), convolutions[0][1]
+        convolutions[0] = residual_bits_conv(convolutions[0][0], fine), convolutions[0][1]
         made = [
             nn.Sequential(
                 EightBitConvReLU(first, given, step[0], torch.uint8, MIDDLE if index in (0, levels) else 0),
@@ -108,7 +108,7 @@ class EightBitUNet(nn.Module):
         per_unit = (REACH / self.input_ranges).tolist()
         for channel in self.fine:
             steps = images[channel] * per_unit[channel]
-            images.append(PARTS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
+            images.append(RESIDUAL_STEPS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
             per_unit.append(1)
         while len(images) % WORD:  # what is added has no weight
             images.append(images[-1])
@@ -129,13 +129,13 @@ class EightBitUNet(nn.Module):
         return self.head(x)
 
 
-def with_rests(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
+def with_residual_bits(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
     """Kernels (in,) of the input, of the rests, and of what fills the last word."""
-    steps = torch.cat([steps, steps[list(fine)] / PARTS])
+    steps = torch.cat([steps, steps[list(fine)] / RESIDUAL_STEPS])
     return F.pad(steps, (0, -len(steps) % WORD), value=1)
 
 
-def taking_rests(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
+def residual_bits_conv(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
     """A convolution that takes the rests too, with the weights of that of which they are, nothing of fillers."""
     made = copy.deepcopy(conv)
     weight = torch.cat([conv.weight, conv.weight[:, list(fine)]], dim=1)

@@ -20,7 +20,7 @@ from completion.inference.completer import load_scale_free
 from completion.networks import precision as formats
 from completion.networks.cpu.int8_resize import beside_doubled
 from completion.networks.cpu.int8_unet import (
-    PARTS,
+    RESIDUAL_STEPS,
     EightBitConvReLU,
     EightBitUNet,
     can_use_eight_bits,
@@ -80,7 +80,7 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
 @needs_vnni
 @pytest.mark.parametrize("fine", [(), (1,), (4, 0)])
 def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
-    """Cut off beyond its reach; with the rest it is `PARTS` times as exact."""
+    """Cut off beyond its reach; with the rest it is `RESIDUAL_STEPS` times as exact."""
     torch.manual_seed(3)
     unet = trained((8, 12))[0]
     made = EightBitUNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, fine, torch.float32)
@@ -92,9 +92,9 @@ def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
     assert (out[0, :5, 0, 0] == 128).all()
     steps, held = x * (127 / INPUT_RANGES).view(1, 5, 1, 1), out.float() - 128
     for channel in range(5):
-        rest = held[:, 5 + fine.index(channel)] / PARTS if channel in fine else 0
+        rest = held[:, 5 + fine.index(channel)] / RESIDUAL_STEPS if channel in fine else 0
         off = (held[:, channel] + rest - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
-        assert off.max() <= (0.5 / PARTS if channel in fine else 0.5) + 1e-4
+        assert off.max() <= (0.5 / RESIDUAL_STEPS if channel in fine else 0.5) + 1e-4
     assert (held[:, :5][steps > 128] == 127).all()
     assert (held[:, :5][steps < -128.5] == -128).all()
 
@@ -159,12 +159,12 @@ def by_hand(unet, x):
 
     of_input = (127 / INPUT_RANGES).double().view(1, -1, 1, 1)
     rounded_input, fine = signed(x, of_input), list(FINE)
-    rest = signed(x[:, fine] - rounded_input[:, fine], PARTS * of_input[:, fine])
+    rest = signed(x[:, fine] - rounded_input[:, fine], RESIDUAL_STEPS * of_input[:, fine])
     conv = blocks[0][0]
     conv.weight = nn.Parameter(torch.cat([conv.weight, conv.weight[:, fine]], dim=1))
     x, given, skips = (
         torch.cat([rounded_input, rest], dim=1),
-        torch.cat([of_input, PARTS * of_input[:, fine]], dim=1),
+        torch.cat([of_input, RESIDUAL_STEPS * of_input[:, fine]], dim=1),
         [],
     )
     for level in range(levels):
@@ -263,7 +263,9 @@ def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
         steps = torch.cat(parts, dim=1)[:, NCONV_DEPTH_CHANNEL] * 127 / INPUT_RANGES[0][NCONV_DEPTH_CHANNEL]
         held = out.float() - 128
         assert (held[:, NCONV_DEPTH_CHANNEL] - steps).abs().max() > 0.4
-        assert (held[:, NCONV_DEPTH_CHANNEL] + held[:, 27] / PARTS - steps).abs().max() < 0.5 / PARTS + 1e-4
+        assert (
+            held[:, NCONV_DEPTH_CHANNEL] + held[:, 27] / RESIDUAL_STEPS - steps
+        ).abs().max() < 0.5 / RESIDUAL_STEPS + 1e-4
 
 
 @needs_vnni
