@@ -22,7 +22,7 @@ from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.readers import read_evaluation_frames
 from completion.data.sampling_benchmark import get_sampler
 from completion.evaluation.metrics import depth_errors
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.networks.classical import linear
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Every folder with every setting of the points."""
-    completer = DepthCompleter(load_scale_free(arguments.model), iterations=arguments.iterations)
+    completer = DepthCompleter(load_depth_network(arguments.model), iterations=arguments.iterations)
     rows = []
     for folder in arguments.folders:
         frames = judged_frames(folder, arguments.stride)

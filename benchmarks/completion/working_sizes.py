@@ -25,7 +25,7 @@ from completion import DepthCompleter
 from completion.data.sampling_benchmark import get_sampler
 from completion.data.shards import Shard
 from completion.evaluation.metrics import depth_errors
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 
 POINTS = (("sfm", 30), ("uniform", 100), ("sfm", 100), ("sfm", 500), ("sfm", 1500), ("features", 1000))
 MAX_DEPTH, FEWEST = 250.0, 15  # mm; points under which a frame is left out
@@ -52,7 +52,7 @@ def completers_of(arguments: argparse.Namespace) -> dict[Variant, DepthCompleter
     variants = product(arguments.model or ["mscsa"], sizes, iterations, arguments.precision or ["auto"])
     return {
         (model, size, count, precision): DepthCompleter(
-            load_scale_free(model), precision=precision, resolution=size or None, iterations=count
+            load_depth_network(model), precision=precision, resolution=size or None, iterations=count
         )
         for model, size, count, precision in variants
     }

@@ -22,7 +22,7 @@ import torch
 from benchmarks.common.record import shown, spread
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.inference.onnx_export import export_onnx
 from completion.inference.resolution import SIDE_FOR_MANY
 from completion.networks.classical import CLASSICAL
@@ -109,7 +109,7 @@ def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
         calls[f"mscsa, {size} px"] = partial(completer, *scene(size, 100))
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     for iterations, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
         other = DepthCompleter(network, resolution=side, iterations=iterations)
         calls[f"mscsa, {iterations} iteration{'s' * (iterations > 1)} at {side} px"] = partial(other, rgb, sparse)
@@ -123,7 +123,7 @@ def of_network_alone(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
     """The default's network in other programs."""
     calls: Calls = {}
     with tempfile.TemporaryDirectory() as folder:
-        path, inputs = exported(load_scale_free("mscsa"), rgb, sparse, Path(folder))
+        path, inputs = exported(load_depth_network("mscsa"), rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
         calls |= by_openvino(path, inputs)
     return calls

@@ -69,7 +69,7 @@ class DepthCompleter:
         looks: int | None = None,
     ) -> "DepthCompleter":
         """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
-        return cls(load_scale_free(model), device, precision, iterations=renamed_looks(iterations, looks))
+        return cls(load_depth_network(model), device, precision, iterations=renamed_looks(iterations, looks))
 
     def __call__(
         self,
@@ -144,7 +144,7 @@ def renamed_looks(iterations: int | None, looks: int | None) -> int | None:
     return looks if iterations is None else iterations
 
 
-def load_scale_free(model: str | Path) -> DepthNetwork:
+def load_depth_network(model: str | Path) -> DepthNetwork:
     """The network of a shipped name or a weight file; CompletionError if it is one of the paper's metric ones."""
     network = load_network(resolve_weights(model))
     if not isinstance(network, DepthNetwork):

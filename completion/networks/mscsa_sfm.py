@@ -38,8 +38,8 @@ from haustra.core.errors import CompletionError
 
 
 @dataclass(frozen=True)
-class ScaleFreeConfig:
-    """Size of `ScaleFreeMSCSANet`, the switch of its last stage, and how it was trained to be used."""
+class ScaleInvariantConfig:
+    """Size of `ScaleInvariantMSCSANet`, the switch of its last stage, and how it was trained to be used."""
 
     width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
     msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
@@ -52,7 +52,7 @@ class ScaleFreeConfig:
             raise CompletionError(f"width and iterations must be positive and msc_levels 1 to 4, got {sizes}")
 
 
-class ScaleFreeMSCSANet(nn.Module):
+class ScaleInvariantMSCSANet(nn.Module):
     """MSC + U-Net + SA on median-normalised log depth, with a predicted error per pixel.
 
     log depth = MSC's dense estimate + the U-Net's residual + what the points still say against their sum. The second
@@ -65,9 +65,9 @@ class ScaleFreeMSCSANet(nn.Module):
     precisions = PRECISIONS
     stride = STRIDE
 
-    def __init__(self, config: ScaleFreeConfig | None = None) -> None:
+    def __init__(self, config: ScaleInvariantConfig | None = None) -> None:
         super().__init__()
-        self.config = config or ScaleFreeConfig()
+        self.config = config or ScaleInvariantConfig()
         self.msc = MultiScaleConfidence(self.config.msc_levels)
         attention = StructureAwareness(similarity="mean", learned_gain=True)
         widths = tuple(factor * self.config.width for factor in (1, 2, 4, 6, 6))
@@ -124,11 +124,11 @@ class ScaleFreeMSCSANet(nn.Module):
         log_depth = log_depth.clamp(-LOG_RANGE, LOG_RANGE)
         return Estimate(log_depth[..., :height, :width], log_error[..., :height, :width])
 
-    def folded(self, recurrent: bool) -> "ScaleFreeMSCSANet":
+    def folded(self, recurrent: bool) -> "ScaleInvariantMSCSANet":
         """An evaluation copy, each batch normalisation folded into the convolution before it."""
         return fold_batch_norm(self, recurrent)
 
-    def for_device(self, device: torch.device, precision: str, recurrent: bool) -> "ScaleFreeMSCSANet":
+    def for_device(self, device: torch.device, precision: str, recurrent: bool) -> "ScaleInvariantMSCSANet":
         """The folded copy, its U-Net's convolutions in int8 or bfloat16; attention and what lies around in float32."""
         copy = self.folded(recurrent)
         if precision == "bf16":

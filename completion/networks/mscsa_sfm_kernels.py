@@ -1,4 +1,4 @@
-"""What `ScaleFreeMSCSANet` does around its U-Net: images, points and estimates to half resolution and back.
+"""What `ScaleInvariantMSCSANet` does around its U-Net: images, points and estimates to half resolution and back.
 
 Plain PyTorch, for training and export; `completion.networks.cpu.numba_mscsa` has the same as compiled loops.
 """

@@ -13,7 +13,7 @@ from torch import nn
 
 from completion.networks.classical import CLASSICAL as CLASSICAL
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.networks.rivals.gaenet import GAENet, GAENetConfig
 from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
 from completion.networks.rivals.sparse_to_dense import StDConfig, StDNet
@@ -57,7 +57,12 @@ def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = 
 # (50 to 130 ms forward and backward at 160 px). Cut: channels everywhere; of NLSPN also 34 layers to 18; of GAENet
 # half of a point's features, since its point map must stay narrower than the first level.
 REGISTRY: dict[str, Entry] = {
-    "mscsa-sfm": Entry(ScaleFreeMSCSANet, ScaleFreeConfig, old_options={"looks": "iterations"}),
+    "mscsa-sfm": Entry(
+        ScaleInvariantMSCSANet,
+        ScaleInvariantConfig,
+        old_options={"looks": "iterations"},
+        old_headers=("ScaleFreeMSCSANet",),
+    ),
     "unet": _mscsa(False, False),
     "unet+sa": _mscsa(False, True),
     "unet+msc": _mscsa(True, False),

@@ -202,10 +202,10 @@ def onnx(
     ] = False,
 ) -> None:
     """Write a completion network for programs without torch."""
-    from completion.inference.completer import load_scale_free
+    from completion.inference.completer import load_depth_network
     from completion.inference.onnx_export import export_onnx
 
-    print(export_onnx(load_scale_free(model), out, side, recurrent))
+    print(export_onnx(load_depth_network(model), out, side, recurrent))
 
 
 def run_cleanly(command: Callable[[], Any]) -> int:

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from completion import DepthCompleter
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.inference.onnx_export import DESCRIPTION, LAST, RECURRENT_USE, export_onnx
 from completion.networks.channel_attention import attention_features
 from completion.networks.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.networks.mscsa import DoubleConv
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.networks.mscsa_sfm_kernels import halve_points
 from completion.networks.recurrent_norm import fold_batch_norm
 from completion.networks.registry import build_model
@@ -91,7 +91,7 @@ def test_beyond_the_edge_of_an_odd_sized_picture_lies_its_last_row_not_black(fra
     log_sparse = torch.where(sparse > 0, torch.log(sparse.clamp_min(1e-3) / 20), 0.0)
     by_hand = torch.from_numpy(np.pad(rgb.numpy(), ((0, 0), (0, 0), (0, 6), (0, 28)), mode="edge"))
     around = [torch.nn.functional.pad(x, (0, 28, 0, 6)) for x in (log_sparse, trust)]
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     with torch.inference_mode():
         for got, whole in zip(network(rgb, log_sparse, trust), network(by_hand, *around), strict=True):
             torch.testing.assert_close(got, whole[..., :90, :100])
@@ -104,7 +104,7 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
     with pytest.raises(CompletionError, match="no picture"):
         completer.batch(rgb[:0], sparse[:0])
     with pytest.raises(CompletionError, match="auto, int8, bf16 or fp32"):
-        DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
+        DepthCompleter(load_depth_network("mscsa"), precision="bfloat16")
     for precision in ("fp32", "bf16", "auto"):
         with pytest.raises(CompletionError, match="folded already"):
             DepthCompleter(DepthCompleter.load("mscsa", precision=precision).network)
@@ -151,10 +151,10 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, recurrent):
     import onnx
     import onnxruntime
 
-    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, recurrent)
+    path = export_onnx(load_depth_network("mscsa"), tmp_path / "m.onnx", 64, recurrent)
     assert onnx.load(path).doc_string == DESCRIPTION + RECURRENT_USE
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     rgb = torch.from_numpy(frames[0][:, :64, :64]).permute(0, 3, 1, 2).float() / 255
     sparse = torch.from_numpy(frames[1][:, None, :64, :64])
     trust = (sparse > 0).float()
@@ -173,9 +173,9 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, recurrent):
 
 def test_onnx_refuses_what_it_cannot_do(tmp_path):
     with pytest.raises(CompletionError, match="multiple of 32"):
-        export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 100)
+        export_onnx(load_depth_network("mscsa"), tmp_path / "m.onnx", 100)
     with pytest.raises(CompletionError, match="one iteration"):
-        export_onnx(ScaleFreeMSCSANet(ScaleFreeConfig(width=4)), tmp_path / "m.onnx", 64, recurrent=True)
+        export_onnx(ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4)), tmp_path / "m.onnx", 64, recurrent=True)
 
 
 def test_the_shipped_header_says_what_was_trained():
@@ -183,7 +183,7 @@ def test_the_shipped_header_says_what_was_trained():
     from completion.weights.shipped_weights import resolve_weights
 
     about = read_metadata(resolve_weights("mscsa"))
-    assert about["network"] == "ScaleFreeMSCSANet"
+    assert about["network"] == "ScaleInvariantMSCSANet"
     assert about["training"]["model"] == "scale-free"
     assert about["steps"] == about["training"]["steps"]
     assert 0 < about["held_out_abs_rel"] < 0.08
@@ -195,7 +195,7 @@ def test_fused_convolutions_are_the_same_function(dtype):
     """Each against its convolution and ReLU, with weights as trained; a copy is the same again."""
     if not can_fuse(dtype):
         pytest.skip("this PyTorch or processor has no fused convolutions")
-    plain = fold_batch_norm(load_scale_free("mscsa")).unet.to(dtype, memory_format=torch.channels_last)
+    plain = fold_batch_norm(load_depth_network("mscsa")).unet.to(dtype, memory_format=torch.channels_last)
     fused = copy.deepcopy(plain)
     fuse_convolutions(fused)
     pairs = 0

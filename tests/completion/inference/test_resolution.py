@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from completion import DepthCompleter
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.inference.resolution import resized, resolution_factor, restore_resolution
 
 
 @pytest.fixture(scope="module")
 def network():
-    return load_scale_free("mscsa")
+    return load_depth_network("mscsa")
 
 
 def picture(points, height=400, width=320, seed=0):

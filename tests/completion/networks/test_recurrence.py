@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from completion import DepthCompleter
 from completion.confidence import error_from_confidence
-from completion.inference.completer import load_scale_free
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.inference.completer import load_depth_network
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.networks.protocol import Estimate, SampleGrid
 from completion.networks.recurrence import refine_iteratively, self_conditioned_input
 from completion.networks.recurrent_norm import fold_batch_norm
@@ -32,7 +32,7 @@ def some_points(seed, height=64, width=96, points=60):
 @pytest.fixture(scope="module")
 def network():
     torch.manual_seed(0)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, iterations=3)).eval()
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4, iterations=3)).eval()
     for name, buffer in network.named_buffers():
         if name.endswith("again_mean"):
             buffer.normal_()  # else a recurrent iteration could not be told from the first
@@ -123,7 +123,7 @@ def test_only_measured_points_correct_the_sum(network):
 
 
 def test_a_network_trained_for_one_iteration_takes_no_estimate():
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).eval()
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4)).eval()
     rgb, log_sparse, trust = some_points(9)
     with torch.inference_mode():
         estimate = network(rgb, log_sparse, trust)
@@ -141,7 +141,7 @@ def statistics(network):
 
 def test_each_kind_of_iteration_learns_and_uses_statistics_of_its_own():
     torch.manual_seed(0)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, iterations=2)).train()
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4, iterations=2)).train()
     features = []
     network.unet.encoder[0][0].register_forward_hook(lambda *call: features.append(call[2].detach()))
     last = Estimate(torch.randn(1, 1, 64, 96), torch.full((1, 1, 64, 96), -2.0))
@@ -172,7 +172,7 @@ def test_each_kind_of_iteration_learns_and_uses_statistics_of_its_own():
 
 def test_weights_without_recurrent_statistics_are_refused():
     torch.manual_seed(1)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, iterations=2))
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4, iterations=2))
     for word in ("again_", "running_"):
         with pytest.raises(RuntimeError, match=word):
             network.load_state_dict({n: t for n, t in network.state_dict().items() if f".{word}" not in n})
@@ -216,7 +216,7 @@ def test_two_iterations_of_the_completer_are_not_one_and_neither_touches_the_sca
     rng = np.random.default_rng(0)
     rgb = rng.integers(20, 230, (96, 96, 3), dtype=np.uint8)
     sparse = np.where(rng.random((96, 96)) < 0.02, rng.uniform(20, 40, (96, 96)), 0).astype(np.float32)
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     once, twice = (DepthCompleter(network, precision="fp32", iterations=iterations) for iterations in (1, 2))
     assert np.abs(np.log(once(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     np.testing.assert_allclose(twice(rgb, 7 * sparse)[0], 7 * twice(rgb, sparse)[0], rtol=1e-4)

@@ -11,10 +11,10 @@ import torch
 
 from completion.data.shards import Batch, Shard, augment
 from completion.evaluation.predictors import load_predictor
-from completion.inference.completer import DepthCompleter, load_scale_free
+from completion.inference.completer import DepthCompleter, load_depth_network
 from completion.networks.checkpoint import load_network, load_tensors, save_network, save_tensors
 from completion.networks.mscsa import MSCSANet
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.training.config import TrainConfig, make_config
 from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import GracefulInterrupt
@@ -45,7 +45,7 @@ def test_training_is_repeatable_and_resumes(shards, tmp_path):
         assert torch.equal(tensor, load_tensors(again)[0][name]), name
     assert [row["step"] for row in csv.DictReader(whole.with_suffix(".log.csv").open())] == ["4"]  # a short run's too
     first = load_network(whole)
-    assert isinstance(first, ScaleFreeMSCSANet)
+    assert isinstance(first, ScaleInvariantMSCSANet)
     # A checkpoint of the finished run: resuming it trains no further and writes the same weights.
     before = whole.read_bytes()
     assert train(config(shards, whole, steps=4)).read_bytes() == before
@@ -168,11 +168,11 @@ def test_wrong_weight_files_are_one_sentence(tmp_path):
     save_tensors(path, {"a": torch.zeros(1)}, {"network": "GPT", "config": {}})
     with pytest.raises(CompletionError, match="holds a GPT"):
         load_network(path)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4))
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4))
     weights = network.state_dict()
     weights.pop("unet.head.bias")
     save_network(path, network, weights, {})
-    with pytest.raises(CompletionError, match="do not fit ScaleFreeMSCSANet"):
+    with pytest.raises(CompletionError, match="do not fit ScaleInvariantMSCSANet"):
         load_network(path)
     metric = MSCSANet()
     save_network(path, metric, metric.state_dict(), {})
@@ -183,7 +183,7 @@ def test_wrong_weight_files_are_one_sentence(tmp_path):
 @pytest.mark.parametrize("iterations", [1, 2, 3])
 def test_the_shipped_weights_load_and_beat_the_median(iterations):
     """On a rendered-like ramp the shipped model is far better than a constant, whatever the number of iterations."""
-    completer = DepthCompleter(load_scale_free("mscsa"), iterations=iterations)
+    completer = DepthCompleter(load_depth_network("mscsa"), iterations=iterations)
     rows, columns = np.mgrid[:128, :128]
     truth = (15 + 0.3 * columns + 0.1 * rows).astype(np.float32)
     rgb = np.clip(4e4 / truth**2, 0, 255)[..., None].repeat(3, 2).astype(np.uint8)

@@ -16,7 +16,7 @@ from scipy.signal import correlate
 from torch import nn
 
 from completion import DepthCompleter
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.networks import precision as formats
 from completion.networks.cpu.int8_resize import beside_doubled
 from completion.networks.cpu.int8_unet import (
@@ -225,7 +225,7 @@ def test_the_shipped_model_in_eight_bits_agrees_with_float32():
     sparse = np.zeros(depth.shape, np.float32)
     chosen = rng.choice(depth.size, 100, replace=False)
     sparse.flat[chosen] = depth.flat[chosen]
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     exact, eight = (DepthCompleter(network, precision=precision) for precision in ("fp32", "int8"))
     off = np.abs(eight(rgb, sparse)[0] / exact(rgb, sparse)[0] - 1)
     assert 0 < np.median(off) < TOLERANCE
@@ -291,7 +291,7 @@ def test_a_onednn_that_is_kept_from_the_instructions_is_not_trusted():
 
 @needs_vnni
 def test_making_it_draws_no_random_number():
-    network, before = load_scale_free("mscsa"), torch.get_rng_state()
+    network, before = load_depth_network("mscsa"), torch.get_rng_state()
     DepthCompleter(network, precision="int8")
     assert torch.equal(torch.get_rng_state(), before)
 

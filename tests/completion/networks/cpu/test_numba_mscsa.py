@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.networks.cpu.numba_mscsa import CompiledAnchor, halved_points, image_planes, recurrent_inputs, unfolded
 from completion.networks.mscsa_sfm_kernels import (
     INPUT_RANGES,
@@ -84,7 +84,7 @@ def test_a_frame_is_completed_as_by_the_network_itself():
     rgb = rng.integers(20, 236, (1, 90, 120, 3), dtype=np.uint8)
     rgb = (rgb * (130 / rgb.max(axis=3).mean())).clip(0, 255).astype(np.uint8)
     sparse = np.where(rng.random((1, 90, 120)) < 0.01, rng.uniform(5, 40, (1, 90, 120)), 0).astype(np.float32)
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     log_sparse, median = normalise_log(torch.from_numpy(sparse)[:, None])
     trust = (torch.from_numpy(sparse)[:, None] > 0).float()
     completer = DepthCompleter(network, precision="fp32", device="cpu")
