@@ -16,7 +16,7 @@ from completion.networks.mscsa import MSCSAConfig, MSCSANet
 from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.networks.rivals.gaenet import GAENet, GAENetConfig
 from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
-from completion.networks.rivals.sparse_to_dense import StDConfig, StDNet
+from completion.networks.rivals.sparse_to_dense import SparseToDense, SparseToDenseConfig
 from haustra.core.errors import CompletionError
 
 Size = Literal["paper", "small"]
@@ -70,8 +70,8 @@ REGISTRY: dict[str, Entry] = {
     "unet+msc+residual": _mscsa(True, False, residual=True),
     "mscsa+residual": _mscsa(True, True, residual=True),
     "mscsa+residual+similar": _mscsa(True, True, residual=True, similar=True),
-    "std18": Entry(StDNet, StDConfig, {"layers": 18}, {"base": 48}),
-    "std50": Entry(StDNet, StDConfig, {"layers": 50}, {"base": 24}),
+    "std18": Entry(SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 48}, old_headers=("StDNet",)),
+    "std50": Entry(SparseToDense, SparseToDenseConfig, {"layers": 50}, {"base": 24}, old_headers=("StDNet",)),
     "nlspn": Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),
     "gaenet": Entry(GAENet, GAENetConfig, {}, {"base": 16, "features": 8}, needs_intrinsics=True),
 }

@@ -75,7 +75,7 @@ def _init_decoder(module: nn.Module) -> None:
 
 
 @dataclass(frozen=True)
-class StDConfig:
+class SparseToDenseConfig:
     """Published: base 64. The paper's decoder is upproj; the released code's default is deconv2."""
 
     layers: int = 18  # or 50
@@ -91,12 +91,12 @@ class StDConfig:
             raise CompletionError(f"StD has no decoder '{self.decoder}'")
 
 
-class StDNet(nn.Module):
+class SparseToDense(nn.Module):
     """Sparse-to-Dense: unit of the sparse depth in, same unit out."""
 
-    def __init__(self, config: StDConfig | None = None) -> None:
+    def __init__(self, config: SparseToDenseConfig | None = None) -> None:
         super().__init__()
-        self.config = config or StDConfig()
+        self.config = config or SparseToDenseConfig()
         base, deepest = self.config.base, out_widths(self.config.layers, self.config.base)[-1]
         self.stem = nn.Sequential(conv_bn(4, base, 7, stride=2), nn.ReLU(), nn.MaxPool2d(3, 2, padding=1))
         self.stages = resnet_stages(self.config.layers, base)
