@@ -26,7 +26,7 @@ from completion.inference.completer import load_depth_network
 from completion.inference.onnx_export import export_onnx
 from completion.inference.resolution import SIDE_FOR_MANY
 from completion.networks.classical import CLASSICAL
-from completion.networks.cpu.int8_unet import can_use_eight_bits
+from completion.networks.cpu.int8_unet import can_use_int8
 from completion.networks.protocol import DepthNetwork
 from completion.networks.registry import build_model
 from pipeline.run_folder.malloc import keep_freed_memory
@@ -114,7 +114,7 @@ def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
         other = DepthCompleter(network, resolution=side, iterations=iterations)
         calls[f"mscsa, {iterations} iteration{'s' * (iterations > 1)} at {side} px"] = partial(other, rgb, sparse)
     for precision in ("int8", "bf16", "fp32"):
-        if precision != "int8" or can_use_eight_bits():
+        if precision != "int8" or can_use_int8():
             calls[f"mscsa, {precision}"] = partial(DepthCompleter(network, precision=precision), rgb, sparse)
     return calls
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from completion.networks.channel_attention import StructureAwareness
 from completion.networks.cpu.fused_conv import can_fuse, fuse_convolutions
-from completion.networks.cpu.int8_unet import EightBitUNet, channel_ranges
+from completion.networks.cpu.int8_unet import Int8UNet, channel_ranges
 from completion.networks.cpu.numba_mscsa import COMPILED, CompiledAnchor
 from completion.networks.cpu.numba_normalized_conv import LinearConfidence
 from completion.networks.mscsa import UNet
@@ -149,6 +149,6 @@ class ScaleInvariantMSCSANet(nn.Module):
         if precision == "int8":
             dtype = torch.bfloat16 if half and has_fast_bfloat16(torch.device("cpu")) else torch.float32
             ranges = torch.tensor(INPUT_RANGES[0] + (INPUT_RANGES[1] if self.config.iterations > 1 else ()))
-            self.unet = EightBitUNet(self.unet, channel_ranges(trained), ranges, (NCONV_DEPTH_CHANNEL,), dtype)
+            self.unet = Int8UNet(self.unet, channel_ranges(trained), ranges, (NCONV_DEPTH_CHANNEL,), dtype)
         elif precision == "bf16" and half:
             fuse_convolutions(self.unet)  # in float32 it gains little

@@ -2,7 +2,7 @@
 
 import torch
 
-from completion.networks.cpu.int8_unet import can_use_eight_bits
+from completion.networks.cpu.int8_unet import can_use_int8
 from haustra.core.errors import CompletionError
 
 PRECISIONS = ("int8", "bf16", "fp32")
@@ -15,7 +15,7 @@ def choose_precision(precision: str, device: torch.device, known: tuple[str, ...
         raise CompletionError(f"precision is {', '.join(('auto', *known[:-1]))} or {known[-1]}, not {precision!r}")
     if precision in ("bf16", "fp32"):
         return precision
-    if "int8" in known and device.type == "cpu" and can_use_eight_bits():
+    if "int8" in known and device.type == "cpu" and can_use_int8():
         return "int8"
     if precision == "int8":
         raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")

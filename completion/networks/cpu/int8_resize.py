@@ -92,12 +92,12 @@ def fill_row(a, b, c, d, per_unit, words):  # type: ignore[no-untyped-def]
     """By itself it is done in as many as the processor has lanes."""
     of_a, of_b, of_c, of_d = per_unit
     for i in range(len(words)):
-        first, second = in_eight_bits(a[i] * of_a), in_eight_bits(b[i] * of_b)
-        third, fourth = in_eight_bits(c[i] * of_c), in_eight_bits(d[i] * of_d)
+        first, second = to_uint8(a[i] * of_a), to_uint8(b[i] * of_b)
+        third, fourth = to_uint8(c[i] * of_c), to_uint8(d[i] * of_d)
         words[i] = first | second << np.uint32(8) | third << np.uint32(16) | fourth << np.uint32(24)
 
 
 @compiled
-def in_eight_bits(steps):  # type: ignore[no-untyped-def]
+def to_uint8(steps):  # type: ignore[no-untyped-def]
     """The nearest integer from the middle on, cut off at both ends; of finite steps."""
     return np.uint32(min(max(steps + HALF_UP, NONE), MOST))

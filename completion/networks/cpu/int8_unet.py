@@ -32,7 +32,7 @@ RESIDUAL_STEPS = 4
 
 
 @cache
-def can_use_eight_bits() -> bool:
+def can_use_int8() -> bool:
     """Whether this processor multiplies 8-bit integers fast, and this PyTorch does so rightly: without VNNI, or with
     oneDNN kept from using it, sums of large values are cut off at 16 bits."""
     supported = getattr(torch.cpu, "_is_vnni_supported", None)
@@ -43,7 +43,7 @@ def can_use_eight_bits() -> bool:
     conv.bias.zero_()  # type: ignore[union-attr]
     try:
         for zero in (0, MIDDLE):
-            made = EightBitConvReLU(conv, torch.ones(64), torch.ones(16), torch.float32, zero)
+            made = Int8ConvReLU(conv, torch.ones(64), torch.ones(16), torch.float32, zero)
             sums = made(torch.full((1, 64, 3, 3), LARGEST, dtype=torch.uint8))
             if not torch.allclose(sums, torch.full_like(sums, 9 * 64 * (LARGEST - zero))):
                 return False
@@ -52,7 +52,7 @@ def can_use_eight_bits() -> bool:
     return True
 
 
-class EightBitUNet(nn.Module):
+class Int8UNet(nn.Module):
     """What `joined` makes of (B,in,H,W) -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
 
     input_ranges: Tensor
@@ -89,8 +89,8 @@ class EightBitUNet(nn.Module):
         convolutions[0] = residual_bits_conv(convolutions[0][0], fine), convolutions[0][1]
         made = [
             nn.Sequential(
-                EightBitConvReLU(first, given, step[0], torch.uint8, MIDDLE if index in (0, levels) else 0),
-                EightBitConvReLU(second, *step, output),
+                Int8ConvReLU(first, given, step[0], torch.uint8, MIDDLE if index in (0, levels) else 0),
+                Int8ConvReLU(second, *step, output),
             )
             for index, ((first, second), given, step, output) in enumerate(
                 zip(convolutions, inputs, steps, outputs, strict=True)
@@ -144,7 +144,7 @@ def residual_bits_conv(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
     return made
 
 
-class EightBitConvReLU(nn.Module):
+class Int8ConvReLU(nn.Module):
     """ReLU of a convolution of 8-bit integers (B,in,H,W), in steps of `outputs` (out,) and of the type asked for."""
 
     scale: Tensor

@@ -21,9 +21,9 @@ from completion.networks import precision as formats
 from completion.networks.cpu.int8_resize import beside_doubled
 from completion.networks.cpu.int8_unet import (
     RESIDUAL_STEPS,
-    EightBitConvReLU,
-    EightBitUNet,
-    can_use_eight_bits,
+    Int8ConvReLU,
+    Int8UNet,
+    can_use_int8,
     channel_ranges,
 )
 from completion.networks.mscsa import UNet
@@ -32,7 +32,7 @@ from completion.networks.precision import choose_precision
 from completion.networks.recurrent_norm import fold_batch_norm
 from haustra.core.errors import CompletionError
 
-needs_vnni = pytest.mark.skipif(not can_use_eight_bits(), reason="this processor or PyTorch has no fast 8-bit integers")
+needs_vnni = pytest.mark.skipif(not can_use_int8(), reason="this processor or PyTorch has no fast 8-bit integers")
 # Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
 TOLERANCE = 0.01
 INPUT_RANGES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
@@ -48,7 +48,7 @@ def test_a_convolution_of_integers_is_scipys(size, zero):
     torch.manual_seed(size)
     conv = nn.Conv2d(5, 4, size, padding=size // 2)
     steps, outputs = torch.rand(5) / 50 + 0.01, torch.rand(4) / 20 + 0.01
-    made = EightBitConvReLU(conv, steps, outputs, torch.float32, zero)
+    made = Int8ConvReLU(conv, steps, outputs, torch.float32, zero)
     weight = made.weight.numpy().astype(np.int64)
     np.testing.assert_array_equal(np.abs(weight).max(axis=(1, 2, 3)), 127)  # of all eight bits
     for shape in ((7, 9), (16, 16), (7, 9), (3, 4), (12, 5), (20, 2)):  # more than are kept
@@ -69,8 +69,8 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
     conv, steps = nn.Conv2d(3, 6, 3, padding=1), torch.full((6,), 0.008)
     x = integers(2, 3, 8, 12)
     with torch.inference_mode():
-        exact = EightBitConvReLU(conv, torch.full((3,), 0.02), steps, torch.float32)(x)
-        whole = EightBitConvReLU(conv, torch.full((3,), 0.02), steps, torch.uint8)(x)
+        exact = Int8ConvReLU(conv, torch.full((3,), 0.02), steps, torch.float32)(x)
+        whole = Int8ConvReLU(conv, torch.full((3,), 0.02), steps, torch.uint8)(x)
     assert whole.dtype == torch.uint8
     assert exact.max() > 260
     assert ((exact > 0) & (exact < 254)).any()
@@ -83,7 +83,7 @@ def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
     """Cut off beyond its reach; with the rest it is `RESIDUAL_STEPS` times as exact."""
     torch.manual_seed(3)
     unet = trained((8, 12))[0]
-    made = EightBitUNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, fine, torch.float32)
+    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, fine, torch.float32)
     x = 1.4 * INPUT_RANGES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
     x[0, :, 0, 0] = 0
     out = made.joined([x[:, :1], x[:, 1:4], x[:, 4:]])
@@ -123,8 +123,8 @@ def trained(widths):
     return unet.eval(), x
 
 
-def in_eight_bits(unet, x, dtype=torch.float32):
-    made = EightBitUNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, FINE, dtype)
+def to_uint8(unet, x, dtype=torch.float32):
+    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, FINE, dtype)
     return made(made.joined([x]))
 
 
@@ -191,7 +191,7 @@ def test_the_whole_is_the_unet_with_each_value_rounded(widths):
     torch.manual_seed(len(widths))
     unet, x = trained(widths)[0], torch.randn(8, 5, 32, 48)
     with torch.no_grad():
-        got, coarser = in_eight_bits(unet, x), in_eight_bits(unet, x, torch.bfloat16)
+        got, coarser = to_uint8(unet, x), to_uint8(unet, x, torch.bfloat16)
         expected, exact = by_hand(unet, x), unet(x)
     assert (got.dtype, coarser.dtype) == (torch.float32, torch.bfloat16)
     off = (got - expected).flatten(1).std(dim=1)
@@ -207,12 +207,12 @@ def test_every_channel_has_a_step_of_its_own():
     torch.manual_seed(1)
     unet, x = trained((8, 12, 16))
     with torch.no_grad():
-        expected = in_eight_bits(unet, x)
+        expected = to_uint8(unet, x)
         unet.encoder[0][4].weight[3] *= 1024
         unet.encoder[0][4].bias[3] *= 1024
         for block in (unet.encoder[1], unet.decoder[-1]):
             block[0].weight[:, 3] /= 1024
-        got = in_eight_bits(unet, x)
+        got = to_uint8(unet, x)
     torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-4 * expected.std().item())
 
 
@@ -282,7 +282,7 @@ def test_a_point_beyond_all_numbers_leaves_depth_finite():
 @needs_vnni
 def test_a_onednn_that_is_kept_from_the_instructions_is_not_trusted():
     """Sums of bytes are then cut off at 16 bits, and nobody says so."""
-    code = "from completion.networks.cpu.int8_unet import can_use_eight_bits as can; print(can())"
+    code = "from completion.networks.cpu.int8_unet import can_use_int8 as can; print(can())"
     for instructions, expected in (("AVX2", "False"), ("ALL", "True")):
         environment = {**os.environ, "ONEDNN_MAX_CPU_ISA": instructions}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
@@ -298,10 +298,10 @@ def test_making_it_draws_no_random_number():
 
 def test_without_such_a_processor_the_next_best_is_taken(monkeypatch):
     cpu = torch.device("cpu")
-    monkeypatch.setattr(formats, "can_use_eight_bits", lambda: True)
+    monkeypatch.setattr(formats, "can_use_int8", lambda: True)
     assert [choose_precision(p, cpu) for p in ("auto", "int8", "bf16", "fp32")] == ["int8", "int8", "bf16", "fp32"]
     assert choose_precision("auto", torch.device("cuda")) == "bf16"
-    monkeypatch.setattr(formats, "can_use_eight_bits", lambda: False)
+    monkeypatch.setattr(formats, "can_use_int8", lambda: False)
     monkeypatch.setattr(formats, "has_fast_bfloat16", lambda device: False)
     assert choose_precision("auto", cpu) == "fp32"
     with pytest.raises(CompletionError, match="VNNI"):
