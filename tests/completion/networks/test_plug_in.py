@@ -14,8 +14,8 @@ from completion.evaluation.run import Outputs, evaluate, protocol_of
 from completion.inference.onnx_export import export_onnx
 from completion.networks.checkpoint import load_network, save_network
 from completion.networks.protocol import GRID, DepthNetwork, Estimate
-from completion.networks.registry import REGISTRY, Entry
-from completion.training.config import make_config
+from completion.networks.registry import REGISTRY, Entry, described_network, find_entry
+from completion.training.config import make_config, with_new_names
 from completion.training.train import train
 from completion.weights.shipped_weights import validate_weights
 from haustra.core.errors import CompletionError
@@ -112,3 +112,14 @@ def test_a_weight_file_of_an_older_class_name_is_its(weights, tmp_path):
     save_network(tmp_path / "unet.safetensors", metric, metric.state_dict(), {})
     with pytest.raises(CompletionError, match="metric network"):
         DepthCompleter.load(tmp_path / "unet.safetensors")
+
+
+def test_names_of_earlier_releases_are_read(tmp_path):
+    """Class, option, model and setting, as weight files and checkpoints of before the renaming have them."""
+    for old, name in (("ScaleFreeMSCSANet", "mscsa-sfm"), ("StDNet", "std18"), ("MSCSAModel", "mscsa")):
+        assert described_network(old, {})[0].network is REGISTRY[name].network
+    assert described_network("ScaleFreeMSCSANet", {"looks": 3})[1].iterations == 3
+    assert with_new_names({"model": "scale-free", "looks": 3}) == {"model": "mscsa-sfm", "iterations": 3}
+    assert find_entry("scale-free") is REGISTRY["mscsa-sfm"]
+    with pytest.raises(TypeError, match="looks"):
+        described_network("MSCSANet", {"looks": 3})

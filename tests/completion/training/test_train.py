@@ -109,12 +109,12 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
         torch.testing.assert_close(together[f"network.{name}"], parameter.detach(), rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("model", ["scale-free", "gaenet"])
+@pytest.mark.parametrize("model", ["mscsa-sfm", "gaenet"])
 def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypatch, model):
     import completion.training.train as module
 
     def settings(name, **more):
-        kind = {} if model == "scale-free" else {"model": model, "size": "small"}  # GAENet drops out at random
+        kind = {} if model == "mscsa-sfm" else {"model": model, "size": "small"}  # GAENet drops out at random
         return config(shards, tmp_path / name, steps=4, **kind, **more)
 
     np.save(shards / "intrinsics.npy", np.tile(np.float32([60, 60, 32, 32]), (12, 1)))
@@ -239,7 +239,7 @@ def test_training_starts_from_given_weights_and_refuses_others(shards, tmp_path)
         torch.testing.assert_close(tensor, dict(start.named_parameters())[name], atol=2e-3, rtol=2e-3)
     with pytest.raises(CompletionError, match="do not fit"):
         train(config(shards, tmp_path / "c.safetensors", steps=1, init=first).model_copy(update={"width": 8}))
-    with pytest.raises(CompletionError, match="holds a ScaleFree"):
+    with pytest.raises(CompletionError, match="holds a ScaleInvariant"):
         train(config(shards, tmp_path / "d.safetensors", steps=1, init=first, model="unet", size="small"))
 
 

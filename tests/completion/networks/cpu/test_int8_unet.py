@@ -35,7 +35,7 @@ from haustra.core.errors import CompletionError
 needs_vnni = pytest.mark.skipif(not can_use_int8(), reason="this processor or PyTorch has no fast 8-bit integers")
 # Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
 TOLERANCE = 0.01
-INPUT_RANGES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
+RANGES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
 
 
 def integers(*shape):
@@ -83,14 +83,14 @@ def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
     """Cut off beyond its reach; with the rest it is `RESIDUAL_STEPS` times as exact."""
     torch.manual_seed(3)
     unet = trained((8, 12))[0]
-    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, fine, torch.float32)
-    x = 1.4 * INPUT_RANGES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
+    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), RANGES, fine, torch.float32)
+    x = 1.4 * RANGES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
     x[0, :, 0, 0] = 0
     out = made.joined([x[:, :1], x[:, 1:4], x[:, 4:]])
     assert out.is_contiguous(memory_format=torch.channels_last)
     assert out.shape == (2, 8, 6, 8)  # whole words
     assert (out[0, :5, 0, 0] == 128).all()
-    steps, held = x * (127 / INPUT_RANGES).view(1, 5, 1, 1), out.float() - 128
+    steps, held = x * (127 / RANGES).view(1, 5, 1, 1), out.float() - 128
     for channel in range(5):
         rest = held[:, 5 + fine.index(channel)] / RESIDUAL_STEPS if channel in fine else 0
         off = (held[:, channel] + rest - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
@@ -124,7 +124,7 @@ def trained(widths):
 
 
 def to_uint8(unet, x, dtype=torch.float32):
-    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), INPUT_RANGES, FINE, dtype)
+    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), RANGES, FINE, dtype)
     return made(made.joined([x]))
 
 
@@ -157,7 +157,7 @@ def by_hand(unet, x):
     def doubled(x):
         return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
-    of_input = (127 / INPUT_RANGES).double().view(1, -1, 1, 1)
+    of_input = (127 / RANGES).double().view(1, -1, 1, 1)
     rounded_input, fine = signed(x, of_input), list(FINE)
     rest = signed(x[:, fine] - rounded_input[:, fine], RESIDUAL_STEPS * of_input[:, fine])
     conv = blocks[0][0]

@@ -104,8 +104,8 @@ def test_a_frame_is_completed_as_by_the_network_itself():
     )  # its brightness is not quite as asked
 
 
-def test_the_unet_is_given_what_the_reaches_are_of(monkeypatch):
-    """Channels in the order of `INPUT_RANGES`, MSC's depth at `NCONV_DEPTH_CHANNEL`, all within reach on an ordinary frame."""
+def test_the_unets_input_is_in_the_order_and_the_range_of_its_quantization(monkeypatch):
+    """Channels in the order of `INPUT_RANGES`, MSC depth at `NCONV_DEPTH_CHANNEL`, on an ordinary frame."""
     rng = np.random.default_rng(4)
     y, x = np.mgrid[:96, :128] / 96 - 0.5
     depth = 8 / np.maximum(np.hypot(x, y), 0.08)
