@@ -1,8 +1,7 @@
-"""True depth that was stored in coarse steps, brought back to the smooth surface that it was rounded from.
+"""Dequantization of true depth that was stored in coarse steps, by constrained diffusion.
 
-SimCol3D stores 200 mm in 255 steps. A step is 4 % of what is near, several times a good model's error there, so that
-judged by such depth every model looks alike. What was rounded lies within half a step of what is stored: inside these
-bounds, and not across edges, diffusion flattens the stairs.
+SimCol3D stores 200 mm in 255 steps. Near the camera a step is 4 % of the depth, several times a good model's error. The
+original lies within half a step of the stored value: diffusion within these bounds, but not across edges, smooths it.
 """
 
 from __future__ import annotations

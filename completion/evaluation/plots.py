@@ -1,5 +1,5 @@
-"""Pictures of an evaluation: contact sheet with error maps, methods side by side (the paper's Figure 4), error over
-points (Figure 5), features before and after structure awareness (Figure 6), calibration."""
+"""Plots of an evaluation: sample frames with error maps, methods side by side (the paper's Fig. 4), error over points
+(Fig. 5), features before and after structure awareness (Fig. 6), calibration."""
 
 from __future__ import annotations
 

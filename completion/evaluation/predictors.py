@@ -1,4 +1,4 @@
-"""Anything that completes depth, behind one call: classical fills, shipped models, weight files of any network."""
+"""One call for every completion method: classical baselines, shipped models, weight files of any registered network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Predictor:
 
     complete: Complete
     network: nn.Module | None = None  # None for classical fills
-    precision: str | None = None  # of a scale-free network's convolutions: int8, bf16 or fp32
+    precision: str | None = None  # of a `DepthNetwork`'s convolutions: int8, bf16 or fp32
 
     def __call__(
         self, rgb: RGB, sparse: Depth, intrinsics: NDArray[np.float64] | None = None
@@ -60,7 +60,7 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
 
 
 def _metric(network: nn.Module, device: str, unit: float) -> Complete:
-    """A network of the paper's kind: metric depth in and out, no confidence; it works in multiples of `unit`."""
+    """Call of a metric network, whose depth is in multiples of `unit`; it has no confidence."""
     import torch
 
     from completion.inference.completer import choose_device

@@ -42,7 +42,7 @@ from haustra.core.progress import Advance, Progress
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where to write; None writes nothing."""
+    """Files to write; None: not written."""
 
     csv: Path | None = None
     json: Path | None = None
@@ -53,7 +53,7 @@ class Outputs:
     attention: Path | None = None
 
     def make_way(self) -> None:
-        """Folders for all of them; CompletionError for one that cannot be written, before any work is done for it."""
+        """Create the files' folders; CompletionError for a file that cannot be written, before any work."""
         for path in filter(None, astuple(self)):
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ class Outputs:
 def protocol_of(
     sampler: str, points: int, align: str, averaging: str, seed: int, stride: int, depth_step: float = 0.0
 ) -> Protocol:
-    """Checked by name, so that a slip is one sentence."""
+    """A `Protocol`; CompletionError names the known values of a setting that has another."""
     for name, value, known in (
         ("sampler", sampler, tuple(SAMPLERS)),
         ("alignment", align, get_args(Alignment)),
@@ -148,7 +148,7 @@ def _run(
 
 
 def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> None:
-    """What is about all figures together."""
+    """Write the files that cover all records: JSON, sweep and calibration plots."""
     if outputs.json:
         outputs.json.write_text(json.dumps(records, indent=1) + "\n")
     if outputs.sweep:
@@ -164,7 +164,7 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
 def _record(
     folder: str, model: str, precision: str | None, protocol: Protocol, accumulator: Accumulator, unit: str
 ) -> dict[str, Any]:
-    """Everything about one figure, for JSON."""
+    """Errors of one folder, model and protocol, with all settings, for JSON."""
     calibration, simcol = accumulator.calibration(), accumulator.simcol3d()
     return {
         "folder": folder,
@@ -186,7 +186,7 @@ def _record(
 def _write_pictures(
     outputs: Outputs, accumulator: Accumulator, predictor: Predictor, record: dict[str, Any], several: bool
 ) -> list[Path]:
-    """CSV and sheets of one figure; with several figures each file's name says which it is, and is returned."""
+    """Write CSV and plots of one record; with several records return the files, whose names then tell them apart."""
     label = _label(record)
     title = f"{record['folder']}, {record['model']}: {Protocol(**record['protocol'])}"
     csv, sheet, attention = (

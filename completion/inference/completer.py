@@ -1,4 +1,4 @@
-"""`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
+"""`DepthCompleter`: image and sparse depth -> dense depth and confidence, with any `DepthNetwork`."""
 
 import warnings
 from pathlib import Path
@@ -18,13 +18,13 @@ from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iterativel
 from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
 
-# Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
+# Exposure of every image is normalised to that of the training frames, few of which are as bright as SimCol3D's.
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
-GAIN_RANGE = (0.5, 2.0)
+GAIN_RANGE = (0.5, 2.0)  # factor on grey levels
 
 
 class DepthCompleter:
-    """Dense depth in the unit of the sparse depth, whatever that unit is.
+    """Dense depth in the unit of the sparse depth, and its confidence in [0,1].
 
     >>> completer = DepthCompleter.load("mscsa")
     >>> depth, confidence = completer(rgb, sparse_depth)      # doctest: +SKIP
@@ -68,7 +68,7 @@ class DepthCompleter:
         iterations: int | None = None,
         looks: int | None = None,
     ) -> "DepthCompleter":
-        """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
+        """A shipped model by name, or a weight file; CompletionError if it does not load or is a metric network."""
         return cls(load_depth_network(model), device, precision, iterations=renamed_looks(iterations, looks))
 
     def __call__(
@@ -93,7 +93,7 @@ class DepthCompleter:
         sparse_depth: NDArray[np.float32],
         sparse_error: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Complete B frames of one size at once: as `__call__`, each array with a first axis B."""
+        """As `__call__`, of B frames of one size: each array has a first axis B."""
         _check_shapes(rgb, sparse_depth, sparse_error)
         sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
         trust = (sparse > 0).astype(np.float32)
@@ -116,7 +116,7 @@ class DepthCompleter:
     def _resized(
         self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W), made at `factor` times the pictures' size."""
+        """Depth and relative error (B,H,W), computed at `factor` times the images' resolution."""
         frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
         depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
         size = (sparse.shape[2], sparse.shape[1])
@@ -126,7 +126,7 @@ class DepthCompleter:
     def _predict(
         self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W) from (B,H,W,3), (B,H,W), (B,H,W)."""
+        """Image (B,H,W,3), sparse depth and trust (B,H,W) -> depth and relative error (B,H,W)."""
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
@@ -148,14 +148,14 @@ def load_depth_network(model: str | Path) -> DepthNetwork:
     """The network of a shipped name or a weight file; CompletionError if it is one of the paper's metric ones."""
     network = load_network(resolve_weights(model))
     if not isinstance(network, DepthNetwork):
-        raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-free one")
+        raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-invariant one")
     return network
 
 
 def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bring the mean brightness of the lit area to that of the training frames, within a factor of two."""
+    """Image (H,W,3) times the factor in `GAIN_RANGE` that brings its lit area's mean to `TYPICAL_BRIGHTNESS`."""
     brightest = np.maximum.reduce(cv2.split(rgb))
-    lit = (brightest > 16).view(np.uint8)  # video black: the border is not part of the picture
+    lit = (brightest > 16).view(np.uint8)  # above video black, so that the border does not count
     if not lit.any():
         return rgb
     gain = np.clip(TYPICAL_BRIGHTNESS / cv2.mean(brightest, lit)[0], *GAIN_RANGE)
@@ -163,6 +163,7 @@ def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def choose_device(device: str) -> torch.device:
+    """The device of "auto" (CUDA where there is one), "cpu" or "cuda"; CompletionError without CUDA."""
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if device == "cuda" and not torch.cuda.is_available():
@@ -174,7 +175,7 @@ def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
     if rgb.ndim != 4 or rgb.shape[3] != 3 or rgb.dtype != np.uint8:
         raise CompletionError(f"the image must be (H, W, 3) uint8, not {rgb.shape[1:]} {rgb.dtype}")
     if not rgb.size:
-        raise CompletionError(f"there is no picture in images of shape {rgb.shape}")
+        raise CompletionError(f"there is no image in an array of shape {rgb.shape}")
     for name, array in (("sparse depth", sparse), ("sparse error", error)):
         if array is not None and array.shape != rgb.shape[:3]:
             raise CompletionError(f"the {name} must have the image's size {rgb.shape[1:3]}, not {array.shape[1:]}")

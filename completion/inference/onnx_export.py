@@ -1,7 +1,7 @@
-"""The scale-free network as an ONNX graph, for programs without torch.
+"""Export of a `DepthNetwork` as an ONNX graph, for programs without torch.
 
-Inputs and outputs are those of a `DepthNetwork`'s `folded` copy, for a batch of any size at one fixed image size: what
-`DepthCompleter` does around it is a few lines of array code, which the file's description tells.
+Inputs and outputs are those of a `DepthNetwork`'s `folded` copy, for a batch of any size at one fixed image size. The
+file's description says what `DepthCompleter` computes around it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from haustra.core.errors import CompletionError
 INPUTS, OUTPUTS = ("rgb", "log_sparse", "trust"), ("log_depth", "log_error")
 LAST = ("last_log_depth", "last_log_error")
 DESCRIPTION = (
-    "rgb: (B,3,H,W) in [0,1]; a picture whose lit pixels (brightest channel over 16/255) are not 130/255 bright in "
+    "rgb: (B,3,H,W) in [0,1]; an image whose lit pixels (brightest channel over 16/255) are not 130/255 bright in "
     "the mean is first multiplied by a factor from 0.5 to 2 that makes them so, and rounded to 255ths. log_sparse: "
     "(B,1,H,W), log(depth / median), 0 where there is no point; median: of the frame's sparse depths, the lower of "
     "the middle two. trust: (B,1,H,W), 0 where there is no point, 1 at points, or e0^2 / (e0^2 + e^2) with e0 = "
     "0.03 where a point's relative error e is known. Depth = median * exp(log_depth); exp(log_error) is the "
-    "relative error that is expected. A picture that is completed at another size is resized before, points by (p +"
+    "relative error that is expected. An image that is completed at another size is resized before, points by (p +"
     " 0.5) * factor."
 )
 RECURRENT_USE = (
@@ -46,7 +46,7 @@ def export_onnx(network: DepthNetwork, path: Path, side: int, recurrent: bool = 
     folded = network.folded(recurrent)
 
     def inputs_of(make: Callable[[int], Any]) -> tuple[Any, ...]:
-        """What `make` gives for the channels of each input."""
+        """`make` of the number of channels of each input."""
         last = (Estimate(make(1), make(1)),) if recurrent else ()
         return (make(3), make(1), make(1), *last)
 

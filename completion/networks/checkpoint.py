@@ -1,7 +1,7 @@
-"""Weights and training states as safetensors; nothing here unpickles.
+"""Weights and training states as safetensors files; nothing here unpickles.
 
-A weight file carries its network's name and configuration in the header, so that loading needs no other file and a
-wrong one is refused by name instead of half loaded.
+The header of a weight file has the class name and the configuration of its network (`registry.described_network`), so
+that loading needs no other file and a wrong file is refused by name.
 """
 
 import json
@@ -20,7 +20,7 @@ from haustra.core.errors import CompletionError
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-    """Write atomically: a run that is killed while saving keeps its last whole checkpoint."""
+    """Write tensors, and metadata as JSON in the header, atomically: a killed run keeps its last whole checkpoint."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     contiguous = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
@@ -31,7 +31,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """What `save_tensors` wrote into the header."""
+    """The metadata that `save_tensors` wrote into the header."""
     try:
         with safe_open(path, framework="pt") as file:
             header = file.metadata() or {}
@@ -50,7 +50,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def save_network(path: Path, network: nn.Module, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
-    """Weights in half precision with the network's name and configuration."""
+    """Write weights in half precision; metadata: class name, configuration, and `about`."""
     halved = {n: t.half() if t.is_floating_point() else t for n, t in weights.items()}
     save_tensors(path, halved, {"network": type(network).__name__, "config": asdict(network.config), **about})
 
@@ -68,7 +68,7 @@ def load_network(path: Path) -> nn.Module:
 
 
 def reason(error: RuntimeError) -> str:
-    """The first thing that torch found wrong with a state, below its headline."""
+    """The first mismatch that torch's `load_state_dict` reports, without its headline."""
     lines = str(error).splitlines()
     return lines[min(1, len(lines) - 1)].strip()
 

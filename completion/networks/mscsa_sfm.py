@@ -1,8 +1,8 @@
 """MSCSA-Net for structure from motion, whose depth has no unit and whose points are few, noisy and clustered.
 
-The network works on log depth divided by the median of the sparse points, so that k times the input gives k times the
-output, and it predicts its own error. It sees the picture at half resolution, four pixels folded into channels: the
-same pixels at a third of the cost.
+Log depth is relative to the median of the sparse points, so that k times the input gives k times the output. The second
+output is the predicted error. The U-Net works at half resolution on four pixels folded into channels: as many pixels
+at a third of the cost.
 """
 
 from dataclasses import dataclass
@@ -39,11 +39,11 @@ from haustra.core.errors import CompletionError
 
 @dataclass(frozen=True)
 class ScaleInvariantConfig:
-    """Size of `ScaleInvariantMSCSANet`, the switch of its last stage, and how it was trained to be used."""
+    """Size of `ScaleInvariantMSCSANet`, switch of its last stage, and iterations in training."""
 
     width: int = 32  # channels of the first level, at half resolution; 32 gives 3 M parameters
-    msc_levels: int = 4  # at half resolution: reach of +-180 px, since points from SfM leave large holes
-    anchor: bool = True
+    msc_levels: int = 4  # at half resolution: +-180 px, since points from SfM leave large holes
+    anchor: bool = True  # correct the sum towards the points (`Anchor`)
     iterations: int = 1  # most that it was trained for; with more than one the U-Net has more input channels
 
     def __post_init__(self) -> None:
@@ -55,11 +55,11 @@ class ScaleInvariantConfig:
 class ScaleInvariantMSCSANet(nn.Module):
     """MSC + U-Net + SA on median-normalised log depth, with a predicted error per pixel.
 
-    log depth = MSC's dense estimate + the U-Net's residual + what the points still say against their sum. The second
-    output is log b, the scale of a Laplace distribution over the log-depth error, so b reads as a relative error.
+    log depth = MSC's dense estimate + the U-Net's residual + the points' correction of that sum (`Anchor`). The second
+    output is log b, b the scale of a Laplace distribution of the log-depth error: a relative error.
 
-    Trained for several iterations it takes its last estimate too. MSC then starts from that estimate, the U-Net has
-    channels of the measured points alone, and only measured points correct the sum.
+    Recurrent iterations: the last estimate joins the points of MSC (`self_conditioned_input`) and is an input of the
+    U-Net, beside the measured points alone; only measured points correct the sum.
     """
 
     precisions = PRECISIONS
@@ -96,7 +96,7 @@ class ScaleInvariantMSCSANet(nn.Module):
     def iterate(
         self, image: Tensor, log_sparse: Tensor, trust: Tensor, last: Estimate | None = None, grid: SampleGrid = GRID
     ) -> Estimate:
-        """`forward` of an image that `prepare` has folded, which all iterations of a frame have in common."""
+        """`forward` with the image as `prepare` returns it."""
         if last is not None and self.config.iterations == 1:
             raise CompletionError("this network was trained for one iteration, and cannot take an estimate of its own")
         set_recurrent(self.unet, last is not None)
@@ -105,18 +105,18 @@ class ScaleInvariantMSCSANet(nn.Module):
         log_sparse, trust = (pad_to_multiple(x, STRIDE) for x in unpadded)
         with torch.autocast(image.device.type, enabled=False):
             points = measured = self.kernels.halve(log_sparse, trust)
-            if last is not None:  # its points join before padding, since the margin has none
+            if last is not None:  # it joins before padding, so that the margin stays without points
                 joined = self_conditioned_input(*unpadded, last, grid)
                 points = self.kernels.halve(*(pad_to_multiple(x, STRIDE) for x in joined))
-            spread, confidence = self.msc(*points)
-            nconv_depth = double(spread)
-            channels = [image, spread, log_of_confidence(confidence), *points]
+            coarse_depth, confidence = self.msc(*points)
+            nconv_depth = double(coarse_depth)
+            channels = [image, coarse_depth, log_of_confidence(confidence), *points]
             if last is not None:
                 log_depth, log_error = (pad_to_multiple(x.float(), STRIDE, repeat_edge=True) for x in last)
                 channels += [self.kernels.recurrent_inputs(log_depth, log_error, nconv_depth), *measured]
             elif self.config.iterations > 1:  # zeros, which cost a hundredth to convolve
-                channels.append(torch.zeros_like(spread).expand(-1, RECURRENT_INPUTS, -1, -1))
-        # A copy for inference may hold the U-Net in less than float32; everything else stays in that.
+                channels.append(torch.zeros_like(coarse_depth).expand(-1, RECURRENT_INPUTS, -1, -1))
+        # The U-Net of an inference copy may be in lower precision; all else stays in float32.
         out = self.unet(self.unet.joined(channels)).float()
         log_depth, log_error = self.kernels.unfold(out, nconv_depth)
         if self.anchor is not None:
@@ -129,7 +129,7 @@ class ScaleInvariantMSCSANet(nn.Module):
         return fold_batch_norm(self, recurrent)
 
     def for_device(self, device: torch.device, precision: str, recurrent: bool) -> "ScaleInvariantMSCSANet":
-        """The folded copy, its U-Net's convolutions in int8 or bfloat16; attention and what lies around in float32."""
+        """The folded copy on a device, its U-Net's convolutions in int8, bf16 or fp32; all else stays in float32."""
         copy = self.folded(recurrent)
         if precision == "bf16":
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):
@@ -140,7 +140,7 @@ class ScaleInvariantMSCSANet(nn.Module):
         return copy
 
     def _for_cpu(self, precision: str, trained: UNet) -> None:
-        """Compiled loops and faster convolutions in place of a folded network's own. `trained`: with its norms."""
+        """Use compiled loops and int8 or fused convolutions, in place, on a folded copy of the network of `trained`."""
         self.msc = LinearConfidence(self.msc)
         self.kernels = COMPILED
         if self.anchor is not None:

@@ -14,20 +14,21 @@ from torch import Tensor, nn
 from completion.networks.normalized_conv import MultiScaleConfidence
 from completion.networks.padding import pad_to_multiple
 
-STRIDE = 32  # half resolution, then four halvings of the U-Net and of both confidence pyramids
-LEAST_TRUST = 1e-12  # of a block of pixels, below which the mean of its points tends to zero
+STRIDE = 32  # px; half resolution, then four halvings of the U-Net and of both confidence pyramids
+LEAST_TRUST = 1e-12  # division guard: sum of a 2x2 block's trust
 LOG_RANGE = 4.0  # |log(depth / median)| is kept below this: a colon spans 3 mm to 150 mm around 25 mm
 LOG_ERROR_RANGE = (-6.0, 1.0)  # of the predicted log Laplace scale: relative errors of 0.25 % to 270 %
-INPUTS, RECURRENT_INPUTS = 4 * 4 + 4, 4 + 1 + 2  # channels of the U-Net's input: all iterations, recurrent ones
-# How far those and these go: colours, log brightness, MSC's log depth and confidence, the points'; the last estimate
-# against MSC's, its error, the measured points. In 8 bits what goes further is cut off: of MSC's depth
-# up to a tenth in tubes 150 mm long, where depth was no better with a reach of 3 or 4.
+# Channels of the U-Net's input in every iteration, and those that recurrent networks have besides.
+INPUTS, RECURRENT_INPUTS = 4 * 4 + 4, 4 + 1 + 2
+# Greatest absolute values of those channels, at which int8 clips: colours - 0.5, log brightness, MSC's log depth and
+# log confidence, the points' log depth and trust; last log depth minus MSC's, last log error / 6, measured points.
+# Up to a tenth of MSC's depth is clipped in tubes 150 mm long, where depth was no better with 3 or 4 instead of 2.
 INPUT_RANGES = (*12 * [0.5], *4 * [math.log(256)], 2.0, 1.0, 2.0, 1.0), (*4 * [1.0], 1.0, 2.0, 1.0)
-NCONV_DEPTH_CHANNEL = 16  # the channel of MSC's depth, of which 8 bits are too few
+NCONV_DEPTH_CHANNEL = 16  # index of MSC's log depth, which needs more than 8 bits
 
 
 class Kernels(NamedTuple):
-    """What an iteration does around its U-Net. `numba_mscsa` has the same as compiled loops, for inference on a CPU."""
+    """The functions of one iteration around its U-Net: `PLAIN`, or compiled loops (`cpu.numba_mscsa.COMPILED`)."""
 
     image_inputs: Callable[[Tensor], Tensor]
     halve: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -41,7 +42,7 @@ def image_inputs(rgb: Tensor) -> Tensor:
     if rgb.dtype == torch.uint8:
         rgb = rgb.float() / 255
     with torch.autocast(rgb.device.type, enabled=False):
-        # A black margin would read as infinitely far: the picture's edge is repeated instead.
+        # The edge is repeated: a black margin would read as infinitely far.
         rgb = pad_to_multiple(rgb.float(), STRIDE, repeat_edge=True)
         red, green, blue = rgb.split(1, dim=1)
         # The lamp sits at the camera, so log brightness is about -2 log depth + reflectance.
@@ -50,7 +51,7 @@ def image_inputs(rgb: Tensor) -> Tensor:
 
 
 def log_of_confidence(confidence: Tensor) -> Tensor:
-    """MSC's confidence spans eight decades; the U-Net sees its logarithm, in [0, 1]."""
+    """Log of MSC's confidence, which spans eight decades, mapped to [0,1] for the U-Net."""
     # Not log(c + 1e-8): the ONNX exporter drops an addend that small, and far from every point, c is exactly zero.
     return torch.log1p(1e8 * confidence.clamp_min(0)) / (8 * math.log(10))
 
@@ -70,10 +71,10 @@ def unfold(out: Tensor, nconv_depth: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Anchor(nn.Module):
-    """What points say against a dense estimate, spread from them by a second confidence pyramid.
+    """Correction of dense log depth towards the points: their residuals, densified by a second MSC, times a gate.
 
-    A point further off than the estimate's own predicted error allows counts for less (Cauchy's weight): most such
-    points are outliers. The U-Net's gate says where to listen at all.
+    A residual is weighted by Cauchy's function of its ratio to the predicted error, since most points far off are
+    outliers. The gate, one of the U-Net's outputs, weights the correction of each pixel.
     """
 
     def __init__(self, levels: int) -> None:
@@ -82,7 +83,7 @@ class Anchor(nn.Module):
         self.log_tolerance = nn.Parameter(torch.tensor(1.0))  # in predicted errors; starts at e
 
     def forward(self, log_depth: Tensor, log_error: Tensor, log_sparse: Tensor, trust: Tensor, gate: Tensor) -> Tensor:
-        """Dense estimate, its log error and the points, all (B,1,H,W), and gate logits at half size -> correction."""
+        """Dense log depth, its log error, log_sparse and trust (B,1,H,W), gate logits (B,1,H/2,W/2) -> (B,1,H,W)."""
         with torch.autocast(log_depth.device.type, enabled=False):
             off = torch.where(trust > 0, log_sparse - log_depth, torch.zeros_like(log_depth))
             surprise = off * torch.exp(-log_error - self.log_tolerance)
@@ -91,19 +92,19 @@ class Anchor(nn.Module):
 
 
 def halve_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
-    """Points (B,1,H,W) of even sides at half resolution: trust-weighted mean of each 2x2 block, its greatest trust."""
+    """Points (B,1,H,W), even sides -> (B,1,H/2,W/2): trust-weighted mean of each 2x2 block, its greatest trust."""
     (a, b, c, d), (w, x, y, z) = _quarters(trust), _quarters(values * trust)  # forward twice as fast as pooling
     most = torch.maximum(torch.maximum(a, b), torch.maximum(c, d))
     return (w + x + y + z) / (a + b + c + d).clamp_min(LEAST_TRUST), most
 
 
 def _quarters(image: Tensor) -> list[Tensor]:
-    """The four pixels of each 2x2 block, apart."""
+    """The four pixels of each 2x2 block: (...,H,W) -> four of (...,H/2,W/2)."""
     return [image[..., row::2, column::2] for row in (0, 1) for column in (0, 1)]
 
 
 def double(coarse: Tensor) -> Tensor:
-    """Bilinear upsampling by two."""
+    """Bilinear upsampling by two, (B,C,h,w) -> (B,C,2h,2w)."""
     return F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)
 
 

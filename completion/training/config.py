@@ -12,7 +12,7 @@ from haustra.core.errors import CompletionError
 
 
 class TrainConfig(BaseModel):
-    """What a training run depends on."""
+    """Settings of a training run; they are saved in its checkpoint and its weight file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,7 +66,7 @@ def with_new_names(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def make_config(preset: str | None = None, **values: Any) -> TrainConfig:
-    """A config from a preset ("paper" or None) with values on top; CompletionError says what is wrong with them."""
+    """A preset ("paper" or None), overridden by values; CompletionError names the first invalid setting."""
     if preset not in (None, "paper"):
         raise CompletionError(f"no preset {preset!r}; there is 'paper'")
     if "size" in values and not find_entry(values.get("model", "mscsa-sfm")).is_metric:

@@ -1,6 +1,6 @@
-"""What is trained: ours on points as structure from motion gives them, or the paper's setting for any network.
+"""Training tasks: a `DepthNetwork` on SfM-like points, or a metric network in the paper's setting.
 
-Both take a batch of images and true depths in millimetres, draw the points, and give a loss and a validation error.
+Both draw sparse points from a batch of images and true depths in mm, and compute a loss and validation depth.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
 from completion.training.losses import completion_loss, masked_l1
 
-GRID_STEPS = (6, 17)  # px, from and below: of the grids of own points that training draws
+GRID_STEPS = (6, 17)  # px: lower and (excluded) upper bound of a `SampleGrid.step` in training
 
 
 class Task(Protocol):
-    """One way of training; `network` is what a checkpoint holds."""
+    """Loss and validation of a network that is trained; `network` is saved in checkpoints."""
 
     network: nn.Module
 

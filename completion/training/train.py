@@ -3,7 +3,7 @@
     haustra train SHARDS [SHARDS ...] --out weights.safetensors --seed 0 --steps 12000
 
 Killed at any time it goes on from its last checkpoint (`OUT.checkpoint`, every few minutes and at Ctrl-C) when called
-again with the same arguments. Beside the weights lie the files of `train_log.py`. Several processes share the batch:
+again with the same arguments. Beside the weights lie the files of `log.TrainLog`. Several processes share the batch:
 
     torchrun --nproc-per-node 2 --no-python haustra train SHARDS --out weights.safetensors
 """
@@ -46,7 +46,7 @@ Advance = Callable[[int, int | None], None]
 
 
 class Run:
-    """Everything that a checkpoint must hold."""
+    """The state of a training run that a checkpoint holds."""
 
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
@@ -188,7 +188,7 @@ def train(config: TrainConfig, advance: Advance | None = None, say: Say = print)
         say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
     saved, losses = time.monotonic(), []
     with GracefulInterrupt(run.processes.size == 1) as interrupt:
-        while run.step < config.steps and not interrupt.asked:
+        while run.step < config.steps and not interrupt.requested:
             losses.append(train_step(run, shards, splits))
             if advance and log:
                 advance(run.step, config.steps)

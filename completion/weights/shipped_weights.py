@@ -1,4 +1,4 @@
-"""The models that come with the package, by name."""
+"""Names and files of the weights that come with the package, and validation of a model before any work."""
 
 from importlib import resources
 from pathlib import Path
@@ -9,7 +9,7 @@ MODELS = {"mscsa": "mscsa.safetensors"}
 
 
 def resolve_weights(model: str | Path) -> Path:
-    """Path of a shipped model's weights, or of the given file."""
+    """Path of shipped weights by name, or of the given weight file; CompletionError if it is neither."""
     if str(model) in MODELS:
         return Path(str(resources.files("completion.weights") / MODELS[str(model)]))
     if Path(model).is_file():
@@ -28,6 +28,6 @@ def validate_weights(model: str | Path, iterations: int | None = None) -> None:
 
 
 def validate_iterations(iterations: int, trained: int) -> None:
-    """Refuse more iterations than a model was trained for."""
+    """CompletionError for more iterations than a network was trained for."""
     if iterations > trained:
         raise CompletionError(f"the model was trained for {trained} iterations at most, and {iterations} are asked for")

@@ -1,12 +1,11 @@
-"""The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
+"""The U-Net in int8 for inference: AVX-512 VNNI multiplies 8-bit integers at twice the rate of bfloat16.
 
-After a ReLU every channel c is held as round(x / s_c), cut off at 255, and s_c goes into the next convolution's
-weights, so that channels of different ranges do not share one step: with one step for all of a layer depth erred by up
-to a quarter more. The range of a channel is read from its batch normalisation, which gave it the mean beta and the
-standard deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al.,
-"Data-free quantization", ICCV 2019). What has a sign, the input and what comes from the attention, is held as 128 and
-steps from there. Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The attention, the
-last features and the head stay in floating point.
+After a ReLU channel c is uint8, round(x / s_c) clipped at 255, and the step s_c is multiplied into the weights of the
+next convolution; one step per layer instead raised the depth error by up to a quarter. The range comes from the batch
+normalisation, of shift beta and scale gamma: s_c = (beta + 8 |gamma|) / 255, without calibration images (Nagel et al.,
+"Data-free quantization", ICCV 2019). Signed tensors, the input and the attention's output, have the zero point 128.
+Weights are int8 with a scale per output channel; sums are exact in int32. The attention, the deepest and the last
+features and the head stay in floating point.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from completion.networks.cpu.fused_conv import Layouts, can_fuse
 from completion.networks.cpu.int8_resize import LARGEST, MIDDLE, WORD, beside_doubled, words_of
 from completion.networks.mscsa import UNet
 
-# The best of 4, 6, 8, 12 and 16 on 40 rendered frames kept for choosing: fewer cut off too much, more are coarser.
+# Standard deviations of an activation's range; the best of 4, 6, 8, 12 and 16 on 40 rendered validation frames: fewer
+# clip too much, more are coarser.
 DEVIATIONS = 8.0
-REACH = LARGEST - MIDDLE  # the most steps from the middle
-# Of a step, in which the rest of a fine channel is given. More parts leave their weights too few of their own;
-# as good as 8 on those frames, better than 16.
+MAX_STEPS = LARGEST - MIDDLE  # greatest value of a signed tensor, in steps
+# Levels into which a second channel divides one step of an input that needs more than 8 bits (its residual). As good as
+# 8 on those frames, better than 16, whose weights have too few bits left.
 RESIDUAL_STEPS = 4
 
 
 @cache
 def can_use_int8() -> bool:
-    """Whether this processor multiplies 8-bit integers fast, and this PyTorch does so rightly: without VNNI, or with
-    oneDNN kept from using it, sums of large values are cut off at 16 bits."""
+    """Whether this processor has VNNI and this PyTorch uses it; without, oneDNN saturates sums at 16 bits."""
     supported = getattr(torch.cpu, "_is_vnni_supported", None)
     if not (supported and supported() and can_fuse(torch.float32)):
         return False
@@ -53,7 +52,7 @@ def can_use_int8() -> bool:
 
 
 class Int8UNet(nn.Module):
-    """What `joined` makes of (B,in,H,W) -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
+    """A `UNet` with int8 convolutions: the output of `joined` (B,C,H,W) uint8 -> (B,out,H,W); H, W as of the `UNet`."""
 
     input_ranges: Tensor
     deepest: Tensor
@@ -66,9 +65,9 @@ class Int8UNet(nn.Module):
         fine: tuple[int, ...],
         dtype: torch.dtype,
     ) -> None:
-        """`folded`: with its normalisations folded. `ranges`: of the outputs of both convolutions of each encoder
-        block, then of each decoder block (`channel_ranges`). `input_ranges` (in,): where the input is cut off on both
-        sides of zero; `fine`: channels of it whose rest is given too. `dtype`: of the last features and the head.
+        """folded: the `UNet` with its normalisations folded. ranges: greatest outputs (`channel_ranges`). input_ranges
+        (in,): the input is clipped to +- these; fine: its channels that get residual bits. dtype: of the last features
+        and the head.
         """
         super().__init__()
         self.attention = folded.attention
@@ -81,8 +80,8 @@ class Int8UNet(nn.Module):
             # The deepest features and the last stay in floating point, in their own unit.
             steps[index] = steps[index][0], torch.ones_like(steps[index][1])
             outputs[index] = output
-        deepest = torch.cat([ranges[levels - 2][1], ranges[levels - 1][1]]) / REACH
-        inputs = [with_residual_bits(input_ranges / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
+        deepest = torch.cat([ranges[levels - 2][1], ranges[levels - 1][1]]) / MAX_STEPS
+        inputs = [with_residual_bits(input_ranges / MAX_STEPS, fine), *(b for _, b in steps[: levels - 1]), deepest]
         inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
         blocks = [*folded.encoder, *folded.decoder]
         convolutions = [(block[0], block[3]) for block in blocks]  # type: ignore[index]
@@ -97,20 +96,20 @@ class Int8UNet(nn.Module):
             )
         ]
         self.encoder, self.decoder = nn.ModuleList(made[:levels]), nn.ModuleList(made[levels:])
-        # Of the features beside the deepest, in the steps of what comes from there; and of those.
+        # Factors that bring the skip connection and the attention's output to the steps of their joint tensor.
         skips = steps[levels - 2][1]
         self.register_buffer("deepest", torch.cat([skips, torch.ones(len(deepest) - len(skips))]) / deepest)
         self.head = folded.head.to(dtype)
 
     def joined(self, parts: list[Tensor]) -> Tensor:
-        """Channels (B,?,H,W) float32, one after the other, in 8 bits, and after them the rests of the fine ones."""
+        """Concatenate channels (B,?,H,W) float32 -> (B,C,H,W) uint8; then come the residual bits of the fine ones."""
         images = [image for part in parts for image in part.unbind(dim=1)]
-        per_unit = (REACH / self.input_ranges).tolist()
+        per_unit = (MAX_STEPS / self.input_ranges).tolist()
         for channel in self.fine:
             steps = images[channel] * per_unit[channel]
-            images.append(RESIDUAL_STEPS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
+            images.append(RESIDUAL_STEPS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, MAX_STEPS)))
             per_unit.append(1)
-        while len(images) % WORD:  # what is added has no weight
+        while len(images) % WORD:  # padding; its weights are zero
             images.append(images[-1])
             per_unit.append(0)
         return words_of(images, per_unit)
@@ -130,13 +129,13 @@ class Int8UNet(nn.Module):
 
 
 def with_residual_bits(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
-    """Kernels (in,) of the input, of the rests, and of what fills the last word."""
+    """Quantization steps (in,) of the input -> those of the input, of its residual bits and of the padding."""
     steps = torch.cat([steps, steps[list(fine)] / RESIDUAL_STEPS])
     return F.pad(steps, (0, -len(steps) % WORD), value=1)
 
 
 def residual_bits_conv(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
-    """A convolution that takes the rests too, with the weights of that of which they are, nothing of fillers."""
+    """The convolution with the fine channels' weights repeated for their residual bits, and zeros for the padding."""
     made = copy.deepcopy(conv)
     weight = torch.cat([conv.weight, conv.weight[:, list(fine)]], dim=1)
     weight = F.pad(weight, (0, 0, 0, 0, 0, -weight.shape[1] % WORD))
@@ -145,7 +144,7 @@ def residual_bits_conv(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
 
 
 class Int8ConvReLU(nn.Module):
-    """ReLU of a convolution of 8-bit integers (B,in,H,W), in steps of `outputs` (out,) and of the type asked for."""
+    """Convolution and ReLU of uint8 (B,in,H,W) -> (B,out,H,W) of `dtype`, in steps of `outputs` (out,)."""
 
     scale: Tensor
     zero: Tensor
@@ -155,8 +154,8 @@ class Int8ConvReLU(nn.Module):
     def __init__(
         self, conv: nn.Conv2d, inputs: Tensor, outputs: Tensor, dtype: torch.dtype, zero_point: int = 0
     ) -> None:
-        """`inputs` (in,), `outputs` (out,): the step of each channel of what goes in and comes out. `zero_point`: the
-        integer that stands for zero in what goes in."""
+        """inputs (in,), outputs (out,): quantization step of each channel; zero_point: the integer that is zero in the
+        input."""
         super().__init__()
         weight = conv.weight.detach().float() * inputs.view(1, -1, 1, 1) / outputs.view(-1, 1, 1, 1)
         scale = (weight.abs().amax(dim=(1, 2, 3)) / 127).clamp_min(1e-12)
@@ -180,9 +179,9 @@ class Int8ConvReLU(nn.Module):
 
 
 def channel_ranges(unet: UNet) -> list[tuple[Tensor, Tensor]]:
-    """How far each channel goes after the first and second ReLU of each encoder block, then of each decoder block.
+    """Ranges (C,) of channels after the first and the second ReLU of each encoder block, then of each decoder block.
 
-    `unet`: with its normalisations as they were trained, not folded.
+    unet: with its batch normalisations, not folded.
     """
     blocks = [*unet.encoder, *unet.decoder]
     return [(_range(block[1]), _range(block[4])) for block in blocks]  # type: ignore[index,arg-type]
@@ -194,6 +193,6 @@ def _range(norm: nn.BatchNorm2d) -> Tensor:
 
 
 def _halved(x: Tensor) -> Tensor:
-    """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers in channels_last."""
+    """2x2 max pooling of uint8 in channels_last, which PyTorch's own does not support."""
     rows = torch.maximum(x[..., ::2, :], x[..., 1::2, :])
     return torch.maximum(rows[..., ::2], rows[..., 1::2])

@@ -76,7 +76,7 @@ def test_what_touches_nothing_of_its_own_is_left_alone() -> None:
 
 @pytest.mark.parametrize(("slope", "left"), [(1.37, 0.7), (2.13, 1.001)])
 def test_steep_wall_gains_or_is_left_alone(slope: float, left: float) -> None:
-    """Kernels from pixel to pixel; where some of them pass for edges, what lies between is not pulled to one side."""
+    """Steps from pixel to pixel; where some of them pass for edges, what lies between is not pulled to one side."""
     true = np.broadcast_to(20 + slope * STEP * np.arange(60, dtype=np.float32), (60, 60))
     off = [np.abs(depth - true)[10:-10, 10:-10].mean() for depth in (stored(true), dequantize(stored(true), STEP))]
     assert off[1] < left * off[0]

@@ -101,7 +101,7 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
     rgb, sparse, error = frames
     with pytest.raises(CompletionError, match="sparse error must have"):
         completer(rgb[0], sparse[0], error[0][:50])
-    with pytest.raises(CompletionError, match="no picture"):
+    with pytest.raises(CompletionError, match="no image"):
         completer.batch(rgb[:0], sparse[:0])
     with pytest.raises(CompletionError, match="auto, int8, bf16 or fp32"):
         DepthCompleter(load_depth_network("mscsa"), precision="bfloat16")

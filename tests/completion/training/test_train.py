@@ -158,7 +158,7 @@ def test_ctrl_c_ends_the_step_and_saves_it(shards, tmp_path):
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
     with GracefulInterrupt() as interrupt:
         signal.raise_signal(signal.SIGINT)
-        assert interrupt.asked
+        assert interrupt.requested
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
