@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,8 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     network = load_network(path)
     if isinstance(network, DepthNetwork):
         completer = DepthCompleter(network, device, precision)
-        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), completer.network, completer.precision)
+        made: Any = completer.network  # also a module
+        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), made, completer.precision)
     return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)
 
 

@@ -52,7 +52,8 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 def save_network(path: Path, network: nn.Module, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
     """Write weights in half precision; metadata: class name, configuration, and `about`."""
     halved = {n: t.half() if t.is_floating_point() else t for n, t in weights.items()}
-    save_tensors(path, halved, {"network": type(network).__name__, "config": asdict(network.config), **about})
+    config = asdict(network.config)  # type: ignore[call-overload]  # a dataclass
+    save_tensors(path, halved, {"network": type(network).__name__, "config": config, **about})
 
 
 def load_network(path: Path) -> nn.Module:

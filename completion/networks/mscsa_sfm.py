@@ -134,21 +134,22 @@ class ScaleInvariantMSCSANet(nn.Module):
         if precision == "bf16":
             for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):
                 part.to(torch.bfloat16)
-        copy = copy.to(device, memory_format=torch.channels_last)
+        copy = copy.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         if device.type == "cpu":
             copy._for_cpu(precision, self.unet)
         return copy
 
     def _for_cpu(self, precision: str, trained: UNet) -> None:
         """Use compiled loops and int8 or fused convolutions, in place, on a folded copy of the network of `trained`."""
-        self.msc = LinearConfidence(self.msc)
+        self.msc = LinearConfidence(self.msc)  # type: ignore[assignment]
         self.kernels = COMPILED
         if self.anchor is not None:
-            self.anchor = CompiledAnchor(self.anchor)
+            self.anchor = CompiledAnchor(self.anchor)  # type: ignore[assignment]
         half = can_fuse(torch.bfloat16)
         if precision == "int8":
             dtype = torch.bfloat16 if half and has_fast_bfloat16(torch.device("cpu")) else torch.float32
             ranges = torch.tensor(INPUT_RANGES[0] + (INPUT_RANGES[1] if self.config.iterations > 1 else ()))
-            self.unet = Int8UNet(self.unet, channel_ranges(trained), ranges, (NCONV_DEPTH_CHANNEL,), dtype)
+            fine = (NCONV_DEPTH_CHANNEL,)
+            self.unet = Int8UNet(self.unet, channel_ranges(trained), ranges, fine, dtype)  # type: ignore[assignment]
         elif precision == "bf16" and half:
             fuse_convolutions(self.unet)  # in float32 it gains little

@@ -77,6 +77,6 @@ def fold_batch_norm(network: Network, recurrent: bool = False) -> Network:
         for index in (0, 3):
             norm = block[index + 1]
             plain = norm.plain_norm(recurrent) if isinstance(norm, RecurrentBatchNorm2d) else norm
-            block[index] = fuse_conv_bn_eval(block[index], plain)  # type: ignore[arg-type]
+            block[index] = fuse_conv_bn_eval(block[index], plain)  # type: ignore[arg-type,type-var]
             block[index + 1] = nn.Identity()
     return network

@@ -67,6 +67,7 @@ class SfmTask:
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
         """From 100 SfM-like points, in as many iterations as it will be used with."""
+        assert isinstance(network, DepthNetwork)
         pattern = SfmPattern(min_points=100, max_points=100, hole_share=0.0)
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
@@ -116,4 +117,6 @@ def make_task(config: TrainConfig) -> Task:
     if entry.is_metric:
         return PaperTask(config, build_model(config.model, config.size))
     options = {name: getattr(config, name) for name in ("width", "anchor", "iterations") if name in entry.options()}
-    return SfmTask(config, build_model(config.model, **options))
+    network = build_model(config.model, **options)
+    assert isinstance(network, DepthNetwork)
+    return SfmTask(config, network)

@@ -56,7 +56,8 @@ class Run:
         self.task = make_task(config)
         if config.init is not None:
             _start_from(config.init, self.task.network)
-        self.task.network.to(self.device, memory_format=torch.channels_last).train()
+        self.task.network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.task.network.train()
         self.average = copy.deepcopy(self.task.network).eval()
         kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
         decay = 0.01 if config.optimizer == "adamw" else 0.0

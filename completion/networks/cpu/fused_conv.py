@@ -55,7 +55,7 @@ class FusedConvReLU(nn.Module):
 
     def _laid_out(self, shape: list[int]) -> Tensor:
         plain = self.conv.weight.detach().to_mkldnn()
-        return torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, shape)
+        return torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, shape)  # type: ignore[call-arg]
 
 
 def can_fuse(dtype: torch.dtype) -> bool:

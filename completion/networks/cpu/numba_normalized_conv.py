@@ -31,7 +31,7 @@ class LinearConfidence(nn.Module):
         super().__init__()
         self.levels = msc.levels
         self.lift, self.densify, self.refine = (_layer(part) for part in (msc.lift, msc.densify, msc.refine))
-        self.merge = [_layer(part) for part in msc.merge]
+        self.merge = [_layer(part) for part in msc.merge]  # type: ignore[arg-type]
         kernel, bias = _layer(msc.project)
         self.project, self.bias, self.guard = kernel.reshape(2), bias[0], np.float32(DIVISION_GUARD)
 

@@ -70,7 +70,7 @@ class NonLocalPropagation(nn.Module):
         # 16 offsets, dy before dx for each neighbour, then 8 affinities. Zeros: it starts as the identity.
         self.predict = nn.Conv2d(NEIGHBOURS, 3 * NEIGHBOURS, 3, padding=1)
         nn.init.zeros_(self.predict.weight)
-        nn.init.zeros_(self.predict.bias)
+        nn.init.zeros_(self.predict.bias)  # type: ignore[arg-type]
         learnt = affinity == "TGASS"
         self.scale = nn.Parameter(torch.tensor(NEIGHBOURS * (gamma if learnt else 1.0)), requires_grad=learnt)
 
