@@ -5,16 +5,16 @@ from pathlib import Path
 
 from haustra.core.errors import CompletionError
 
-MODELS = {"mscsa": "mscsa.safetensors"}
+SHIPPED_WEIGHTS = {"mscsa": "mscsa.safetensors"}
 
 
 def resolve_weights(model: str | Path) -> Path:
     """Path of shipped weights by name, or of the given weight file; CompletionError if it is neither."""
-    if str(model) in MODELS:
-        return Path(str(resources.files("completion.weights") / MODELS[str(model)]))
+    if str(model) in SHIPPED_WEIGHTS:
+        return Path(str(resources.files("completion.weights") / SHIPPED_WEIGHTS[str(model)]))
     if Path(model).is_file():
         return Path(model)
-    raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(MODELS)}")
+    raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(SHIPPED_WEIGHTS)}")
 
 
 def validate_weights(model: str | Path, iterations: int | None = None) -> None:

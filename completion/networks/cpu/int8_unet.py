@@ -84,7 +84,7 @@ class Int8UNet(nn.Module):
         inputs = [with_residual_bits(input_ranges / MAX_STEPS, fine), *(b for _, b in steps[: levels - 1]), deepest]
         inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
         blocks = [*folded.encoder, *folded.decoder]
-        convolutions = [(block[0], block[3]) for block in blocks]  # type: ignore[index]
+        convolutions = [(block[0], block[3]) for block in blocks]
         convolutions[0] = residual_bits_conv(convolutions[0][0], fine), convolutions[0][1]
         made = [
             nn.Sequential(
@@ -184,7 +184,7 @@ def channel_ranges(unet: UNet) -> list[tuple[Tensor, Tensor]]:
     unet: with its batch normalisations, not folded.
     """
     blocks = [*unet.encoder, *unet.decoder]
-    return [(_range(block[1]), _range(block[4])) for block in blocks]  # type: ignore[index,arg-type]
+    return [(_range(block[1]), _range(block[4])) for block in blocks]
 
 
 def _range(norm: nn.BatchNorm2d) -> Tensor:

@@ -86,8 +86,8 @@ def test_a_recurrent_iteration_is_given_the_whole_estimate_and_which_points_were
     assert (first[:, 20:] == 0).all()
     assert torch.equal(first[:, :16], later[:, :16])  # the picture
     spread = torch.nn.functional.interpolate(later[:, 16:17], scale_factor=2, mode="bilinear")
-    told = torch.nn.functional.pixel_shuffle(later[:, 20:24], 2) + spread
-    torch.testing.assert_close(told, last.log_depth)
+    difference = torch.nn.functional.pixel_shuffle(later[:, 20:24], 2) + spread
+    torch.testing.assert_close(difference, last.log_depth)
     blocks = last.log_error.numpy().reshape(32, 2, 48, 2).mean((1, 3))
     np.testing.assert_allclose(later[0, 24], blocks / 6, rtol=1e-4, atol=1e-6)
     assert torch.equal(first[:, 18:20], later[:, 25:27])  # the measured points alone
@@ -97,13 +97,13 @@ def test_a_recurrent_iteration_is_given_the_whole_estimate_and_which_points_were
 def test_the_margin_of_an_odd_size_has_no_points_of_its_own(network):
     rgb, log_sparse, trust = (x[..., :60, :70] for x in some_points(10))
     last = Estimate(torch.randn(1, 1, 60, 70), torch.full((1, 1, 60, 70), -4.0))
-    heard = []
-    hook = network.msc.register_forward_pre_hook(lambda module, given: heard.append(given))
+    inputs = []
+    hook = network.msc.register_forward_pre_hook(lambda module, given: inputs.append(given))
     with torch.inference_mode():
         made = network(rgb, log_sparse, trust, last)
     hook.remove()
     assert made.log_depth.shape == (1, 1, 60, 70)
-    points = heard[0][1][0, 0] > 0
+    points = inputs[0][1][0, 0] > 0
     assert points.shape == (32, 48)
     assert points[:30, :35].sum() > 40
     assert not points[30:].any()
@@ -113,13 +113,13 @@ def test_the_margin_of_an_odd_size_has_no_points_of_its_own(network):
 def test_only_measured_points_correct_the_sum(network):
     rgb, log_sparse, trust = some_points(8)
     last = Estimate(torch.randn(1, 1, 64, 96), torch.full((1, 1, 64, 96), -4.0))
-    heard = []
-    hook = network.anchor.register_forward_pre_hook(lambda module, given: heard.append(given[2:4]))
+    inputs = []
+    hook = network.anchor.register_forward_pre_hook(lambda module, given: inputs.append(given[2:4]))
     with torch.inference_mode():
         network(rgb, log_sparse, trust, last)
     hook.remove()
-    assert torch.equal(heard[0][0], log_sparse)
-    assert torch.equal(heard[0][1], trust)
+    assert torch.equal(inputs[0][0], log_sparse)
+    assert torch.equal(inputs[0][1], trust)
 
 
 def test_a_network_trained_for_one_iteration_takes_no_estimate():

@@ -79,8 +79,8 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
 
 @needs_vnni
 @pytest.mark.parametrize("fine", [(), (1,), (4, 0)])
-def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
-    """Cut off beyond its reach; with the rest it is `RESIDUAL_STEPS` times as exact."""
+def test_the_input_is_held_in_steps_from_the_middle_with_its_residual(fine):
+    """Clipped beyond its range; with the residual bits it is `RESIDUAL_STEPS` times as exact."""
     torch.manual_seed(3)
     unet = trained((8, 12))[0]
     made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), RANGES, fine, torch.float32)
@@ -92,8 +92,8 @@ def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
     assert (out[0, :5, 0, 0] == 128).all()
     steps, held = x * (127 / RANGES).view(1, 5, 1, 1), out.float() - 128
     for channel in range(5):
-        rest = held[:, 5 + fine.index(channel)] / RESIDUAL_STEPS if channel in fine else 0
-        off = (held[:, channel] + rest - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
+        residual = held[:, 5 + fine.index(channel)] / RESIDUAL_STEPS if channel in fine else 0
+        off = (held[:, channel] + residual - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
         assert off.max() <= (0.5 / RESIDUAL_STEPS if channel in fine else 0.5) + 1e-4
     assert (held[:, :5][steps > 128] == 127).all()
     assert (held[:, :5][steps < -128.5] == -128).all()
@@ -159,11 +159,11 @@ def by_hand(unet, x):
 
     of_input = (127 / RANGES).double().view(1, -1, 1, 1)
     rounded_input, fine = signed(x, of_input), list(FINE)
-    rest = signed(x[:, fine] - rounded_input[:, fine], RESIDUAL_STEPS * of_input[:, fine])
+    residual = signed(x[:, fine] - rounded_input[:, fine], RESIDUAL_STEPS * of_input[:, fine])
     conv = blocks[0][0]
     conv.weight = nn.Parameter(torch.cat([conv.weight, conv.weight[:, fine]], dim=1))
     x, given, skips = (
-        torch.cat([rounded_input, rest], dim=1),
+        torch.cat([rounded_input, residual], dim=1),
         torch.cat([of_input, RESIDUAL_STEPS * of_input[:, fine]], dim=1),
         [],
     )
@@ -217,7 +217,7 @@ def test_every_channel_has_a_step_of_its_own():
 
 
 @needs_vnni
-def test_the_shipped_model_in_eight_bits_agrees_with_float32():
+def test_the_shipped_model_in_int8_agrees_with_float32():
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:96, :128] / 96 - 0.5
     depth = 8 / np.maximum(np.hypot(x, y), 0.08)
