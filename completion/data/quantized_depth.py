@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from completion.data.evaluation_frame import Depth
 from haustra.core.errors import CompletionError
 
-# Each pass averages four neighbours; in a picture of AT_WIDTH columns they reach about seven pixels. Chosen on rendered
+# Each pass averages four neighbours; in an image of AT_WIDTH columns they reach about seven pixels. Chosen on rendered
 # frames, of 30 to 600: from 60 on they hardly differ.
 PASSES, AT_WIDTH = 100, 320
 EDGE = 2.5  # steps between neighbours that are taken for an edge; so steep a wall shows no stairs either

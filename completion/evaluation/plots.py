@@ -28,12 +28,12 @@ def sample_frames_plot(path: Path, results: Sequence[FrameResult], title: str, u
         axes[0, column].set_title(f"{result.name}: {result.points} points", fontsize=8)
         for row, depth in ((1, result.truth), (2, result.prediction)):
             shown = np.where(depth > 0, depth, np.nan)
-            picture = axes[row, column].imshow(shown, cmap="turbo_r", vmin=low, vmax=high)
-        figure.colorbar(picture, ax=axes[2, column], shrink=0.7, label=unit)
+            mapped = axes[row, column].imshow(shown, cmap="turbo_r", vmin=low, vmax=high)
+        figure.colorbar(mapped, ax=axes[2, column], shrink=0.7, label=unit)
         error = np.where(known, np.abs(result.prediction - result.truth) / np.where(known, result.truth, 1), np.nan)
-        picture = axes[3, column].imshow(100 * error, cmap="magma", vmin=0, vmax=100 * ERROR_SHOWN)
+        mapped = axes[3, column].imshow(100 * error, cmap="magma", vmin=0, vmax=100 * ERROR_SHOWN)
         axes[3, column].set_title(f"abs.REL {100 * result.errors.abs_rel:.1f} %", fontsize=8)
-        figure.colorbar(picture, ax=axes[3, column], shrink=0.7, label="%")
+        figure.colorbar(mapped, ax=axes[3, column], shrink=0.7, label="%")
     for row, label in enumerate(("image, points", "truth", "completed", "relative error")):
         axes[row, 0].set_ylabel(label)
     return _without_ticks(figure, axes, title, path)

@@ -108,7 +108,7 @@ def evaluate(
                     records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
                 rows.append((model, paper_row(mean_errors(accumulator.scores, protocol), unit)))
                 sample_frames[Path(model).name] = accumulator.sample_frames()
-                renamed += _write_pictures(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
+                renamed += _write_plots(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
             about = ", ".join([f"{len(accumulator.scores)} frames", str(protocol), *precisions])
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
@@ -183,7 +183,7 @@ def _record(
     }
 
 
-def _write_pictures(
+def _write_plots(
     outputs: Outputs, accumulator: Accumulator, predictor: Predictor, record: dict[str, Any], several: bool
 ) -> list[Path]:
     """Write CSV and plots of one record; with several records return the files, whose names then tell them apart."""

@@ -123,11 +123,11 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=0, help="of the points")] = 0,
     csv: Annotated[Path | None, typer.Option(help="errors of each frame")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="everything, with its protocol")] = None,
-    sheet: Annotated[Path | None, typer.Option(help="picture: images, truth, completed, error maps")] = None,
-    sweep: Annotated[Path | None, typer.Option(help="picture: error over the number of points")] = None,
-    calibration: Annotated[Path | None, typer.Option(help="picture: actual over predicted error")] = None,
-    compare: Annotated[Path | None, typer.Option(help="picture: the models side by side")] = None,
-    attention: Annotated[Path | None, typer.Option(help="picture: features before and after attention")] = None,
+    sheet: Annotated[Path | None, typer.Option(help="plot: images, truth, completed, error maps")] = None,
+    sweep: Annotated[Path | None, typer.Option(help="plot: error over the number of points")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="plot: actual over predicted error")] = None,
+    compare: Annotated[Path | None, typer.Option(help="plot: the models side by side")] = None,
+    attention: Annotated[Path | None, typer.Option(help="plot: features before and after attention")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
 ) -> None:
     """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""

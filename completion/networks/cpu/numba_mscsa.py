@@ -61,7 +61,7 @@ def image_planes(rgb: NDArray[np.uint8]) -> Tensor:
     planes = [[*cv2.split(frame), np.maximum.reduce(cv2.split(frame))] for frame in rgb]
     padded = np.pad(planes, [*around[:1], (0, 0), *around[1:]], mode="edge")
     out = np.empty((len(rgb), 16, padded.shape[2] // 2, padded.shape[3] // 2), np.float32)
-    fill_picture(padded, TABLES, out)
+    fill_image(padded, TABLES, out)
     return torch.from_numpy(out)
 
 
@@ -99,7 +99,7 @@ def _halves(image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @compiled
-def fill_picture(planes, tables, out):  # type: ignore[no-untyped-def]
+def fill_image(planes, tables, out):  # type: ignore[no-untyped-def]
     """Look up 8-bit planes (B,C,H,W) in `tables` (C,256), each pixel of a 2x2 block a channel: out (B,4C,H/2,W/2)."""
     for frame in range(len(out)):
         for channel in range(out.shape[1]):

@@ -82,7 +82,7 @@ def test_steep_wall_gains_or_is_left_alone(slope: float, left: float) -> None:
     assert off[1] < left * off[0]
 
 
-def test_a_larger_picture_is_smoothed_as_far() -> None:
+def test_a_larger_image_is_smoothed_as_far() -> None:
     """The same wall in twice the pixels, which then take four times the passes."""
     small, large = dequantize(stored(wall()), STEP), dequantize(np.kron(stored(wall()), np.ones((2, 2))), STEP)
     apart = np.abs(large.reshape(96, 2, 96, 2).mean(axis=(1, 3)) - small)[8:-8, 8:-8] / STEP

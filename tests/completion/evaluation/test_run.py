@@ -101,8 +101,8 @@ def precision_here() -> str:
 def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     folder = generate(TINY, tmp_path / "phantom", threads=1)
     assert TINY.events == EventsConfig()
-    pictures = ("e.png", "sweep.png", "c.png", "compare.png", "attention.png")
-    outputs = Outputs(tmp_path / "e.csv", tmp_path / "e.json", *(tmp_path / name for name in pictures))
+    plots = ("e.png", "sweep.png", "c.png", "compare.png", "attention.png")
+    outputs = Outputs(tmp_path / "e.csv", tmp_path / "e.json", *(tmp_path / name for name in plots))
     protocols = [protocol_of("uniform", points, "none", "per_frame", 0, 1) for points in (20, 60)]
     text = evaluate([folder], ["nearest", "mscsa"], protocols, outputs, None, SilentProgress())
     records = json.loads(outputs.json.read_text())

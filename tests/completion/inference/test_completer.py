@@ -84,7 +84,7 @@ def test_a_point_that_is_said_to_be_wrong_is_listened_to_less(completer, frames)
     assert np.abs(np.log(completer(rgb, wrong, error)[0] / truth)).mean() < 0.8 * believed
 
 
-def test_beyond_the_edge_of_an_odd_sized_picture_lies_its_last_row_not_black(frames):
+def test_beyond_the_edge_of_an_odd_sized_image_lies_its_last_row_not_black(frames):
     rgb = torch.from_numpy(frames[0][:1, :90, :100]).permute(0, 3, 1, 2).float() / 255
     sparse = torch.from_numpy(frames[1][:1, None, :90, :100])
     trust = (sparse > 0).float()

@@ -66,8 +66,8 @@ def test_each_iteration_takes_the_measured_points_and_only_the_last_estimate():
     def stub(name):
         return lambda *inputs: asked.append((name, *inputs)) or f"estimate {len(asked)}"
 
-    assert refine_iteratively(stub("first"), stub("recurrent"), "picture", "points", "trust", 3) == "estimate 3"
-    given = ("picture", "points", "trust")
+    assert refine_iteratively(stub("first"), stub("recurrent"), "image", "points", "trust", 3) == "estimate 3"
+    given = ("image", "points", "trust")
     assert asked == [("first", *given, None), ("recurrent", *given, "estimate 1"), ("recurrent", *given, "estimate 2")]
 
 
@@ -84,7 +84,7 @@ def test_a_recurrent_iteration_is_given_the_whole_estimate_and_which_points_were
     hook.remove()
     first, later = seen
     assert (first[:, 20:] == 0).all()
-    assert torch.equal(first[:, :16], later[:, :16])  # the picture
+    assert torch.equal(first[:, :16], later[:, :16])  # the image
     spread = torch.nn.functional.interpolate(later[:, 16:17], scale_factor=2, mode="bilinear")
     difference = torch.nn.functional.pixel_shuffle(later[:, 20:24], 2) + spread
     torch.testing.assert_close(difference, last.log_depth)

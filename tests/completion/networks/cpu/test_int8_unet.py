@@ -237,7 +237,7 @@ def test_the_shipped_model_in_int8_agrees_with_float32():
         assert np.median(scaled) < 1e-3
         assert scaled.max() < 0.05
     black = rgb.copy()
-    black[:, :64] = 0  # values that no training picture had are cut off at 255: worse, and still the same surface
+    black[:, :64] = 0  # values that no training image had are cut off at 255: worse, and still the same surface
     assert 0 < np.median(np.abs(eight(black, sparse)[0] / exact(black, sparse)[0] - 1)) < 0.05
     both = eight.batch(np.stack([rgb, black]), np.stack([sparse, sparse]))[0]
     np.testing.assert_allclose(both, [eight(rgb, sparse)[0], eight(black, sparse)[0]], rtol=1e-5)

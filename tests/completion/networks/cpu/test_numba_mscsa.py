@@ -58,7 +58,7 @@ def test_what_goes_in_again_and_what_comes_out_is_laid_out_alike(shape, seed):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 2), st.integers(1, 70), st.integers(1, 70), st.integers(0, 2**32 - 1))
-def test_pictures_of_any_size_are_folded_alike(batch, height, width, seed):
+def test_images_of_any_size_are_folded_alike(batch, height, width, seed):
     rgb = np.random.default_rng(seed).integers(0, 256, (batch, height, width, 3), dtype=np.uint8)
     expected = image_inputs(torch.from_numpy(rgb).permute(0, 3, 1, 2).float() / 255)
     torch.testing.assert_close(image_planes(rgb), expected, rtol=1e-5, atol=1e-5)
