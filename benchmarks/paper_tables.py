@@ -29,7 +29,7 @@ from benchmarks.common.record import write
 from benchmarks.common.runner import add_seeds, run
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.shards import Shard
-from completion.evaluation.accumulator import Tally
+from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import Protocol, evaluate_frames, markdown_table, mean_errors
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.training.config import TrainConfig, make_config
@@ -104,9 +104,11 @@ def trained(folders: Sequence[Path], model: str, seed: int, arguments: argparse.
 def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str, Any]:
     """Mean errors on the scene's held-out meshes."""
     protocol = Protocol(points=config.points)
-    tally = Tally().add_all(evaluate_frames(held_out_frames(folder, config.max_depth_mm), predictor, protocol))
-    mean = mean_errors(tally.scores, protocol).to_dict()
-    return {"folder": folder.name, "frames": len(tally.scores), **{key: mean[key] for key in FIGURES}}
+    accumulator = Accumulator().add_all(
+        evaluate_frames(held_out_frames(folder, config.max_depth_mm), predictor, protocol)
+    )
+    mean = mean_errors(accumulator.scores, protocol).to_dict()
+    return {"folder": folder.name, "frames": len(accumulator.scores), **{key: mean[key] for key in FIGURES}}
 
 
 def digest(folders: Sequence[Path]) -> str:

@@ -1,17 +1,28 @@
-"""LEG 2: image and sparse depth to dense depth and confidence (torch). Imports nothing else of this project."""
+"""LEG 2: dense depth and confidence from an image and sparse depth (torch). Imports only `haustra.core` besides itself.
 
+`DepthCompleter` completes frames with a trained network; `build_model` makes any network of the comparison;
+`evaluate_frames` measures errors on frames with true depth, under a `Protocol`. Each is loaded on its first use."""
+
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from completion.evaluation.evaluate import Protocol as Protocol
+    from completion.evaluation.evaluate import evaluate_frames as evaluate_frames
     from completion.inference.completer import DepthCompleter as DepthCompleter
+    from completion.networks.registry import build_model as build_model
 
-__all__ = ["DepthCompleter"]
+_MODULE_OF = {
+    "DepthCompleter": "completion.inference.completer",
+    "Protocol": "completion.evaluation.evaluate",
+    "build_model": "completion.networks.registry",
+    "evaluate_frames": "completion.evaluation.evaluate",
+}
+__all__ = ["DepthCompleter", "Protocol", "build_model", "evaluate_frames"]
 
 
 def __getattr__(name: str) -> Any:
-    """`DepthCompleter` on first use: importing torch takes seconds, `--help` should not."""
-    if name == "DepthCompleter":
-        from completion.inference.completer import DepthCompleter
-
-        return DepthCompleter
-    raise AttributeError(f"module 'completion' has no attribute '{name}'")
+    """A public name on its first use, so that importing the package does not import torch."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(_MODULE_OF[name]), name)

@@ -1,12 +1,12 @@
-"""Relative error and confidence: one scale for points that come in and for depth that goes out."""
+"""Conversion between relative error and confidence, the same for sparse points and for completed depth."""
 
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Confidence is e0^2 / (e0^2 + e^2) of the relative error e: one half at 3 %, the depth error at which a wall 25 mm
-# away is 0.75 mm off. Fusion weights by inverse variance, to which this is proportional for large e.
+# e0 in confidence = e0^2 / (e0^2 + e^2), e the relative error: 3 % is 0.75 mm of a wall 25 mm away. For large e it is
+# proportional to the inverse variance, by which fusion weights.
 HALF_CONFIDENCE_ERROR = 0.03
 
 Array = TypeVar("Array")  # a NumPy array or a torch tensor

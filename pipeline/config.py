@@ -17,6 +17,7 @@ FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
 # Names of version 0.1 in run.yaml and --config files, and what they are called today.
 RENAMED = {
+    "depth.looks": "depth.iterations",
     "pose_graph.enabled": "loop_closing.enabled",
     "pose_graph.join": "loop_closing.merge_submaps",
     "pose_graph.max_places": "loop_closing.max_keyframes",
@@ -87,7 +88,9 @@ class DepthSettings(Settings):
     """Which frames are completed, and by what."""
 
     keyframe_motion: float = Field(0.02, gt=0, description="share of the width that shared points move by")
-    looks: PositiveInt | None = Field(None, description="of the model at each frame, no more than it knows; None: 2")
+    iterations: PositiveInt | None = Field(
+        None, description="of the network for each frame, at most as many as it was trained for; None: 2"
+    )
 
 
 class LoopClosingSettings(Settings):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from completion.inference.completer import choose_device
-from completion.weights.shipped import check_weights
+from completion.weights.shipped_weights import validate_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import complete_depth
@@ -56,7 +56,7 @@ def _check(config: Config, video: Source, scale: ScaleSource) -> None:
     """Refuse what cannot work before any work is done."""
     check_front_end(config.front_end, config.front_end_settings)
     check_choice(config.camera, video.path)
-    check_weights(config.model, config.depth.looks)
+    validate_weights(config.model, config.depth.iterations)
     choose_device(config.device)
     if scale.file is not None:
         check_scale_file(scale.file)

@@ -1,4 +1,4 @@
-"""Steps of a front end that several benchmarks run alone, and the errors of the submaps that it leaves."""
+"""Kernels of a front end that several benchmarks run alone, and the errors of the submaps that it leaves."""
 
 import os
 from pathlib import Path

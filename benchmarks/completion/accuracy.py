@@ -22,7 +22,7 @@ from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.readers import read_evaluation_frames
 from completion.data.sampling_benchmark import get_sampler
 from completion.evaluation.metrics import depth_errors
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 from completion.networks.classical import linear
 
 SETTINGS = (("uniform", 100), ("sfm", 100), ("sfm", 500))
@@ -67,14 +67,19 @@ def row_of(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser, "with true depth")
     parser.add_argument("--model", default="mscsa")
-    parser.add_argument("--looks", type=int, help="how often a frame is completed; the model's own number if not given")
+    parser.add_argument(
+        "--iterations",
+        "--looks",
+        type=int,
+        help="of the network for a frame; as many as the model's default if not given",
+    )
     parser.add_argument("--stride", type=int, default=1, help="every n-th frame of a sequence of more than 20")
     parser.add_argument("--draws", type=int, default=4, help="of points, by seeds from 0 on")
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Every folder with every setting of the points."""
-    completer = DepthCompleter(load_scale_free(arguments.model), looks=arguments.looks)
+    completer = DepthCompleter(load_depth_network(arguments.model), iterations=arguments.iterations)
     rows = []
     for folder in arguments.folders:
         frames = judged_frames(folder, arguments.stride)
@@ -82,5 +87,5 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
             row = row_of(completer, arguments.model, frames, sampler, points, arguments.draws)
             rows.append({"folder": folder.name} | row)
             print_row(rows[-1])
-    about = {"looks": completer.looks, "precision": completer.precision, "draws": arguments.draws}
+    about = {"iterations": completer.iterations, "precision": completer.precision, "draws": arguments.draws}
     return about | {"rows": rows}

@@ -78,4 +78,4 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
         for row in rows_of(completer, judged_frames(folder, arguments.stride), arguments.points):
             rows.append({"folder": folder.name} | row)
             print_row(rows[-1])
-    return {"looks": completer.looks, "precision": completer.precision, "rows": rows}
+    return {"iterations": completer.iterations, "precision": completer.precision, "rows": rows}

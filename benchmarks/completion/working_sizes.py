@@ -1,7 +1,7 @@
-"""abs.REL of a completion model by the size it works at and how often it looks, on rendered frames kept for choosing.
+"""abs.REL of a completion model by the size it works at and its number of iterations, on rendered frames.
 
     haustra phantom E --training 160 --size 480 --seed 750000
-    python -m benchmarks.completion working-sizes E --size 320 --size 448 --looks 1 --looks 2 --json sizes.json
+    python -m benchmarks.completion working-sizes E --size 320 --size 448 --iterations 1 --iterations 2 --json f.json
     python -m benchmarks.completion working-sizes E --picture 320 --size 320 --size 448   # frames of 320 px
     python -m benchmarks.completion working-sizes E --precision bf16 --precision int8
 
@@ -25,11 +25,11 @@ from completion import DepthCompleter
 from completion.data.sampling_benchmark import get_sampler
 from completion.data.shards import Shard
 from completion.evaluation.metrics import depth_errors
-from completion.inference.completer import load_scale_free
+from completion.inference.completer import load_depth_network
 
 POINTS = (("sfm", 30), ("uniform", 100), ("sfm", 100), ("sfm", 500), ("sfm", 1500), ("features", 1000))
 MAX_DEPTH, FEWEST = 250.0, 15  # mm; points under which a frame is left out
-Variant = tuple[str, int, int, str]  # model, size in px, looks, precision
+Variant = tuple[str, int, int, str]  # model, size in px, iterations, precision
 Frame = tuple[int, np.ndarray, np.ndarray]  # number, rgb (H,W,3), depth (H,W) mm
 
 
@@ -48,11 +48,11 @@ def frames_of(folder: Path, stride: int, picture: int | None) -> list[Frame]:
 
 def completers_of(arguments: argparse.Namespace) -> dict[Variant, DepthCompleter]:
     """Every combination that is asked for."""
-    sizes, looks = arguments.size or [320], arguments.looks or [2]
-    variants = product(arguments.model or ["mscsa"], sizes, looks, arguments.precision or ["auto"])
+    sizes, iterations = arguments.size or [320], arguments.iterations or [2]
+    variants = product(arguments.model or ["mscsa"], sizes, iterations, arguments.precision or ["auto"])
     return {
         (model, size, count, precision): DepthCompleter(
-            load_scale_free(model), precision=precision, working_side=size or None, looks=count
+            load_depth_network(model), precision=precision, resolution=size or None, iterations=count
         )
         for model, size, count, precision in variants
     }
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(parser, "training shards that nothing was trained on")
     parser.add_argument("--model", action="append")
     parser.add_argument("--size", action="append", type=int, help="px")
-    parser.add_argument("--looks", action="append", type=int)
+    parser.add_argument("--iterations", "--looks", action="append", type=int)
     parser.add_argument("--precision", action="append", help="int8, bf16 or fp32")
     parser.add_argument("--picture", type=int, help="px to which the frames are reduced first")
     parser.add_argument("--stride", type=int, default=4, help="every n-th frame")
@@ -92,10 +92,10 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
         first = np.array(next(iter(errors.values())))
         if len(first) < 2:
             continue
-        for (model, size, looks, precision), values in errors.items():
+        for (model, size, iterations, precision), values in errors.items():
             paired = float(np.std(np.array(values) - first, ddof=1) / np.sqrt(len(values)))
             row = {"sampler": sampler, "points": points, "frames": len(values), "model": model, "size_px": size}
-            row |= {"looks": looks, "precision": precision, "abs_rel_percent": float(np.mean(values))}
+            row |= {"iterations": iterations, "precision": precision, "abs_rel_percent": float(np.mean(values))}
             rows.append(row | {"paired_error": paired})
             print_row(rows[-1], digits=3)
     return {"rows": rows}

@@ -16,7 +16,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 from completion import DepthCompleter
 from completion.evaluation.predictors import Predictor, load_predictor
-from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+from completion.networks.protocol import DepthNetwork
 from pipeline.depth.completed_submap import Keyframe
 from pipeline.depth.rectification import Rectifier
 from pipeline.depth.sparse_depth import SparseDepth
@@ -91,7 +91,7 @@ def model_depth(model: str, side: int) -> Complete:
     confidence. `side`: px, longer side of the picture that it works on.
     """
     predictor = load_predictor(model)
-    if not isinstance(predictor.network, ScaleFreeMSCSANet):
+    if not isinstance(predictor.network, DepthNetwork):
         return _metric_depth(predictor, side)
     completer = DepthCompleter.load(model)
 

@@ -2,9 +2,9 @@
 
     python -m benchmarks.speed completion --runs 20 --json completion_speed.json
 
-One 320x320 frame, 100 points, every core; then the default model over image sizes, points, looks and working sizes.
-Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole of
-`DepthCompleter` (exposure, normalisation, confidence). "network alone" is that of one look at 320 px by onnxruntime
+One 320x320 frame, 100 points, every core; then the default model over image sizes, points, iterations and
+working sizes. Rivals have random weights, which cost the same; theirs is the network alone, the default's is the whole
+of `DepthCompleter` (exposure, normalisation, confidence). "network alone" is one iteration at 320 px by onnxruntime
 and, where it is installed, by OpenVINO in both precisions. Each run measures all of them once, in a new order.
 """
 
@@ -22,12 +22,12 @@ import torch
 from benchmarks.common.record import shown, spread
 from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
-from completion.inference.completer import load_scale_free
-from completion.inference.cpu.int8_unet import can_use_eight_bits
+from completion.inference.completer import load_depth_network
 from completion.inference.onnx_export import export_onnx
 from completion.inference.resolution import SIDE_FOR_MANY
 from completion.networks.classical import CLASSICAL
-from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+from completion.networks.cpu.int8_unet import can_use_int8
+from completion.networks.protocol import DepthNetwork
 from completion.networks.registry import build_model
 from pipeline.run_folder.malloc import keep_freed_memory
 
@@ -63,7 +63,7 @@ def network_call(name: str, size: str, rgb: np.ndarray, sparse: np.ndarray) -> C
     return call
 
 
-def exported(network: ScaleFreeMSCSANet, rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
+def exported(network: DepthNetwork, rgb: np.ndarray, sparse: np.ndarray, folder: Path) -> tuple[Path, Graph]:
     """A network's graph for a picture of this size, and what goes in."""
     path = export_onnx(network, folder / "m.onnx", rgb.shape[0])
     trust = (sparse > 0).astype(np.float32)[None, None]
@@ -102,19 +102,19 @@ def by_openvino(path: Path, inputs: Graph) -> Calls:
 
 
 def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
-    """The default as it is, then over image sizes, points, looks, working sizes and precisions."""
+    """The default as it is, then over image sizes, points, iterations, working sizes and precisions."""
     completer = DepthCompleter.load("mscsa")
     calls: Calls = {"mscsa (default), 320 px, 100 points": partial(completer, rgb, sparse)}
     for size in SIZES:
         calls[f"mscsa, {size} px"] = partial(completer, *scene(size, 100))
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
-    network = load_scale_free("mscsa")
-    for looks, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
-        other = DepthCompleter(network, working_side=side, looks=looks)
-        calls[f"mscsa, {looks} look{'s' * (looks > 1)} at {side} px"] = partial(other, rgb, sparse)
+    network = load_depth_network("mscsa")
+    for iterations, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
+        other = DepthCompleter(network, resolution=side, iterations=iterations)
+        calls[f"mscsa, {iterations} iteration{'s' * (iterations > 1)} at {side} px"] = partial(other, rgb, sparse)
     for precision in ("int8", "bf16", "fp32"):
-        if precision != "int8" or can_use_eight_bits():
+        if precision != "int8" or can_use_int8():
             calls[f"mscsa, {precision}"] = partial(DepthCompleter(network, precision=precision), rgb, sparse)
     return calls
 
@@ -123,7 +123,7 @@ def of_network_alone(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
     """The default's network in other programs."""
     calls: Calls = {}
     with tempfile.TemporaryDirectory() as folder:
-        path, inputs = exported(load_scale_free("mscsa"), rgb, sparse, Path(folder))
+        path, inputs = exported(load_depth_network("mscsa"), rgb, sparse, Path(folder))
         calls["network alone at 320 px, onnxruntime"] = by_onnxruntime(path, inputs)
         calls |= by_openvino(path, inputs)
     return calls

@@ -1,8 +1,7 @@
-"""True depth that was stored in coarse steps, brought back to the smooth surface that it was rounded from.
+"""Dequantization of true depth that was stored in coarse steps, by constrained diffusion.
 
-SimCol3D stores 200 mm in 255 steps. A step is 4 % of what is near, several times a good model's error there, so that
-judged by such depth every model looks alike. What was rounded lies within half a step of what is stored: inside these
-bounds, and not across edges, diffusion flattens the stairs.
+SimCol3D stores 200 mm in 255 steps. Near the camera a step is 4 % of the depth, several times a good model's error. The
+original lies within half a step of the stored value: diffusion within these bounds, but not across edges, smooths it.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ from numpy.typing import NDArray
 from completion.data.evaluation_frame import Depth
 from haustra.core.errors import CompletionError
 
-# Each pass averages four neighbours; in a picture of AT_WIDTH columns they reach about seven pixels. Chosen on rendered
+# Each pass averages four neighbours; in an image of AT_WIDTH columns they reach about seven pixels. Chosen on rendered
 # frames, of 30 to 600: from 60 on they hardly differ.
 PASSES, AT_WIDTH = 100, 320
 EDGE = 2.5  # steps between neighbours that are taken for an edge; so steep a wall shows no stairs either
 
 
-def without_steps(depth: Depth, step: float) -> Depth:
+def dequantize(depth: Depth, step: float) -> Depth:
     """Depth (H,W), 0 = none, stored in multiples of `step` in its unit -> the same smoothed, nowhere further than half
     a step from what was stored. CompletionError if the depth does not come in such steps."""
     stored = depth.astype(np.float64)

@@ -88,7 +88,7 @@ def augment(batch: Batch, generator: torch.Generator) -> Batch:
 def _zoomed(
     rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """In half of the batches a part of the picture, up to 1.6 times enlarged: structures of other sizes in pixels."""
+    """In half of the batches a part of the image, up to 1.6 times enlarged: structures of other sizes in pixels."""
     chance, amount, down, right = torch.rand(4, generator=generator).tolist()
     if chance < 0.5:
         return rgb, depth, lens

@@ -1,4 +1,4 @@
-"""What is kept of an evaluation while its frames pass by: figures of all of them, pictures of a few."""
+"""Streaming accumulator of per-frame scores, calibration pixels and a few full frames of an evaluation."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from completion.evaluation.evaluate import Array, FrameResult, Score
 from completion.evaluation.metrics import SimCol3DDepthErrors, simcol3d_errors
 from completion.evaluation.uncertainty import DECILES, Calibration, PixelErrors, calibrate, pixel_errors
 
-PICTURES = 6
+SAMPLES = 6  # full frames that are plotted
 
 
-class Tally:
-    """Scores of every frame, the calibration's pixels, and whole results of 6 to 12 frames spread evenly.
+class Accumulator:
+    """Scores of all frames, pixels for the calibration, and full results of 6 to 12 evenly spaced frames.
 
-    With `trajectory`, depth maps lie in a temporary file meanwhile: SimCol3D's figures need them a second time.
+    trajectory: keep all depth maps in a temporary file, since SimCol3D's metrics read them twice.
     """
 
     def __init__(self, trajectory: bool = False) -> None:
         self.scores: list[Score] = []
         self._pixels: list[PixelErrors] = []
-        self._sights: list[FrameResult] = []
+        self._sample_frames: list[FrameResult] = []
         self._every = 1
         self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
 
-    def __enter__(self) -> Tally:
+    def __enter__(self) -> Accumulator:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -36,11 +36,11 @@ class Tally:
             self._maps.close()
 
     def add(self, result: FrameResult) -> None:
-        """Take in the next frame."""
+        """Accumulate the next frame."""
         if len(self.scores) % self._every == 0:
-            self._sights.append(result)
-        if len(self._sights) == 2 * PICTURES:
-            self._sights, self._every = self._sights[::2], 2 * self._every
+            self._sample_frames.append(result)
+        if len(self._sample_frames) == 2 * SAMPLES:
+            self._sample_frames, self._every = self._sample_frames[::2], 2 * self._every
         self.scores.append(Score(result.name, result.points, result.errors))
         if result.confidence is not None:
             error = error_from_confidence(result.confidence)
@@ -49,22 +49,24 @@ class Tally:
             np.save(self._maps, result.prediction, allow_pickle=False)
             np.save(self._maps, result.truth, allow_pickle=False)
 
-    def add_all(self, results: Iterable[FrameResult]) -> Tally:
+    def add_all(self, results: Iterable[FrameResult]) -> Accumulator:
         for result in results:
             self.add(result)
         return self
 
-    def sights(self) -> list[FrameResult]:
-        """At most `PICTURES` frames from the first to the last."""
-        places = np.linspace(0, len(self._sights) - 1, min(PICTURES, len(self._sights))).round().astype(int)
-        return [self._sights[place] for place in places]
+    def sample_frames(self) -> list[FrameResult]:
+        """At most `SAMPLES` evenly spaced frames, the first and the last kept one included."""
+        places = (
+            np.linspace(0, len(self._sample_frames) - 1, min(SAMPLES, len(self._sample_frames))).round().astype(int)
+        )
+        return [self._sample_frames[place] for place in places]
 
     def calibration(self) -> Calibration | None:
-        """None for a model that does not predict its error, or for too few pixels."""
+        """Calibration of the predicted error; None for a model without one, or for too few pixels."""
         return calibrate(self._pixels) if sum(len(p.depth) for p in self._pixels) >= DECILES else None
 
     def simcol3d(self) -> SimCol3DDepthErrors | None:
-        """SimCol3D's own figures, taking the frames for one trajectory; None without their maps."""
+        """SimCol3D's metrics of all frames as one trajectory; None without `trajectory`."""
         return simcol3d_errors(self._depth_pairs) if self._maps else None
 
     def _depth_pairs(self) -> Iterator[tuple[Array, Array]]:

@@ -1,6 +1,6 @@
-"""Per-frame errors of depth completion: a sampler, a model, a convention, and every number said with its protocol.
+"""Per-frame errors of a completion model on frames with true depth, under a stated protocol.
 
-Drawn per frame from (seed, frame's place), so that two models, or two runs, see the same points.
+Points are drawn from (seed, index of the frame), so that two models, or two runs, get the same ones.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from completion.data.evaluation_frame import EvaluationFrame
-from completion.data.quantized_depth import without_steps
+from completion.data.quantized_depth import dequantize
 from completion.data.sampling_benchmark import get_sampler
 from completion.evaluation.metrics import Alignment, Averaging, DepthErrors, average, depth_errors
 from completion.evaluation.predictors import Predictor
@@ -27,7 +27,7 @@ COLUMNS = ("rmse", "abs_rel", "mae", "delta_1", "delta_2", "delta_3", "scale", "
 
 
 class Protocol(BaseModel):
-    """What a figure depends on besides the model and the frames."""
+    """The settings that an error depends on besides the model and the frames."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -38,11 +38,13 @@ class Protocol(BaseModel):
     seed: int = Field(0, ge=0)
     stride: int = Field(1, ge=1)
     depth_step: float = Field(0.0, ge=0)
-    """In the truth's unit: it was stored in such steps, and is judged without them (0: as it is)."""
+    """In the truth's unit: quantization step that is smoothed out of the truth first; 0: none."""
 
     def __str__(self) -> str:
         untouched = "no scale alignment"
-        if self.sampler == "sfm":  # its points have an unknown factor, noise and outliers; see `sparsify.like_sfm`
+        if (
+            self.sampler == "sfm"
+        ):  # its points have an unknown factor, noise and outliers; see `sampling_benchmark.like_sfm`
             untouched = "their unknown scale given back by its true value"
         scaled = {"none": untouched, "points": "scale from the sparse points"}
         return (
@@ -66,7 +68,7 @@ class Score:
 
 @dataclass(frozen=True)
 class FrameResult(Score):
-    """A score with what is needed to look at it."""
+    """A score with the arrays that it was computed from."""
 
     rgb: NDArray[np.uint8]
     truth: Array
@@ -81,15 +83,14 @@ def evaluate_frames(
     protocol: Protocol,
     advance: Callable[[int], None] | None = None,
 ) -> Iterable[FrameResult]:
-    """Results one by one. Frames in which the sampler finds no point are said as an error, never skipped silently.
+    """Results frame by frame; CompletionError for a frame in which the sampler finds no point.
 
-    With SfM-like points the frame's unknown factor is divided out of the prediction before it is judged, unless the
-    protocol aligns the scale by other means.
+    The unknown factor of SfM-like points is divided out of the prediction, before the protocol's scale alignment.
     """
     sampler = get_sampler(protocol.sampler)
     for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
         if protocol.depth_step:
-            frame = replace(frame, depth=without_steps(frame.depth, protocol.depth_step))
+            frame = replace(frame, depth=dequantize(frame.depth, protocol.depth_step))
         rng = np.random.default_rng([protocol.seed, place])
         sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
         if not sparse.points:
@@ -105,7 +106,7 @@ def evaluate_frames(
 
 
 def mean_errors(results: Sequence[Score], protocol: Protocol) -> DepthErrors:
-    """The figure that a table shows."""
+    """Mean errors over the frames, as the protocol averages."""
     return average([result.errors for result in results], protocol.averaging)
 
 

@@ -1,5 +1,5 @@
-"""Pictures of an evaluation: contact sheet with error maps, methods side by side (the paper's Figure 4), error over
-points (Figure 5), features before and after structure awareness (Figure 6), calibration."""
+"""Plots of an evaluation: sample frames with error maps, methods side by side (the paper's Fig. 4), error over points
+(Fig. 5), features before and after structure awareness (Fig. 6), calibration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Features = NDArray[np.floating]  # (C,h,w)
 ERROR_SHOWN = 0.15  # relative error at which the colour saturates
 
 
-def contact_sheet(path: Path, results: Sequence[FrameResult], title: str, unit: str) -> Path:
+def sample_frames_plot(path: Path, results: Sequence[FrameResult], title: str, unit: str) -> Path:
     """Rows: image with its points, true depth, completed depth, relative error; a column for each frame."""
     plt = _pyplot()
     figure, axes = plt.subplots(4, len(results), figsize=(2.1 * len(results), 9), squeeze=False, layout="constrained")
@@ -28,18 +28,18 @@ def contact_sheet(path: Path, results: Sequence[FrameResult], title: str, unit: 
         axes[0, column].set_title(f"{result.name}: {result.points} points", fontsize=8)
         for row, depth in ((1, result.truth), (2, result.prediction)):
             shown = np.where(depth > 0, depth, np.nan)
-            picture = axes[row, column].imshow(shown, cmap="turbo_r", vmin=low, vmax=high)
-        figure.colorbar(picture, ax=axes[2, column], shrink=0.7, label=unit)
+            mapped = axes[row, column].imshow(shown, cmap="turbo_r", vmin=low, vmax=high)
+        figure.colorbar(mapped, ax=axes[2, column], shrink=0.7, label=unit)
         error = np.where(known, np.abs(result.prediction - result.truth) / np.where(known, result.truth, 1), np.nan)
-        picture = axes[3, column].imshow(100 * error, cmap="magma", vmin=0, vmax=100 * ERROR_SHOWN)
+        mapped = axes[3, column].imshow(100 * error, cmap="magma", vmin=0, vmax=100 * ERROR_SHOWN)
         axes[3, column].set_title(f"abs.REL {100 * result.errors.abs_rel:.1f} %", fontsize=8)
-        figure.colorbar(picture, ax=axes[3, column], shrink=0.7, label="%")
+        figure.colorbar(mapped, ax=axes[3, column], shrink=0.7, label="%")
     for row, label in enumerate(("image, points", "truth", "completed", "relative error")):
         axes[row, 0].set_ylabel(label)
     return _without_ticks(figure, axes, title, path)
 
 
-def comparison_sheet(path: Path, results: Mapping[str, Sequence[FrameResult]], title: str) -> Path:
+def comparison_plot(path: Path, results: Mapping[str, Sequence[FrameResult]], title: str) -> Path:
     """Rows: frames; columns: image with its points, true depth, then what each method makes of them (paper Fig. 4)."""
     plt = _pyplot()
     frames = next(iter(results.values()))
@@ -57,14 +57,14 @@ def comparison_sheet(path: Path, results: Mapping[str, Sequence[FrameResult]], t
     return _without_ticks(figure, axes, title, path)
 
 
-def attention_sheet(path: Path, frames: Sequence[tuple[FrameResult, Features, Features]], title: str) -> Path:
+def attention_plot(path: Path, frames: Sequence[tuple[FrameResult, Features, Features]], title: str) -> Path:
     """Rows: image, mean strength of the features before and after structure awareness; columns: frames (Fig. 6)."""
     plt = _pyplot()
     figure, axes = plt.subplots(3, len(frames), figsize=(2.1 * len(frames), 6.6), squeeze=False, layout="constrained")
     for column, (result, *features) in enumerate(frames):
         _image_with_points(axes[0, column], result)
         for row, maps in enumerate(features, start=1):
-            # Each on its own scale: what matters is where the network looks, not by how much the module amplifies.
+            # Each on its own scale: what matters is where features are strong, not by how much the module amplifies.
             axes[row, column].imshow(np.abs(maps).mean(axis=0), cmap="inferno", interpolation="bilinear")
     for row, label in enumerate(("image, points", "before", "after")):
         axes[row, 0].set_ylabel(label)

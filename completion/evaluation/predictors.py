@@ -1,11 +1,11 @@
-"""Anything that completes depth, behind one call: classical fills, shipped models, weight files of any network."""
+"""One call for every completion method: classical baselines, shipped models, weight files of any registered network."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ class Predictor:
 
     complete: Complete
     network: nn.Module | None = None  # None for classical fills
-    precision: str | None = None  # of a scale-free network's convolutions: int8, bf16 or fp32
+    precision: str | None = None  # of a `DepthNetwork`'s convolutions: int8, bf16 or fp32
 
     def __call__(
         self, rgb: RGB, sparse: Depth, intrinsics: NDArray[np.float64] | None = None
@@ -45,22 +45,23 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
         return Predictor(lambda rgb, sparse, intrinsics: (fill(sparse), None))
     from completion.inference.completer import DepthCompleter
     from completion.networks.checkpoint import load_network, read_metadata
-    from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
-    from completion.weights.shipped import resolve_weights
+    from completion.networks.protocol import DepthNetwork
+    from completion.weights.shipped_weights import resolve_weights
 
     try:
         path = resolve_weights(model)
     except CompletionError as error:
         raise CompletionError(f"{error}, {', '.join(CLASSICAL)}") from None
     network = load_network(path)
-    if isinstance(network, ScaleFreeMSCSANet):
+    if isinstance(network, DepthNetwork):
         completer = DepthCompleter(network, device, precision)
-        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), completer.network, completer.precision)
+        made: Any = completer.network  # also a module
+        return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), made, completer.precision)
     return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)
 
 
 def _metric(network: nn.Module, device: str, unit: float) -> Complete:
-    """A network of the paper's kind: metric depth in and out, no confidence; it works in multiples of `unit`."""
+    """Call of a metric network, whose depth is in multiples of `unit`; it has no confidence."""
     import torch
 
     from completion.inference.completer import choose_device

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.readers import read_evaluation_frames
 from completion.data.sampling_benchmark import SAMPLERS
-from completion.evaluation.accumulator import Tally
+from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import (
     FrameResult,
     Protocol,
@@ -27,7 +27,13 @@ from completion.evaluation.evaluate import (
     write_csv,
 )
 from completion.evaluation.metrics import Alignment, Averaging
-from completion.evaluation.plots import attention_sheet, calibration_plot, comparison_sheet, contact_sheet, sweep_plot
+from completion.evaluation.plots import (
+    attention_plot,
+    calibration_plot,
+    comparison_plot,
+    sample_frames_plot,
+    sweep_plot,
+)
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.evaluation.uncertainty import Calibration
 from haustra.core.errors import CompletionError
@@ -36,7 +42,7 @@ from haustra.core.progress import Progress, ProgressCallback
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where to write; None writes nothing."""
+    """Files to write; None: not written."""
 
     csv: Path | None = None
     json: Path | None = None
@@ -47,7 +53,7 @@ class Outputs:
     attention: Path | None = None
 
     def make_way(self) -> None:
-        """Folders for all of them; CompletionError for one that cannot be written, before any work is done for it."""
+        """Create the files' folders; CompletionError for a file that cannot be written, before any work."""
         for path in filter(None, astuple(self)):
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +66,7 @@ class Outputs:
 def protocol_of(
     sampler: str, points: int, align: str, averaging: str, seed: int, stride: int, depth_step: float = 0.0
 ) -> Protocol:
-    """Checked by name, so that a slip is one sentence."""
+    """A `Protocol`; CompletionError names the known values of a setting that has another."""
     for name, value, known in (
         ("sampler", sampler, tuple(SAMPLERS)),
         ("alignment", align, get_args(Alignment)),
@@ -93,21 +99,23 @@ def evaluate(
     records: list[dict[str, Any]] = []
     for folder in folders:
         for protocol in protocols:
-            rows, sights = [], {}
+            rows, sample_frames = [], {}
             for model, predictor in predictors.items():
-                with Tally(trajectory=outputs.json is not None) as tally:
-                    unit = _run(folder, kind, predictor, protocol, tally, progress.bar(f"{folder.name} {model}", None))
-                    records.append(_record(folder.name, model, predictor.precision, protocol, tally, unit))
-                rows.append((model, paper_row(mean_errors(tally.scores, protocol), unit)))
-                sights[Path(model).name] = tally.sights()
-                renamed += _write_pictures(outputs, tally, predictor, records[-1], several or len(models) > 1)
+                with Accumulator(trajectory=outputs.json is not None) as accumulator:
+                    unit = _run(
+                        folder, kind, predictor, protocol, accumulator, progress.bar(f"{folder.name} {model}", None)
+                    )
+                    records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
+                rows.append((model, paper_row(mean_errors(accumulator.scores, protocol), unit)))
+                sample_frames[Path(model).name] = accumulator.sample_frames()
+                renamed += _write_plots(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
-            about = ", ".join([f"{len(tally.scores)} frames", str(protocol), *precisions])
+            about = ", ".join([f"{len(accumulator.scores)} frames", str(protocol), *precisions])
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
                 path = _named(outputs.compare, label, several)
-                comparison_sheet(path, sights, f"{folder.name}: {about}")
+                comparison_plot(path, sample_frames, f"{folder.name}: {about}")
                 renamed += [path] * several
     _write_summaries(outputs, records)
     if renamed:
@@ -120,7 +128,7 @@ def _run(
     kind: str | None,
     predictor: Predictor,
     protocol: Protocol,
-    tally: Tally,
+    accumulator: Accumulator,
     bar: AbstractContextManager[ProgressCallback],
 ) -> str:
     """Judge every frame, one in memory at a time; returns the unit of the truth."""
@@ -133,14 +141,14 @@ def _run(
             yield frame
 
     with bar as advance:
-        tally.add_all(evaluate_frames(frames(), predictor, protocol, advance))
-    if not tally.scores:
+        accumulator.add_all(evaluate_frames(frames(), predictor, protocol, advance))
+    if not accumulator.scores:
         raise CompletionError(f"{folder} has no frames")
     return unit
 
 
 def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> None:
-    """What is about all figures together."""
+    """Write the files that cover all records: JSON, sweep and calibration plots."""
     if outputs.json:
         outputs.json.write_text(json.dumps(records, indent=1) + "\n")
     if outputs.sweep:
@@ -154,56 +162,61 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
 
 
 def _record(
-    folder: str, model: str, precision: str | None, protocol: Protocol, tally: Tally, unit: str
+    folder: str, model: str, precision: str | None, protocol: Protocol, accumulator: Accumulator, unit: str
 ) -> dict[str, Any]:
-    """Everything about one figure, for JSON."""
-    calibration, simcol = tally.calibration(), tally.simcol3d()
+    """Errors of one folder, model and protocol, with all settings, for JSON."""
+    calibration, simcol = accumulator.calibration(), accumulator.simcol3d()
     return {
         "folder": folder,
         "model": model,
         "precision": precision,
         "unit": unit,
         "protocol": protocol.model_dump(),
-        "mean": mean_errors(tally.scores, protocol).to_dict(),
+        "mean": mean_errors(accumulator.scores, protocol).to_dict(),
         "simcol3d": simcol.__dict__ if simcol else None,
         "calibration": calibration.to_dict() if calibration else None,
-        "points": {"least": min(r.points for r in tally.scores), "most": max(r.points for r in tally.scores)},
-        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in tally.scores],
+        "points": {
+            "least": min(r.points for r in accumulator.scores),
+            "most": max(r.points for r in accumulator.scores),
+        },
+        "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in accumulator.scores],
     }
 
 
-def _write_pictures(
-    outputs: Outputs, tally: Tally, predictor: Predictor, record: dict[str, Any], several: bool
+def _write_plots(
+    outputs: Outputs, accumulator: Accumulator, predictor: Predictor, record: dict[str, Any], several: bool
 ) -> list[Path]:
-    """CSV and sheets of one figure; with several figures each file's name says which it is, and is returned."""
+    """Write CSV and plots of one record; with several records return the files, whose names then tell them apart."""
     label = _label(record)
     title = f"{record['folder']}, {record['model']}: {Protocol(**record['protocol'])}"
     csv, sheet, attention = (
         path and _named(path, label, several) for path in (outputs.csv, outputs.sheet, outputs.attention)
     )
     if csv:
-        write_csv(csv, tally.scores)
+        write_csv(csv, accumulator.scores)
     if sheet:
-        contact_sheet(sheet, tally.sights(), title, record["unit"])
-    frames = _attention(predictor, tally.sights()) if attention else []  # asked of the models that have one
+        sample_frames_plot(sheet, accumulator.sample_frames(), title, record["unit"])
+    frames = (
+        _attention(predictor, accumulator.sample_frames()) if attention else []
+    )  # asked of the models that have one
     if attention and frames:
-        attention_sheet(attention, frames, title)
+        attention_plot(attention, frames, title)
     return [path for path in (csv, sheet, attention if frames else None) if path and several]
 
 
 def _attention(
-    predictor: Predictor, sights: Sequence[FrameResult]
+    predictor: Predictor, sample_frames: Sequence[FrameResult]
 ) -> list[tuple[FrameResult, NDArray[np.floating], NDArray[np.floating]]]:
     """Each frame with its features before and after structure awareness; empty for a model that has none."""
     from completion.networks.channel_attention import attention_features
 
     frames = []
-    for sight in sights:
+    for frame in sample_frames:
         found = predictor.network and attention_features(
-            predictor.network, partial(predictor, sight.rgb, sight.sparse, None)
+            predictor.network, partial(predictor, frame.rgb, frame.sparse, None)
         )
         if found:
-            frames.append((sight, found[0].numpy(), found[1].numpy()))
+            frames.append((frame, found[0].numpy(), found[1].numpy()))
     return frames
 
 

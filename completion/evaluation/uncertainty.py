@@ -1,4 +1,4 @@
-"""Does the predicted confidence mean anything? Error against it by deciles, and their rank correlation."""
+"""Calibration of the predicted error: actual error by deciles of it, and their rank correlation."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Calibration:
 
 
 class PixelErrors(NamedTuple):
-    """At some valid pixels (N,) of one frame."""
+    """Values at some valid pixels (N,) of one frame."""
 
     predicted: NDArray[np.float64]  # relative
     depth: NDArray[np.float64]  # predicted
@@ -45,7 +45,7 @@ class PixelErrors(NamedTuple):
 
     @property
     def actual(self) -> NDArray[np.float64]:
-        """Relative."""
+        """Actual relative error (N,)."""
         return np.abs(self.depth - self.truth) / self.truth
 
 
@@ -57,7 +57,7 @@ def pixel_errors(prediction: Array, truth: Array, predicted_error: Array) -> Pix
 
 
 def calibrate(frames: Iterable[PixelErrors]) -> Calibration:
-    """From the pixels of all frames together."""
+    """Calibration over the pixels of all frames."""
     pixels = PixelErrors(*(np.concatenate(part) for part in zip(*frames, strict=True)))
     predicted, actual = pixels.predicted, pixels.actual
     if len(predicted) < DECILES:

@@ -1,5 +1,6 @@
-"""`DepthCompleter`: one image and its sparse depth in, dense depth and confidence out."""
+"""`DepthCompleter`: image and sparse depth -> dense depth and confidence, with any `DepthNetwork`."""
 
+import warnings
 from pathlib import Path
 
 import cv2
@@ -9,24 +10,21 @@ from numpy.typing import NDArray
 
 from completion.confidence import confidence_from_error
 from completion.data.sampling_training import normalise_log
-from completion.inference.cpu.fused_conv import can_fuse, fuse_convolutions
-from completion.inference.cpu.int8_unet import EightBitUNet, can_use_eight_bits, channel_reaches
-from completion.inference.cpu.numba_mscsa import compile_look, picture_planes
-from completion.inference.resolution import resized, resized_back, working_factor
+from completion.inference.resolution import resized, resolution_factor, restore_resolution
 from completion.networks.checkpoint import load_network
-from completion.networks.mscsa_sfm import REACHES, SPREAD, ScaleFreeMSCSANet, picture_inputs
-from completion.networks.recurrence import MOST_LOOKS, look_again
-from completion.networks.recurrent_norm import fold_batch_norm
-from completion.weights.shipped import check_looks, resolve_weights
+from completion.networks.precision import choose_precision
+from completion.networks.protocol import DepthNetwork, most_iterations
+from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
+from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
 
-# Few training images are as bright as SimCol3D's: every picture is brought to the brightness of the training frames.
+# Exposure of every image is normalised to that of the training frames, few of which are as bright as SimCol3D's.
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
-GAIN_RANGE = (0.5, 2.0)
+GAIN_RANGE = (0.5, 2.0)  # factor on grey levels
 
 
 class DepthCompleter:
-    """Dense depth in the unit of the sparse depth, whatever that unit is.
+    """Dense depth in the unit of the sparse depth, and its confidence in [0,1].
 
     >>> completer = DepthCompleter.load("mscsa")
     >>> depth, confidence = completer(rgb, sparse_depth)      # doctest: +SKIP
@@ -34,54 +32,44 @@ class DepthCompleter:
 
     def __init__(
         self,
-        network: ScaleFreeMSCSANet,
+        network: DepthNetwork,
         device: str = "auto",
         precision: str = "auto",
-        working_side: int | None = None,
+        resolution: int | None = None,
+        iterations: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """`working_side`: px, longer side that every picture is brought to, however small it is; None chooses by looks
-        and points (`completion.inference.resolution`).
+        """resolution: px, longer side to which every image is resized; None chooses by iterations and points
+        (`completion.inference.resolution`).
 
-        `looks`: how often the network completes a frame, each time with its last estimate
-        (`networks.recurrence`), and time grows with it; None: as often as it was trained for, at most `MOST_LOOKS`.
+        iterations: of the network for each frame (`completion.networks.recurrence`), in proportion to which time
+        grows; None: as many as it was trained for, at most `DEFAULT_ITERATIONS`. looks: its former name, deprecated.
         """
-        if precision not in ("auto", "int8", "bf16", "fp32"):
-            raise CompletionError(f"precision is auto, int8, bf16 or fp32, not {precision!r}")
-        self.looks = min(MOST_LOOKS, network.config.looks) if looks is None else looks
-        if self.looks < 1 or (working_side is not None and working_side < 1):
-            raise CompletionError(f"looks and working_side are at least 1, not {looks} and {working_side}")
-        check_looks(self.looks, network.config.looks)
+        iterations = renamed_looks(iterations, looks)
+        trained = most_iterations(network.config)
+        self.iterations = min(DEFAULT_ITERATIONS, trained) if iterations is None else iterations
+        if self.iterations < 1 or (resolution is not None and resolution < 1):
+            raise CompletionError(f"iterations and resolution are at least 1, not {iterations} and {resolution}")
+        validate_iterations(self.iterations, trained)
         self.device = choose_device(device)
-        self.working_side = working_side
-        self.precision = choose_precision(precision, self.device)
-        self.network = self._for_inference(network, again=False)
-        self.later = self._for_inference(network, again=True) if self.looks > 1 else self.network
-
-    def _for_inference(self, network: ScaleFreeMSCSANet, again: bool) -> ScaleFreeMSCSANet:
-        """A copy without what only training needs, its U-Net's convolutions in int8 or bfloat16 where fast."""
-        copy = fold_batch_norm(network, again)
-        if self.precision == "bf16":
-            for part in (copy.unet.encoder, copy.unet.decoder, copy.unet.head):  # attention stays in float32
-                part.to(torch.bfloat16)
-        copy = copy.to(self.device, memory_format=torch.channels_last)
-        if self.device.type == "cpu":
-            compile_look(copy)
-        if self.precision == "int8":
-            half = has_fast_bfloat16(self.device) and can_fuse(torch.bfloat16)
-            dtype = torch.bfloat16 if half else torch.float32
-            reaches = torch.tensor(REACHES[0] + (REACHES[1] if network.config.looks > 1 else ()))
-            copy.unet = EightBitUNet(copy.unet, channel_reaches(network.unet), reaches, (SPREAD,), dtype)
-        elif self.precision == "bf16" and self.device.type == "cpu" and can_fuse(torch.bfloat16):
-            fuse_convolutions(copy.unet)  # in float32 it gains little
-        return copy
+        self.resolution = resolution
+        self.precision = choose_precision(precision, self.device, network.precisions)
+        self.network = network.for_device(self.device, self.precision, recurrent=False)
+        self.recurrent = self.network
+        if self.iterations > 1:
+            self.recurrent = network.for_device(self.device, self.precision, recurrent=True)
 
     @classmethod
     def load(
-        cls, model: str | Path = "mscsa", device: str = "auto", precision: str = "auto", looks: int | None = None
+        cls,
+        model: str | Path = "mscsa",
+        device: str = "auto",
+        precision: str = "auto",
+        iterations: int | None = None,
+        looks: int | None = None,
     ) -> "DepthCompleter":
-        """A shipped model by name, or a weight file; raises `CompletionError` if it does not fit."""
-        return cls(load_scale_free(model), device, precision, looks=looks)
+        """A shipped model by name, or a weight file; CompletionError if it does not load or is a metric network."""
+        return cls(load_depth_network(model), device, precision, iterations=renamed_looks(iterations, looks))
 
     def __call__(
         self,
@@ -105,7 +93,7 @@ class DepthCompleter:
         sparse_depth: NDArray[np.float32],
         sparse_error: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Complete B frames of one size at once: as `__call__`, each array with a first axis B."""
+        """As `__call__`, of B frames of one size: each array has a first axis B."""
         _check_shapes(rgb, sparse_depth, sparse_error)
         sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
         trust = (sparse > 0).astype(np.float32)
@@ -121,50 +109,53 @@ class DepthCompleter:
         return depth * known, confidence_from_error(error) * known
 
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
-        if self.working_side is not None:
-            return self.working_side / max(shape)
-        return working_factor(max(shape), points, self.looks)
+        if self.resolution is not None:
+            return self.resolution / max(shape)
+        return resolution_factor(max(shape), points, self.iterations)
 
     def _resized(
         self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W), made at `factor` times the pictures' size."""
+        """Depth and relative error (B,H,W), computed at `factor` times the images' resolution."""
         frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
         depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
         size = (sparse.shape[2], sparse.shape[1])
-        back = [resized_back(d, e, size) for d, e in zip(depth, error, strict=True)]
+        back = [restore_resolution(d, e, size) for d, e in zip(depth, error, strict=True)]
         return np.stack([d for d, _ in back]), np.stack([e for _, e in back])
 
     def _predict(
         self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W) from (B,H,W,3), (B,H,W), (B,H,W)."""
+        """Image (B,H,W,3), sparse depth and trust (B,H,W) -> depth and relative error (B,H,W)."""
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
-            looks = self.network.look, self.later.look
-            estimate = look_again(*looks, self._picture(rgb), log_sparse, weights, self.looks)
+            image = self.network.prepare(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2))
+            first, recurrent = self.network.iterate, self.recurrent.iterate
+            estimate = refine_iteratively(first, recurrent, image, log_sparse, weights, self.iterations)
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
 
-    def _picture(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
-        if self.device.type == "cpu":
-            return picture_planes(rgb)
-        return picture_inputs(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2).float() / 255)
+
+def renamed_looks(iterations: int | None, looks: int | None) -> int | None:
+    """The iterations asked for, by that name or by the one of earlier releases."""
+    if looks is not None:
+        warnings.warn("looks= is now iterations=, and will be refused", DeprecationWarning, stacklevel=3)
+    return looks if iterations is None else iterations
 
 
-def load_scale_free(model: str | Path) -> ScaleFreeMSCSANet:
+def load_depth_network(model: str | Path) -> DepthNetwork:
     """The network of a shipped name or a weight file; CompletionError if it is one of the paper's metric ones."""
     network = load_network(resolve_weights(model))
-    if not isinstance(network, ScaleFreeMSCSANet):
-        raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-free one")
+    if not isinstance(network, DepthNetwork):
+        raise CompletionError(f"{model} is a metric network; completing SfM depth needs a scale-invariant one")
     return network
 
 
 def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bring the mean brightness of the lit area to that of the training frames, within a factor of two."""
+    """Image (H,W,3) times the factor in `GAIN_RANGE` that brings its lit area's mean to `TYPICAL_BRIGHTNESS`."""
     brightest = np.maximum.reduce(cv2.split(rgb))
-    lit = (brightest > 16).view(np.uint8)  # video black: the border is not part of the picture
+    lit = (brightest > 16).view(np.uint8)  # above video black, so that the border does not count
     if not lit.any():
         return rgb
     gain = np.clip(TYPICAL_BRIGHTNESS / cv2.mean(brightest, lit)[0], *GAIN_RANGE)
@@ -172,6 +163,7 @@ def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def choose_device(device: str) -> torch.device:
+    """The device of "auto" (CUDA where there is one), "cpu" or "cuda"; CompletionError without CUDA."""
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if device == "cuda" and not torch.cuda.is_available():
@@ -183,29 +175,7 @@ def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:
     if rgb.ndim != 4 or rgb.shape[3] != 3 or rgb.dtype != np.uint8:
         raise CompletionError(f"the image must be (H, W, 3) uint8, not {rgb.shape[1:]} {rgb.dtype}")
     if not rgb.size:
-        raise CompletionError(f"there is no picture in images of shape {rgb.shape}")
+        raise CompletionError(f"there is no image in an array of shape {rgb.shape}")
     for name, array in (("sparse depth", sparse), ("sparse error", error)):
         if array is not None and array.shape != rgb.shape[:3]:
             raise CompletionError(f"the {name} must have the image's size {rgb.shape[1:3]}, not {array.shape[1:]}")
-
-
-def choose_precision(precision: str, device: torch.device) -> str:
-    """Of the U-Net's convolutions: int8 on CPUs that multiply 8-bit integers fast, else bf16 where that is, else fp32.
-
-    CompletionError if int8 was asked for and can't be had.
-    """
-    if precision in ("bf16", "fp32"):
-        return precision
-    if device.type == "cpu" and can_use_eight_bits():
-        return "int8"
-    if precision == "int8":
-        raise CompletionError("int8 needs a CPU with AVX-512 VNNI; use bf16 or fp32")
-    return "bf16" if has_fast_bfloat16(device) else "fp32"
-
-
-def has_fast_bfloat16(device: torch.device) -> bool:
-    """True on a GPU and on CPUs with native bfloat16; emulated bfloat16 is slower than float32."""
-    if device.type != "cpu":
-        return True
-    capability = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
-    return bool(capability and capability())

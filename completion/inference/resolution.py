@@ -1,8 +1,7 @@
-"""The size at which a frame is completed, and the way there and back.
+"""Resolution at which a frame is completed, and resampling to it and back.
 
-The network smooths over as many pixels as it was trained to. Where points are dense it need not, and on a larger
-picture it smooths over less of the wall.
-Chosen on rendered frames and on runs of films kept for choosing (docs/lab/completion.md).
+The network smooths over a fixed number of pixels; at a higher resolution, which dense points allow, that is less of the
+wall. Chosen on rendered frames and on runs of validation videos (docs/lab/completion.md).
 """
 
 import cv2
@@ -13,20 +12,23 @@ Image = NDArray[np.float32]
 Frame = tuple[NDArray[np.uint8], Image, Image]  # rgb (H,W,3), sparse depth and trust (H,W)
 
 SIDE = 320  # px, longer side; the weights were trained on images of 192 to 320 px
-SIDE_FOR_MANY, MANY_POINTS = 448, 600  # where it looks more than once; with one look a second would be worth more
-MOST_ENLARGED = 1.5
+SIDE_FOR_MANY, MANY_POINTS = (
+    448,
+    600,
+)  # px and points, with more than one iteration; with a single one, a second would be worth more
+MOST_ENLARGED = 1.5  # greatest upsampling factor
 EDGE = 1.2  # ratio of depths within 3x3 pixels from which a resized depth keeps an edge there instead of a slope
 
 
-def working_factor(side: int, points: int, looks: int) -> float:
-    """Factor by which a picture of longer side `side` px is resized for its completion."""
-    if looks > 1 and points >= MANY_POINTS:
+def resolution_factor(side: int, points: int, iterations: int) -> float:
+    """Resampling factor for an image of longer side `side` px with so many points."""
+    if iterations > 1 and points >= MANY_POINTS:
         return min(SIDE_FOR_MANY / side, MOST_ENLARGED)
     return min(SIDE / side, 1.0)
 
 
 def resized(rgb: NDArray[np.uint8], sparse: Image, trust: Image, factor: float) -> Frame:
-    """Image and points at `factor` times the size; where points then share a pixel, the surest stays."""
+    """Image, sparse depth and trust at `factor` times the resolution; of points in one pixel, the most trusted."""
     if factor == 1:
         return rgb, sparse, trust
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
@@ -41,9 +43,9 @@ def resized(rgb: NDArray[np.uint8], sparse: Image, trust: Image, factor: float) 
     return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC), new_sparse, new_trust
 
 
-def resized_back(depth: Image, error: Image, size: tuple[int, int]) -> tuple[Image, Image]:
-    """Depth and error at `size` (width, height): bilinear, but never a depth between the two sides of an edge, where
-    there is no surface."""
+def restore_resolution(depth: Image, error: Image, size: tuple[int, int]) -> tuple[Image, Image]:
+    """Depth and error (h,w) -> at `size` (width, height) px: bilinear, but nearest at depth edges, between whose two
+    sides there is no surface."""
     if depth.shape == size[::-1]:
         return depth, error
     around = np.ones((3, 3), np.uint8)

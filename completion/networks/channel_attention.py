@@ -49,9 +49,9 @@ class StructureAwareness(nn.Module):
 
 
 def attention_features(network: nn.Module, run: Callable[[], object]) -> tuple[Tensor, Tensor] | None:
-    """Features (C,h,w) before and after the network's structure awareness while `run()` runs it (paper Fig. 6).
+    """Features (C,h,w) before and after structure awareness while `run()` calls the network (paper Fig. 6).
 
-    The first frame of its last call; None for a network without the module.
+    Of the first frame of the batch and the module's last call; None for a network without the module.
     """
     seen: dict[str, Tensor] = {}
     found = next((module for module in network.modules() if isinstance(module, StructureAwareness)), None)

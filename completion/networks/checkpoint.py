@@ -1,40 +1,26 @@
-"""Weights and training states as safetensors; nothing here unpickles.
+"""Weights and training states as safetensors files; nothing here unpickles.
 
-A weight file carries its network's name and configuration in the header, so that loading needs no other file and a
-wrong one is refused by name instead of half loaded.
+The header of a weight file has the class name and the configuration of its network (`registry.described_network`), so
+that loading needs no other file and a wrong file is refused by name.
 """
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
-from completion.networks.gaenet import GAENet, GAENetConfig
-from completion.networks.mscsa import MSCSAConfig, MSCSANet
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
-from completion.networks.nlspn import NLSPN, NLSPNConfig
-from completion.networks.registry import MSCSAModel
-from completion.networks.sparse_to_dense import StDConfig, StDNet
+from completion.networks.registry import Entry, described_network
 from haustra.core.errors import CompletionError
-
-Network = MSCSANet | ScaleFreeMSCSANet | StDNet | NLSPN | GAENet
-_BUILDERS: dict[str, tuple[type[Network], type[Any]]] = {
-    "ScaleFreeMSCSANet": (ScaleFreeMSCSANet, ScaleFreeConfig),
-    "MSCSANet": (MSCSANet, MSCSAConfig),
-    "MSCSAModel": (MSCSAModel, MSCSAConfig),
-    "StDNet": (StDNet, StDConfig),
-    "NLSPN": (NLSPN, NLSPNConfig),
-    "GAENet": (GAENet, GAENetConfig),
-}
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-    """Write atomically: a run that is killed while saving keeps its last whole checkpoint."""
+    """Write tensors, and metadata as JSON in the header, atomically: a killed run keeps its last whole checkpoint."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     contiguous = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
@@ -45,7 +31,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """What `save_tensors` wrote into the header."""
+    """The metadata that `save_tensors` wrote into the header."""
     try:
         with safe_open(path, framework="pt") as file:
             header = file.metadata() or {}
@@ -63,16 +49,18 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         return {name: file.get_tensor(name) for name in file.keys()}, metadata  # noqa: SIM118
 
 
-def save_network(path: Path, network: Network, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
-    """Weights in half precision with the network's name and configuration."""
+def save_network(path: Path, network: nn.Module, weights: dict[str, Tensor], about: dict[str, Any]) -> None:
+    """Write weights in half precision; metadata: class name, configuration, and `about`."""
     halved = {n: t.half() if t.is_floating_point() else t for n, t in weights.items()}
-    save_tensors(path, halved, {"network": type(network).__name__, "config": network.config.to_dict(), **about})
+    config = asdict(network.config)  # type: ignore[call-overload]  # a dataclass
+    save_tensors(path, halved, {"network": type(network).__name__, "config": config, **about})
 
 
-def load_network(path: Path) -> Network:
+def load_network(path: Path) -> nn.Module:
     """The network of a weight file, strictly loaded, in evaluation mode."""
     tensors, metadata = load_tensors(path)
-    network = _build(metadata, path)
+    entry, config = _described(metadata, path)
+    network = entry.network(config)
     try:
         network.load_state_dict({n: t.float() if t.is_floating_point() else t for n, t in tensors.items()})
     except RuntimeError as error:
@@ -81,19 +69,23 @@ def load_network(path: Path) -> Network:
 
 
 def reason(error: RuntimeError) -> str:
-    """The first thing that torch found wrong with a state, below its headline."""
+    """The first mismatch that torch's `load_state_dict` reports, without its headline."""
     lines = str(error).splitlines()
     return lines[min(1, len(lines) - 1)].strip()
 
 
-def _build(metadata: dict[str, Any], path: Path) -> Network:
+def read_config(path: Path) -> Any:
+    """The configuration of a weight file's network, from the header alone."""
+    return _described(read_metadata(path), path)[1]
+
+
+def _described(metadata: dict[str, Any], path: Path) -> tuple[Entry, Any]:
     try:
-        if metadata["network"] in _BUILDERS:
-            network, config = _BUILDERS[metadata["network"]]
-            return network(config(**metadata["config"]))
+        return described_network(metadata["network"], metadata["config"])
     except (KeyError, TypeError) as error:
         raise CompletionError(f"{path} describes no network that this version knows: {error}") from error
-    raise CompletionError(f"{path} holds a {metadata['network']}, which this version does not know")
+    except CompletionError as error:
+        raise CompletionError(f"{path} holds {error}") from None
 
 
 def flatten_optimizer(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

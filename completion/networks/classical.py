@@ -1,7 +1,7 @@
-"""Completion without learning and without the image: the baselines that a network has to beat.
+"""Baselines without learning and without the image: nearest, linear and morphological (IP-Basic) completion.
 
 All take a sparse depth, float32 (H,W) with 0 = none, and give a dense one of the same shape and unit; without a single
-point the answer is zero everywhere. Each is scale-equivariant: k times the input gives k times the output.
+point the result is zero everywhere. Each is scale-equivariant: k times the input gives k times the output.
 """
 
 from collections.abc import Callable

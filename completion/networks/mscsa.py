@@ -1,10 +1,10 @@
 """MSCSA-Net: multi-scale confidence, a U-Net, structure awareness (paper section II, Fig. 2).
 
-`MSCSANet` is the paper's network with two switches for its ablation; ours for structure from motion is in
-`scale_free.py`.
+`MSCSANet` is the paper's metric network with two switches for its ablation; the scale-invariant network for points from
+structure from motion is `mscsa_sfm.ScaleInvariantMSCSANet`.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -49,7 +49,7 @@ class UNet(nn.Module):
         self.head = nn.Conv2d(widths[0], out_channels, 1)
 
     def joined(self, parts: list[Tensor]) -> Tensor:
-        """Its input of channels (B,?,H,W), one after the other."""
+        """Concatenate channels (B,?,H,W) to the input (B,in,H,W), in the weights' precision."""
         return torch.cat(parts, dim=1).to(self.head.weight.dtype)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -66,6 +66,7 @@ class UNet(nn.Module):
 
 
 def _widths(base: int) -> tuple[int, ...]:
+    """Channels of the six levels."""
     return (base, 2 * base, 4 * base, 8 * base, 12 * base, 12 * base)
 
 
@@ -83,17 +84,13 @@ class MSCSAConfig:
     residual: bool = False  # the U-Net corrects MSC's depth; not in the paper, see `MSCSANet`
     similar: bool = False  # SA weighs like channels most, as the paper's text says; its released relatives do not
 
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
-
 
 class MSCSANet(nn.Module):
     """The paper's network: metric sparse depth in, metric dense depth out.
 
     U-Net input: MSC's depth and confidence, RGB and the raw sparse depth (six channels, Fig. 2); without MSC the
-    four of RGB-SD. As the paper is written the U-Net's output is the depth, and it must first learn to pass through the
-    depth that it is given. With `residual` its output is added to MSC's depth, which it learns far sooner (figures in
-    docs/lab/completion.md).
+    four of RGB-SD. As published the U-Net's output is the depth, so that it must first learn to copy MSC's depth. With
+    `residual` its output is added to that depth, which trains far faster (docs/lab/completion.md).
     """
 
     def __init__(self, config: MSCSAConfig | None = None) -> None:
@@ -106,8 +103,9 @@ class MSCSANet(nn.Module):
         attention = StructureAwareness(sign=sign) if self.config.use_sa else None
         self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention)
 
-    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> Tensor:
-        """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit."""
+    def forward(self, rgb: Tensor, sparse_depth: Tensor, intrinsics: Tensor | None = None) -> Tensor:
+        """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit; intrinsics
+        unused."""
         height, width = rgb.shape[2:]
         rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
         if self.msc is None:

@@ -1,16 +1,15 @@
-"""Images of any size for networks that halve their sides."""
+"""Padding of images of any size to sides that a network can halve."""
 
 import torch.nn.functional as F
 from torch import Tensor
 
 
 def pad_to_multiple(x: Tensor, stride: int, repeat_edge: bool = False) -> Tensor:
-    """(B,C,H,W) -> zeros, or the last row and column again, added at the right and at the bottom until `stride` divides
-    both sides.
+    """(B,C,H,W) -> (B,C,H',W'), sides the next multiples of `stride` px: padded with zeros or with the repeated edge.
 
-    There and not all round: the principal point stays where it is.
+    At the right and the bottom only, so that the principal point keeps its pixel coordinates.
     """
     right, below = -x.shape[3] % stride, -x.shape[2] % stride
     if not right and not below:
-        return x  # `pad` would copy it
+        return x  # without the copy that `pad` makes
     return F.pad(x, (0, right, 0, below), mode="replicate" if repeat_edge else "constant")

@@ -1,44 +1,30 @@
-"""A network's own estimate, given back to it: with it the network looks again.
+"""Iterative refinement: a network completes a frame several times, after the first with its last estimate.
 
-Where points are few, the first look must carry each of them far and still draw every fold. The second finds the depth
-roughly right all over and is left with the detail. It gets the estimate twice: whole, beside the picture, and on a grid
-among the points, trusted as far as the first look expected to err, so that normalised convolution starts from it.
+Where points are few, the first iteration must carry each of them far and still draw every fold; the second finds the
+depth roughly right everywhere and is left with the detail. The estimate goes in twice: as channels beside the image,
+and on a grid among the points, each weighted by its predicted error, so that normalised convolution starts from it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
+from completion.networks.protocol import Estimate, SampleGrid
+
+Iterate = Callable[[Tensor, Tensor, Tensor, Estimate | None], Estimate]
+DEFAULT_ITERATIONS = 2  # a third lowers the error by 3 % at most and costs as much time again
 
 
-class Estimate(NamedTuple):
-    """What a look makes of a frame: log(depth / median of the points) and log of its expected error, (B,1,H,W)."""
+def self_conditioned_input(
+    log_sparse: Tensor, trust: Tensor, last: Estimate, grid: SampleGrid
+) -> tuple[Tensor, Tensor]:
+    """Log sparse depth and trust (B,1,H,W) -> both with the last iteration's estimate at the grid's pixels added.
 
-    log_depth: Tensor
-    log_error: Tensor
-
-
-class Grid(NamedTuple):
-    """Every `step`-th row and column from `first` on, which is less than `step`."""
-
-    step: int
-    first: int
-
-
-Look = Callable[[Tensor, Tensor, Tensor, Estimate | None], Estimate]
-MOST_LOOKS = 2  # unless more are asked for: a third gains at most 3 % and costs as much time again
-GRID = Grid(9, 4)  # of own points, px: some 800 in a picture of 256 px
-
-
-def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Grid) -> tuple[Tensor, Tensor]:
-    """Points and trust (B,1,H,W) -> both with the last look's estimate on a grid among them.
-
-    Measured points stay as they are; own ones are trusted as measured ones of that error would be.
+    Measured points stay as they are; the estimate's trust is that of a measured point of its predicted error.
     """
     here = (..., slice(grid.first, None, grid.step), slice(grid.first, None, grid.step))
     measured = trust[here] > 0
@@ -49,12 +35,14 @@ def with_own_points(log_sparse: Tensor, trust: Tensor, last: Estimate, grid: Gri
     return all_points, all_trust
 
 
-def look_again(first: Look, later: Look, picture: Tensor, log_sparse: Tensor, trust: Tensor, looks: int) -> Estimate:
-    """`looks` looks, at least one, each after the first with the last one's estimate.
+def refine_iteratively(
+    first: Iterate, recurrent: Iterate, image: Tensor, log_sparse: Tensor, trust: Tensor, iterations: int
+) -> Estimate:
+    """The estimate after `iterations` >= 1 iterations, each after the first with the last one's estimate.
 
-    `first`, `later`: a `ScaleFreeMSCSANet`'s `look`, or that of the network folded for the one and the other.
+    first, recurrent: `DepthNetwork.iterate` of a network, or of its copies for the first and for later iterations.
     """
-    estimate = first(picture, log_sparse, trust, None)
-    for _ in range(looks - 1):
-        estimate = later(picture, log_sparse, trust, estimate)
+    estimate = first(image, log_sparse, trust, None)
+    for _ in range(iterations - 1):
+        estimate = recurrent(image, log_sparse, trust, estimate)
     return estimate

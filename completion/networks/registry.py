@@ -1,54 +1,68 @@
-"""Every network of the paper's comparison behind one name and one call.
+"""The one table of networks: every network that can be trained, saved, loaded and evaluated is a row of `REGISTRY`.
 
-`build_model(name)(rgb, sparse_depth, intrinsics)`: rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none, any H
-and W -> depth (B,1,H,W) in the same unit. Only `gaenet` reads the intrinsics (B,4) = fx, fy, cx, cy in pixels.
+A metric network, as the paper compares them, is called `network(rgb, sparse_depth, intrinsics)`: rgb (B,3,H,W) in
+[0,1], sparse_depth (B,1,H,W) with 0 = none, intrinsics (B,4) = fx, fy, cx, cy px or None, any H and W -> depth
+(B,1,H,W) in the unit of sparse_depth. One that offers `completion.networks.protocol.DepthNetwork` takes points without
+a unit instead, and `reconstruct` can use it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from torch import Tensor
+from torch import nn
 
 from completion.networks.classical import CLASSICAL as CLASSICAL
-from completion.networks.gaenet import GAENet, GAENetConfig
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
-from completion.networks.nlspn import NLSPN, NLSPNConfig
-from completion.networks.sparse_to_dense import StDConfig, StDNet
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
+from completion.networks.rivals.gaenet import GAENet, GAENetConfig
+from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
+from completion.networks.rivals.sparse_to_dense import SparseToDense, SparseToDenseConfig
 from haustra.core.errors import CompletionError
 
 Size = Literal["paper", "small"]
 
 
-class MSCSAModel(MSCSANet):
-    """`MSCSANet`, its weights included, with the call of the others."""
-
-    def forward(self, rgb: Tensor, sparse_depth: Tensor, intrinsics: Tensor | None = None) -> Tensor:
-        return super().forward(rgb, sparse_depth)
-
-
-Model = MSCSAModel | StDNet | NLSPN | GAENet
-
-
 @dataclass(frozen=True)
-class _Entry:
-    """A network, its configuration, what the name fixes, and what the small size cuts."""
+class Entry:
+    """A row: `network(config(**options))`. `config` is a dataclass, saved with the class's name in weight files."""
 
-    network: Callable[[Any], Model]
-    config: Callable[..., Any]
-    fixed: dict[str, Any]
-    small: dict[str, Any]
+    network: type[nn.Module]
+    config: type[Any]
+    fixed: dict[str, Any] = field(default_factory=dict)  # options that the name stands for
+    small: dict[str, Any] = field(default_factory=dict)  # options of the size "small"
+    needs_intrinsics: bool = False
+    old_headers: tuple[str, ...] = ()  # names of the class in older weight files
+    old_options: dict[str, str] = field(default_factory=dict)  # older weight files' names of options: today's
+
+    def is_of(self, header: str) -> bool:
+        """Whether a weight file with this class name holds such a network."""
+        return header == self.network.__name__ or header in self.old_headers
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether it is called as the paper's networks are; else it is a `DepthNetwork`."""
+        return not hasattr(self.network, "iterate")
+
+    def options(self) -> set[str]:
+        """Names of its configuration's fields."""
+        return {option.name for option in fields(self.config)}
 
 
-def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = False) -> _Entry:
+def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = False) -> Entry:
     switches = {"use_msc": use_msc, "use_sa": use_sa, "residual": residual, "similar": similar}
-    return _Entry(MSCSAModel, MSCSAConfig, switches, {"width": 8})
+    return Entry(MSCSANet, MSCSAConfig, switches, {"width": 8}, old_headers=("MSCSAModel",))
 
 
 # "small": networks that one CPU thread can train at 160 to 192 px, of about the cost of MSCSA-Net at half its width
 # (50 to 130 ms forward and backward at 160 px). Cut: channels everywhere; of NLSPN also 34 layers to 18; of GAENet
 # half of a point's features, since its point map must stay narrower than the first level.
-REGISTRY: dict[str, _Entry] = {
+REGISTRY: dict[str, Entry] = {
+    "mscsa-sfm": Entry(
+        ScaleInvariantMSCSANet,
+        ScaleInvariantConfig,
+        old_options={"looks": "iterations"},
+        old_headers=("ScaleFreeMSCSANet",),
+    ),
     "unet": _mscsa(False, False),
     "unet+sa": _mscsa(False, True),
     "unet+msc": _mscsa(True, False),
@@ -56,20 +70,39 @@ REGISTRY: dict[str, _Entry] = {
     "unet+msc+residual": _mscsa(True, False, residual=True),
     "mscsa+residual": _mscsa(True, True, residual=True),
     "mscsa+residual+similar": _mscsa(True, True, residual=True, similar=True),
-    "std18": _Entry(StDNet, StDConfig, {"layers": 18}, {"base": 48}),
-    "std50": _Entry(StDNet, StDConfig, {"layers": 50}, {"base": 24}),
-    "nlspn": _Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),
-    "gaenet": _Entry(GAENet, GAENetConfig, {}, {"base": 16, "features": 8}),
+    "std18": Entry(SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 48}, old_headers=("StDNet",)),
+    "std50": Entry(SparseToDense, SparseToDenseConfig, {"layers": 50}, {"base": 24}, old_headers=("StDNet",)),
+    "nlspn": Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),
+    "gaenet": Entry(GAENet, GAENetConfig, {}, {"base": 16, "features": 8}, needs_intrinsics=True),
 }
-ALIASES = {"full": "mscsa"}
-NAMES = (*REGISTRY, *ALIASES)
+ALIASES = {"full": "mscsa", "scale-free": "mscsa-sfm"}
 
 
-def build_model(name: str, size: Size = "paper", **options: Any) -> Model:
-    """A fresh network from torch's current seed; `options` are fields of its configuration and go before `size`."""
-    entry = REGISTRY.get(ALIASES.get(name, name))
+def canonical_name(name: str) -> str:
+    """The name of a row of which `name` may be an alias."""
+    return ALIASES.get(name, name)
+
+
+def find_entry(name: str) -> Entry:
+    """The row of a name or an alias; CompletionError if there is none."""
+    entry = REGISTRY.get(canonical_name(name))
     if entry is None:
-        raise CompletionError(f"no model '{name}': give one of {', '.join(NAMES)}")
+        raise CompletionError(f"no model '{name}': give one of {', '.join((*REGISTRY, *ALIASES))}")
+    return entry
+
+
+def described_network(header: str, options: dict[str, Any]) -> tuple[Entry, Any]:
+    """Row and configuration of a weight file's header; CompletionError if no row is of that class, KeyError or
+    TypeError if its options are not the row's."""
+    entry = next((entry for entry in REGISTRY.values() if entry.is_of(header)), None)
+    if entry is None:
+        raise CompletionError(f"a {header}, which this version does not know")
+    return entry, entry.config(**{entry.old_options.get(name, name): value for name, value in options.items()})
+
+
+def build_model(name: str, size: Size = "paper", **options: Any) -> nn.Module:
+    """A fresh network from torch's current seed; `options` are fields of its configuration and go before `size`."""
+    entry = find_entry(name)
     if size not in ("paper", "small"):
         raise CompletionError(f"no size '{size}': give paper or small")
     chosen = (entry.small if size == "small" else {}) | options | entry.fixed

@@ -7,26 +7,27 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from completion.networks.registry import canonical_name, find_entry
 from haustra.core.errors import CompletionError
 
 
 class TrainConfig(BaseModel):
-    """What a training run depends on."""
+    """Settings of a training run; they are saved in its checkpoint and its weight file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     shards: tuple[Path, ...]
     out: Path
-    model: str = "scale-free"  # ours for SfM points, or a name of completion.models
-    size: Literal["paper", "small"] = "paper"  # of the networks of completion.models
-    width: int = Field(32, gt=0)  # of the scale-free one
+    model: str = "mscsa-sfm"  # ours for SfM points, or another name of completion.networks.registry
+    size: Literal["paper", "small"] = "paper"  # of the metric networks
+    width: int = Field(32, gt=0)  # of mscsa-sfm
     anchor: bool = True  # its last stage
-    looks: int = Field(3, gt=0)  # at most; of the scale-free one, see completion.feedback
+    iterations: int = Field(3, gt=0)  # at most; of mscsa-sfm, see completion.networks.recurrence
     init: Path | None = None  # weights to begin with instead of random ones
     seed: int = Field(0, ge=0)
     steps: int = Field(12000, gt=0)
     batch: int = Field(8, gt=0)
-    points: int = Field(100, gt=0)  # per frame; the scale-free model draws its own numbers
+    points: int = Field(100, gt=0)  # per frame, of metric networks; mscsa-sfm is given random numbers of them
     optimizer: Literal["adamw", "adam"] = "adamw"
     learning_rate: float = Field(2e-3, gt=0)
     schedule: Literal["cosine", "step"] = "cosine"  # step: a tenth at `decay_at` of the run
@@ -55,13 +56,20 @@ PAPER: dict[str, Any] = {
     "ema": 0.0,
 }
 PAPER_EPOCHS = 10
+RENAMED = {"looks": "iterations"}  # of checkpoints that earlier releases wrote
+
+
+def with_new_names(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings as a checkpoint has them, in today's names of settings and networks."""
+    renamed = {RENAMED.get(name, name): value for name, value in settings.items()}
+    return renamed | {"model": canonical_name(renamed["model"])}
 
 
 def make_config(preset: str | None = None, **values: Any) -> TrainConfig:
-    """A config from a preset ("paper" or None) with values on top; CompletionError says what is wrong with them."""
+    """A preset ("paper" or None), overridden by values; CompletionError names the first invalid setting."""
     if preset not in (None, "paper"):
         raise CompletionError(f"no preset {preset!r}; there is 'paper'")
-    if values.get("model", "scale-free") == "scale-free" and "size" in values:
+    if "size" in values and not find_entry(values.get("model", "mscsa-sfm")).is_metric:
         raise CompletionError("--size is of the networks of the paper's comparison: give --model too")
     try:
         return TrainConfig(**((PAPER if preset else {}) | values))

@@ -1,4 +1,4 @@
-"""Several processes training one network: `torchrun --nproc-per-node N --no-python haustra train ...`."""
+"""Data-parallel training by several processes: `torchrun --nproc-per-node N --no-python haustra train ...`."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from torch import nn
 
 
 @dataclass(frozen=True)
-class Team:
-    """This process's place among `size`; alone it is 0 of 1."""
+class ProcessGroup:
+    """Rank of this process among `size` processes; 0 of 1 without torchrun."""
 
     rank: int = 0
     size: int = 1
 
     @classmethod
-    def join(cls, device: torch.device) -> Team:
-        """The team that torchrun's environment describes: NCCL between GPUs, Gloo between CPU processes."""
+    def init(cls, device: torch.device) -> ProcessGroup:
+        """Initialise from torchrun's environment: NCCL between GPUs, Gloo between CPU processes."""
         size = int(os.environ.get("WORLD_SIZE", "1"))
         if size == 1:
             return cls()
@@ -29,15 +29,15 @@ class Team:
             dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
         return cls(dist.get_rank(), size)
 
-    def leave(self) -> None:
-        """At the end of the training, after what the first writes alone."""
+    def shutdown(self) -> None:
+        """Wait for all processes, of which the first may still write files, and leave the group."""
         if self.size > 1:
             dist.barrier()
             dist.destroy_process_group()
 
     @property
     def is_first(self) -> bool:
-        """Whether to write checkpoints, logs and weights."""
+        """Whether this process writes checkpoints, logs and weights."""
         return self.rank == 0
 
     def average_gradients(self, network: nn.Module) -> None:

@@ -1,4 +1,4 @@
-"""Ctrl-C heard between two steps, so that what is saved is a whole one."""
+"""Ctrl-C deferred to the end of a training step, so that the checkpoint is of a whole step."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ import threading
 from types import FrameType
 
 
-class Interruption:
-    """While entered, the first Ctrl-C is only noted in `asked`; the second stops at once, as it always does.
+class GracefulInterrupt:
+    """Context in which the first Ctrl-C sets `requested`; the second raises KeyboardInterrupt.
 
-    `heeded`: False where another process waits for this one in the middle of a step; Ctrl-C is then as it is elsewhere.
+    enabled: False leaves Ctrl-C as it is, for distributed steps in the middle of which other processes wait.
     """
 
-    def __init__(self, heeded: bool = True) -> None:
-        self.asked = False
+    def __init__(self, enabled: bool = True) -> None:
+        self.requested = False
         # Only the main thread may say what a signal does.
-        self._heeded = heeded and threading.current_thread() is threading.main_thread()
+        self._enabled = enabled and threading.current_thread() is threading.main_thread()
 
-    def __enter__(self) -> Interruption:
-        if self._heeded:
+    def __enter__(self) -> GracefulInterrupt:
+        if self._enabled:
             self._before = signal.signal(signal.SIGINT, self._note)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._heeded:
+        if self._enabled:
             signal.signal(signal.SIGINT, self._before)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
+        if self.requested:
             raise KeyboardInterrupt
-        self.asked = True
+        self.requested = True

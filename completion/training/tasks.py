@@ -1,6 +1,6 @@
-"""What is trained: ours on points as structure from motion gives them, or the paper's setting for any network.
+"""Training tasks: a `DepthNetwork` on SfM-like points, or a metric network in the paper's setting.
 
-Both take a batch of images and true depths in millimetres, draw the points, and give a loss and a validation error.
+Both draw sparse points from a batch of images and true depths in mm, and compute a loss and validation depth.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import torch
 from torch import Tensor, nn
 
 from completion.data.sampling_training import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet, picture_inputs
-from completion.networks.recurrence import MOST_LOOKS, Estimate, Grid, look_again
-from completion.networks.registry import build_model
+from completion.networks.protocol import DepthNetwork, Estimate, SampleGrid, most_iterations
+from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
+from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
 from completion.training.losses import completion_loss, masked_l1
 
-GRID_STEPS = (6, 17)  # px, from and below: of the grids of own points that training draws
+GRID_STEPS = (6, 17)  # px: lower and (excluded) upper bound of a `SampleGrid.step` in training
 
 
 class Task(Protocol):
-    """One way of training; `network` is what a checkpoint holds."""
+    """Loss and validation of a network that is trained; `network` is saved in checkpoints."""
 
     network: nn.Module
 
@@ -34,13 +34,13 @@ class Task(Protocol):
         """Completed depth (B,1,H,W) mm from points that validation draws of the true depth."""
 
 
-class ScaleFreeTask:
-    """Median-normalised log depth from random SfM-like patterns."""
+class SfmTask:
+    """Median-normalised log depth from random SfM-like patterns, for each `DepthNetwork`."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, network: DepthNetwork) -> None:
         self.config = config
-        size = ScaleFreeConfig(width=config.width, anchor=config.anchor, looks=config.looks)
-        self.network: nn.Module = ScaleFreeMSCSANet(size)
+        self.iterations = most_iterations(network.config)
+        self.network: nn.Module = network  # type: ignore[assignment]
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
@@ -48,16 +48,16 @@ class ScaleFreeTask:
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
         target = torch.log(depth.clamp_min(1e-3) / median).clamp(-3.9, 3.9)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            last, grid = self._earlier_looks(rgb, log_sparse, trust, generator)
+            last, grid = self._earlier_iterations(rgb, log_sparse, trust, generator)
             log_depth, log_error = self.network(rgb, log_sparse, trust, last, grid)
         return completion_loss(log_depth, log_error, target, valid)
 
-    def _earlier_looks(
+    def _earlier_iterations(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator
-    ) -> tuple[Estimate | None, Grid]:
-        """The estimate after 0 to `looks` - 1 looks (None after 0), without gradients, and the grid of the next."""
+    ) -> tuple[Estimate | None, SampleGrid]:
+        """The estimate after 0 to `iterations` - 1 iterations (None after 0), without gradients; the next's grid."""
         last = None
-        earlier = int(torch.randint(self.config.looks, (), generator=generator))
+        earlier = int(torch.randint(self.iterations, (), generator=generator))
         for _ in range(earlier):
             with torch.no_grad():
                 last = self.network(rgb, log_sparse, trust, last, _draw_grid(generator))
@@ -66,19 +66,20 @@ class ScaleFreeTask:
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From 100 SfM-like points, in as many looks as it will be used with."""
+        """From 100 SfM-like points, in as many iterations as it will be used with."""
+        assert isinstance(network, DepthNetwork)
         pattern = SfmPattern(min_points=100, max_points=100, hole_share=0.0)
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
         log_sparse, median = normalise_log(sparse)
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
-            looks = min(MOST_LOOKS, self.config.looks)
-            estimate = look_again(network.look, network.look, picture_inputs(rgb), log_sparse, trust, looks)
+            image, iterations = network.prepare(rgb), min(DEFAULT_ITERATIONS, self.iterations)
+            estimate = refine_iteratively(network.iterate, network.iterate, image, log_sparse, trust, iterations)
             return torch.exp(estimate.log_depth) * median
 
 
-def _draw_grid(generator: torch.Generator) -> Grid:
+def _draw_grid(generator: torch.Generator) -> SampleGrid:
     step = int(torch.randint(*GRID_STEPS, (), generator=generator))
-    return Grid(step, int(torch.randint(step, (), generator=generator)))
+    return SampleGrid(step, int(torch.randint(step, (), generator=generator)))
 
 
 class PaperTask:
@@ -88,9 +89,9 @@ class PaperTask:
     zero is not judged by how fast it learns the number 25.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, network: nn.Module) -> None:
         self.config = config
-        self.network: nn.Module = build_model(config.model, config.size)
+        self.network = network
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
@@ -110,6 +111,12 @@ class PaperTask:
             return network(rgb, sparse / self.config.unit_mm, lens).float()
 
 
-def make_task(config: TrainConfig) -> ScaleFreeTask | PaperTask:
-    """The task that a configuration names."""
-    return ScaleFreeTask(config) if config.model == "scale-free" else PaperTask(config)
+def make_task(config: TrainConfig) -> Task:
+    """The task of the network that a configuration names, which is built from torch's current seed."""
+    entry = find_entry(config.model)
+    if entry.is_metric:
+        return PaperTask(config, build_model(config.model, config.size))
+    options = {name: getattr(config, name) for name in ("width", "anchor", "iterations") if name in entry.options()}
+    network = build_model(config.model, **options)
+    assert isinstance(network, DepthNetwork)
+    return SfmTask(config, network)

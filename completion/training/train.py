@@ -3,7 +3,7 @@
     haustra train SHARDS [SHARDS ...] --out weights.safetensors --seed 0 --steps 12000
 
 Killed at any time it goes on from its last checkpoint (`OUT.checkpoint`, every few minutes and at Ctrl-C) when called
-again with the same arguments. Beside the weights lie the files of `train_log.py`. Several processes share the batch:
+again with the same arguments. Beside the weights lie the files of `log.TrainLog`. Several processes share the batch:
 
     torchrun --nproc-per-node 2 --no-python haustra train SHARDS --out weights.safetensors
 """
@@ -33,9 +33,10 @@ from completion.networks.checkpoint import (
     save_network,
     save_tensors,
 )
-from completion.training.config import TrainConfig
-from completion.training.distributed import Team
-from completion.training.graceful_interrupt import Interruption
+from completion.networks.registry import find_entry
+from completion.training.config import TrainConfig, with_new_names
+from completion.training.distributed import ProcessGroup
+from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import Say, TrainLog
 from completion.training.tasks import make_task
 from haustra.core.errors import CompletionError
@@ -45,17 +46,18 @@ ProgressCallback = Callable[[int, int | None], None]
 
 
 class Run:
-    """Everything that a checkpoint must hold."""
+    """The state of a training run that a checkpoint holds."""
 
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.device = choose_device(config.device)
-        self.team = Team.join(self.device)
+        self.processes = ProcessGroup.init(self.device)
         self.task = make_task(config)
         if config.init is not None:
             _start_from(config.init, self.task.network)
-        self.task.network.to(self.device, memory_format=torch.channels_last).train()
+        self.task.network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.task.network.train()
         self.average = copy.deepcopy(self.task.network).eval()
         kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
         decay = 0.01 if config.optimizer == "adamw" else 0.0
@@ -76,7 +78,7 @@ class Run:
         if not self.checkpoint.exists():
             return
         tensors, metadata = load_tensors(self.checkpoint)
-        before, now = metadata["config"], self._identity()
+        before, now = with_new_names(metadata["config"]), self._identity()
         if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
             raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
         for name, module in (("network.", self.task.network), ("average.", self.average)):
@@ -86,7 +88,7 @@ class Run:
 
     def _identity(self) -> dict[str, object]:
         settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
-        return json.loads(settings) | {"processes": self.team.size}
+        return with_new_names(json.loads(settings)) | {"processes": self.processes.size}
 
 
 def _start_from(path: Path, network: nn.Module) -> None:
@@ -138,7 +140,7 @@ def validate(run: Run, shards: list[Shard], frames: int = 64) -> float:
 
 
 def draw_batch(
-    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]], team: Team
+    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]], processes: ProcessGroup
 ) -> tuple[Batch, torch.Generator]:
     """This process's part of a step's batch from the training frames `splits`, and its generator in that step: so a
     resumed run draws what an unbroken one would.
@@ -147,16 +149,16 @@ def draw_batch(
     """
     share = np.array([len(split) for split in splits]) / sum(len(split) for split in splits)
     rng = np.random.default_rng((config.seed, step))
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + team.rank)
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + processes.rank)
     which = rng.choice(len(shards), p=share)
     chosen = rng.choice(splits[which], config.batch, replace=False)
-    batch = shards[which].batch(chosen[team.rank :: team.size])
+    batch = shards[which].batch(chosen[processes.rank :: processes.size])
     return (augment(batch, generator) if config.augmentation else batch), generator
 
 
 def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
     """One step of the optimizer; returns the loss."""
-    batch, generator = draw_batch(run.config, run.step, shards, splits, run.team)
+    batch, generator = draw_batch(run.config, run.step, shards, splits, run.processes)
     torch.manual_seed(generator.initial_seed())  # for dropout: resumed, a run must drop what an unbroken one would
     batch = batch.to(run.device)
     for group in run.optimizer.param_groups:
@@ -164,8 +166,8 @@ def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -
     loss = run.task.loss(batch.rgb, batch.depth, batch.lens, generator)
     run.optimizer.zero_grad(set_to_none=True)
     loss.backward()
-    run.team.average_gradients(run.task.network)
-    run.team.average_statistics(run.task.network)
+    run.processes.average_gradients(run.task.network)
+    run.processes.average_statistics(run.task.network)
     nn.utils.clip_grad_norm_(run.task.network.parameters(), 1.0)
     run.optimizer.step()
     run.step += 1
@@ -178,16 +180,16 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
     torch.set_num_threads(config.threads)
     shards = [Shard.open(folder) for folder in config.shards]
     run = Run(config)
-    _check(shards, config, run.team.size)
+    _check(shards, config, run.processes.size)
     run.resume()
     splits = [shard.split()[0] for shard in shards]
     config.out.parent.mkdir(parents=True, exist_ok=True)
-    log = TrainLog(config.out, say) if run.team.is_first else None
+    log = TrainLog(config.out, say) if run.processes.is_first else None
     if log and run.step:
         say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
     saved, losses = time.monotonic(), []
-    with Interruption(run.team.size == 1) as interruption:
-        while run.step < config.steps and not interruption.asked:
+    with GracefulInterrupt(run.processes.size == 1) as interrupt:
+        while run.step < config.steps and not interrupt.requested:
             losses.append(train_step(run, shards, splits))
             if advance and log:
                 advance(run.step, config.steps)
@@ -208,7 +210,7 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
         about["unit_mm"] = config.unit_mm
         about["training"] = json.loads(config.model_dump_json(exclude={"shards", "out", "init"}))
         save_network(config.out, run.average, run.average.state_dict(), about)
-    run.team.leave()
+    run.processes.shutdown()
     return config.out
 
 
@@ -219,5 +221,5 @@ def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
         training, held_out = shard.split()
         if len(training) < config.batch or not len(held_out):
             raise CompletionError(f"{folder} has {len(training)} frames to train on: fewer than a batch")
-        if config.model == "gaenet" and shard.lenses is None:
-            raise CompletionError(f"{folder} has no intrinsics.npy, which gaenet needs")
+        if find_entry(config.model).needs_intrinsics and shard.lenses is None:
+            raise CompletionError(f"{folder} has no intrinsics.npy, which {config.model} needs")

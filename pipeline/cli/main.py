@@ -123,11 +123,11 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=0, help="of the points")] = 0,
     csv: Annotated[Path | None, typer.Option(help="errors of each frame")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="everything, with its protocol")] = None,
-    sheet: Annotated[Path | None, typer.Option(help="picture: images, truth, completed, error maps")] = None,
-    sweep: Annotated[Path | None, typer.Option(help="picture: error over the number of points")] = None,
-    calibration: Annotated[Path | None, typer.Option(help="picture: actual over predicted error")] = None,
-    compare: Annotated[Path | None, typer.Option(help="picture: the models side by side")] = None,
-    attention: Annotated[Path | None, typer.Option(help="picture: features before and after attention")] = None,
+    sheet: Annotated[Path | None, typer.Option(help="plot: images, truth, completed, error maps")] = None,
+    sweep: Annotated[Path | None, typer.Option(help="plot: error over the number of points")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="plot: actual over predicted error")] = None,
+    compare: Annotated[Path | None, typer.Option(help="plot: the models side by side")] = None,
+    attention: Annotated[Path | None, typer.Option(help="plot: features before and after attention")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
 ) -> None:
     """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
@@ -157,13 +157,20 @@ def evaluate(
 def train(
     shards: Annotated[list[Path], typer.Argument(help="folders made by haustra phantom --training")],
     out: Annotated[Path, typer.Option(help="weights.safetensors; OUT.checkpoint beside it")],
-    model: Annotated[str | None, typer.Option(help="scale-free (ours) or a name of networks/registry.py")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="mscsa-sfm (ours, for SfM points) or another name of networks/registry.py")
+    ] = None,
     preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
     size: Annotated[str | None, typer.Option(help="paper or small, of the networks of networks/registry.py")] = None,
     steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
     batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
-    looks: Annotated[int | None, typer.Option(help="most looks at a frame, of ours; 1: no feedback")] = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option(
+            "--iterations", "--looks", help="most per frame, of mscsa-sfm; 1: no recurrence (--looks: deprecated)"
+        ),
+    ] = None,
     learning_rate: Annotated[float | None, typer.Option(help="greatest")] = None,
     warm_up: Annotated[int | None, typer.Option(help="steps until then")] = None,
     seed: Annotated[int | None, typer.Option(help="of weights, order and points")] = None,
@@ -176,7 +183,8 @@ def train(
     from haustra.core.progress import TerminalProgress
 
     given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
-    given |= {"looks": looks, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads, "device": device}
+    given |= {"iterations": iterations, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads}
+    given |= {"device": device}
     config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:
@@ -188,13 +196,16 @@ def onnx(
     out: Annotated[Path, typer.Argument(help="model.onnx")],
     model: Annotated[str, typer.Option(help="mscsa, or a weight file of ours for SfM points")] = "mscsa",
     side: Annotated[int, typer.Option(help="of the square image, px; a multiple of 32")] = 320,
-    again: Annotated[bool, typer.Option("--again", help="for looks after the first, as the file's text says")] = False,
+    recurrent: Annotated[
+        bool,
+        typer.Option("--recurrent", "--again", help="the graph of iterations after the first (--again: deprecated)"),
+    ] = False,
 ) -> None:
     """Write a completion network for programs without torch."""
-    from completion.inference.completer import load_scale_free
+    from completion.inference.completer import load_depth_network
     from completion.inference.onnx_export import export_onnx
 
-    print(export_onnx(load_scale_free(model), out, side, again))
+    print(export_onnx(load_depth_network(model), out, side, recurrent))
 
 
 def run_cleanly(command: Callable[[], Any]) -> int:

@@ -37,7 +37,7 @@ def complete_depth(
     """Complete the keyframes of every submap by the network `model`; those already on disk are kept."""
 
     def make() -> None:
-        completer = DepthCompleter.load(model, device, looks=settings.looks)
+        completer = DepthCompleter.load(model, device, iterations=settings.iterations)
         _complete_all(frames, submaps, completer, settings, workspace, progress)
 
     return load_or_make(workspace, STAGE, lambda: load_completed(frames, submaps, workspace), make)

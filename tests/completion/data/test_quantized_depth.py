@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from completion.data.evaluation_frame import EvaluationFrame
-from completion.data.quantized_depth import without_steps
+from completion.data.quantized_depth import dequantize
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.metrics import depth_errors
 from completion.evaluation.predictors import load_predictor
@@ -36,7 +36,7 @@ def stored(z: np.ndarray) -> np.ndarray:
 
 def test_most_of_the_rounding_is_taken_back() -> None:
     true = wall()
-    smooth = without_steps(stored(true), STEP)
+    smooth = dequantize(stored(true), STEP)
     before, after = (np.sqrt(np.mean((depth - true) ** 2)) for depth in (stored(true), smooth))
     assert before == pytest.approx(STEP / np.sqrt(12), rel=0.1)  # uniform within a step
     assert after < before / 2  # wide stairs where the wall is flat keep some of it
@@ -45,7 +45,7 @@ def test_most_of_the_rounding_is_taken_back() -> None:
 def test_edges_and_holes_stay() -> None:
     true = wall()
     true[20:30, 20:30] = 0
-    smooth = without_steps(stored(true), STEP)
+    smooth = dequantize(stored(true), STEP)
     middle = true.shape[1] // 2
     jump = (smooth[:, middle] - smooth[:, middle - 1]) - (true[:, middle] - true[:, middle - 1])
     assert np.abs(jump).max() <= STEP + 1e-4
@@ -58,7 +58,7 @@ def test_edges_and_holes_stay() -> None:
 def test_nothing_moves_further_than_half_a_step(seed: int, step: float) -> None:
     rng = np.random.default_rng(seed)
     depth = (step * rng.integers(0, 9, (12, 128))).astype(np.float32)
-    smooth = without_steps(depth, step)
+    smooth = dequantize(depth, step)
     assert np.abs(smooth - depth).max() <= step / 2 * (1 + 1e-5)
     np.testing.assert_array_equal(smooth == 0, depth == 0)
 
@@ -71,20 +71,20 @@ def test_what_touches_nothing_of_its_own_is_left_alone() -> None:
     fold = np.full((64, 128), 10 * STEP, np.float32)
     fold[:, 64:] += 3 * STEP
     for depth in (holed, board, fold):
-        np.testing.assert_allclose(without_steps(depth, STEP), depth, rtol=1e-6)
+        np.testing.assert_allclose(dequantize(depth, STEP), depth, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("slope", "left"), [(1.37, 0.7), (2.13, 1.001)])
 def test_steep_wall_gains_or_is_left_alone(slope: float, left: float) -> None:
     """Steps from pixel to pixel; where some of them pass for edges, what lies between is not pulled to one side."""
     true = np.broadcast_to(20 + slope * STEP * np.arange(60, dtype=np.float32), (60, 60))
-    off = [np.abs(depth - true)[10:-10, 10:-10].mean() for depth in (stored(true), without_steps(stored(true), STEP))]
+    off = [np.abs(depth - true)[10:-10, 10:-10].mean() for depth in (stored(true), dequantize(stored(true), STEP))]
     assert off[1] < left * off[0]
 
 
-def test_a_larger_picture_is_smoothed_as_far() -> None:
+def test_a_larger_image_is_smoothed_as_far() -> None:
     """The same wall in twice the pixels, which then take four times the passes."""
-    small, large = without_steps(stored(wall()), STEP), without_steps(np.kron(stored(wall()), np.ones((2, 2))), STEP)
+    small, large = dequantize(stored(wall()), STEP), dequantize(np.kron(stored(wall()), np.ones((2, 2))), STEP)
     apart = np.abs(large.reshape(96, 2, 96, 2).mean(axis=(1, 3)) - small)[8:-8, 8:-8] / STEP
     assert np.median(apart) < 0.02
 
@@ -92,7 +92,7 @@ def test_a_larger_picture_is_smoothed_as_far() -> None:
 @pytest.mark.parametrize("step", [0.5, 0.0, -1.0])
 def test_depth_in_other_steps_is_refused(step: float) -> None:
     with pytest.raises(CompletionError, match="does not come in steps"):
-        without_steps(stored(wall()), step)
+        dequantize(stored(wall()), step)
 
 
 def test_evaluation_judges_against_the_smooth_depth_and_says_so() -> None:
@@ -101,7 +101,7 @@ def test_evaluation_judges_against_the_smooth_depth_and_says_so() -> None:
     frame = EvaluationFrame("0", np.zeros((*true.shape, 3), np.uint8), stored(true), "mm")
     protocol = Protocol(points=true.size, depth_step=STEP)
     result = next(iter(evaluate_frames([frame], load_predictor("nearest"), protocol)))
-    np.testing.assert_array_equal(result.truth, without_steps(stored(true), STEP))
+    np.testing.assert_array_equal(result.truth, dequantize(stored(true), STEP))
     assert mean_errors([result], protocol).abs_rel < 1e-6
     assert depth_errors(result.prediction, stored(true)).abs_rel > 1e-3
     assert "truth without its steps of 0.784314" in str(protocol)

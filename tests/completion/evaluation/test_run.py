@@ -15,7 +15,8 @@ from completion.data.sampling_benchmark import features, like_sfm, uniform
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.predictors import load_predictor
 from completion.evaluation.run import Outputs, evaluate, protocol_of
-from completion.inference.completer import choose_device, choose_precision
+from completion.inference.completer import choose_device
+from completion.networks.precision import choose_precision
 from haustra.core.errors import CompletionError
 from haustra.core.progress import SilentProgress
 from haustra.phantom.config import EventsConfig
@@ -100,8 +101,8 @@ def precision_here() -> str:
 def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     folder = generate(TINY, tmp_path / "phantom", threads=1)
     assert TINY.events == EventsConfig()
-    pictures = ("e.png", "sweep.png", "c.png", "compare.png", "attention.png")
-    outputs = Outputs(tmp_path / "e.csv", tmp_path / "e.json", *(tmp_path / name for name in pictures))
+    plots = ("e.png", "sweep.png", "c.png", "compare.png", "attention.png")
+    outputs = Outputs(tmp_path / "e.csv", tmp_path / "e.json", *(tmp_path / name for name in plots))
     protocols = [protocol_of("uniform", points, "none", "per_frame", 0, 1) for points in (20, 60)]
     text = evaluate([folder], ["nearest", "mscsa"], protocols, outputs, None, SilentProgress())
     records = json.loads(outputs.json.read_text())

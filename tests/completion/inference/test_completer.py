@@ -9,12 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from completion import DepthCompleter
-from completion.inference.completer import load_scale_free
-from completion.inference.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
-from completion.inference.onnx_export import AGAIN, DESCRIPTION, LAST, export_onnx
+from completion.inference.completer import load_depth_network
+from completion.inference.onnx_export import DESCRIPTION, LAST, RECURRENT_USE, export_onnx
 from completion.networks.channel_attention import attention_features
+from completion.networks.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
 from completion.networks.mscsa import DoubleConv
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet, halve_points
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
+from completion.networks.mscsa_sfm_kernels import halve_points
 from completion.networks.recurrent_norm import fold_batch_norm
 from completion.networks.registry import build_model
 from haustra.core.errors import CompletionError
@@ -63,7 +64,7 @@ def test_bfloat16_agrees_with_float32_to_the_stated_tolerance(completer, frames)
 
 @pytest.mark.parametrize("factor", [0.013, 7, 1000])
 def test_the_shipped_model_is_scale_equivariant(completer, frames, factor):
-    """To single precision's rounding, both looks; what bfloat16 rounds may fall to the other side."""
+    """To single precision's rounding, both iterations; what bfloat16 rounds may fall to the other side."""
     rgb, sparse = (array[1] for array in frames[:2])
     np.testing.assert_allclose(completer(rgb, factor * sparse)[0], factor * completer(rgb, sparse)[0], rtol=1e-5)
     half = DepthCompleter.load("mscsa", precision="bf16")
@@ -83,14 +84,14 @@ def test_a_point_that_is_said_to_be_wrong_is_listened_to_less(completer, frames)
     assert np.abs(np.log(completer(rgb, wrong, error)[0] / truth)).mean() < 0.8 * believed
 
 
-def test_beyond_the_edge_of_an_odd_sized_picture_lies_its_last_row_not_black(frames):
+def test_beyond_the_edge_of_an_odd_sized_image_lies_its_last_row_not_black(frames):
     rgb = torch.from_numpy(frames[0][:1, :90, :100]).permute(0, 3, 1, 2).float() / 255
     sparse = torch.from_numpy(frames[1][:1, None, :90, :100])
     trust = (sparse > 0).float()
     log_sparse = torch.where(sparse > 0, torch.log(sparse.clamp_min(1e-3) / 20), 0.0)
     by_hand = torch.from_numpy(np.pad(rgb.numpy(), ((0, 0), (0, 0), (0, 6), (0, 28)), mode="edge"))
     around = [torch.nn.functional.pad(x, (0, 28, 0, 6)) for x in (log_sparse, trust)]
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     with torch.inference_mode():
         for got, whole in zip(network(rgb, log_sparse, trust), network(by_hand, *around), strict=True):
             torch.testing.assert_close(got, whole[..., :90, :100])
@@ -100,12 +101,12 @@ def test_what_cannot_be_completed_is_one_sentence(completer, frames):
     rgb, sparse, error = frames
     with pytest.raises(CompletionError, match="sparse error must have"):
         completer(rgb[0], sparse[0], error[0][:50])
-    with pytest.raises(CompletionError, match="no picture"):
+    with pytest.raises(CompletionError, match="no image"):
         completer.batch(rgb[:0], sparse[:0])
     with pytest.raises(CompletionError, match="auto, int8, bf16 or fp32"):
-        DepthCompleter(load_scale_free("mscsa"), precision="bfloat16")
+        DepthCompleter(load_depth_network("mscsa"), precision="bfloat16")
     for precision in ("fp32", "bf16", "auto"):
-        with pytest.raises(CompletionError, match="folded for one look already"):
+        with pytest.raises(CompletionError, match="folded already"):
             DepthCompleter(DepthCompleter.load("mscsa", precision=precision).network)
 
 
@@ -145,15 +146,15 @@ def test_attention_features_are_what_goes_in_and_comes_out(name):
         torch.testing.assert_close(network.unet.attention(before[None])[0], after)
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, recurrent):
     import onnx
     import onnxruntime
 
-    path = export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 64, again)
-    assert onnx.load(path).doc_string == DESCRIPTION + AGAIN
+    path = export_onnx(load_depth_network("mscsa"), tmp_path / "m.onnx", 64, recurrent)
+    assert onnx.load(path).doc_string == DESCRIPTION + RECURRENT_USE
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     rgb = torch.from_numpy(frames[0][:, :64, :64]).permute(0, 3, 1, 2).float() / 255
     sparse = torch.from_numpy(frames[1][:, None, :64, :64])
     trust = (sparse > 0).float()
@@ -162,7 +163,7 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
         inputs = {"rgb": rgb[:count], "log_sparse": log_sparse[:count], "trust": trust[:count]}
         with torch.inference_mode():
             expected = network(*inputs.values())
-            if again:
+            if recurrent:
                 inputs |= dict(zip(LAST, expected, strict=True))
                 expected = network(rgb[:count], log_sparse[:count], trust[:count], expected)
         got = session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})
@@ -172,17 +173,17 @@ def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, again):
 
 def test_onnx_refuses_what_it_cannot_do(tmp_path):
     with pytest.raises(CompletionError, match="multiple of 32"):
-        export_onnx(load_scale_free("mscsa"), tmp_path / "m.onnx", 100)
-    with pytest.raises(CompletionError, match="look once"):
-        export_onnx(ScaleFreeMSCSANet(ScaleFreeConfig(width=4)), tmp_path / "m.onnx", 64, again=True)
+        export_onnx(load_depth_network("mscsa"), tmp_path / "m.onnx", 100)
+    with pytest.raises(CompletionError, match="one iteration"):
+        export_onnx(ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4)), tmp_path / "m.onnx", 64, recurrent=True)
 
 
 def test_the_shipped_header_says_what_was_trained():
     from completion.networks.checkpoint import read_metadata
-    from completion.weights.shipped import resolve_weights
+    from completion.weights.shipped_weights import resolve_weights
 
     about = read_metadata(resolve_weights("mscsa"))
-    assert about["network"] == "ScaleFreeMSCSANet"
+    assert about["network"] == "ScaleFreeMSCSANet"  # as it was written; the registry reads it
     assert about["training"]["model"] == "scale-free"
     assert about["steps"] == about["training"]["steps"]
     assert 0 < about["held_out_abs_rel"] < 0.08
@@ -194,7 +195,7 @@ def test_fused_convolutions_are_the_same_function(dtype):
     """Each against its convolution and ReLU, with weights as trained; a copy is the same again."""
     if not can_fuse(dtype):
         pytest.skip("this PyTorch or processor has no fused convolutions")
-    plain = fold_batch_norm(load_scale_free("mscsa")).unet.to(dtype, memory_format=torch.channels_last)
+    plain = fold_batch_norm(load_depth_network("mscsa")).unet.to(dtype, memory_format=torch.channels_last)
     fused = copy.deepcopy(plain)
     fuse_convolutions(fused)
     pairs = 0

@@ -13,7 +13,7 @@ from completion.data.sampling_training import SfmPattern, sample_features, sampl
 from completion.inference.completer import DepthCompleter
 from completion.networks.channel_attention import StructureAwareness
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
-from completion.networks.mscsa_sfm import ScaleFreeMSCSANet
+from completion.networks.mscsa_sfm import ScaleInvariantMSCSANet
 from completion.networks.normalized_conv import MultiScaleConfidence, NormalizedConv2d, confidence_pool
 from haustra.core.errors import CompletionError
 
@@ -145,7 +145,7 @@ def sparse_frame(height=96, width=112, points=60, seed=0):
 @pytest.fixture(scope="module")
 def completer():
     torch.manual_seed(3)
-    return DepthCompleter(ScaleFreeMSCSANet(), precision="fp32")
+    return DepthCompleter(ScaleInvariantMSCSANet(), precision="fp32")
 
 
 @pytest.mark.parametrize("factor", [0.01, 3.7, 1000.0])
@@ -175,7 +175,7 @@ def test_invalid_sparse_depth_counts_as_none(completer):
 
 def test_folding_batch_normalisation_changes_nothing():
     rgb, sparse = torch.rand(1, 3, 64, 64), (torch.rand(1, 1, 64, 64) < 0.05).float()
-    network = ScaleFreeMSCSANet().eval()
+    network = ScaleInvariantMSCSANet().eval()
     for module in network.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
             module.running_mean.normal_()

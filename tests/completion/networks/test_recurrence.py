@@ -1,4 +1,4 @@
-"""A second look: what it gets of the first, and what it may not touch."""
+"""Recurrent iterations: what each takes of the one before, and what it may not touch."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 
 from completion import DepthCompleter
 from completion.confidence import error_from_confidence
-from completion.inference.completer import load_scale_free
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
-from completion.networks.recurrence import Estimate, Grid, look_again, with_own_points
+from completion.inference.completer import load_depth_network
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
+from completion.networks.protocol import Estimate, SampleGrid
+from completion.networks.recurrence import refine_iteratively, self_conditioned_input
 from completion.networks.recurrent_norm import fold_batch_norm
 from completion.training.config import make_config
-from completion.training.tasks import ScaleFreeTask
+from completion.training.tasks import make_task
 from haustra.core.errors import CompletionError
 
 
@@ -31,10 +32,10 @@ def some_points(seed, height=64, width=96, points=60):
 @pytest.fixture(scope="module")
 def network():
     torch.manual_seed(0)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, looks=3)).eval()
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4, iterations=3)).eval()
     for name, buffer in network.named_buffers():
         if name.endswith("again_mean"):
-            buffer.normal_()  # else a later look could not be told from a first one
+            buffer.normal_()  # else a recurrent iteration could not be told from the first
     return network
 
 
@@ -46,7 +47,7 @@ def test_own_points_are_the_estimate_on_a_grid_and_measured_ones_stay(seed, step
     rng = np.random.default_rng(seed)
     estimate, log_error = rng.normal(size=(2, 64, 96)).astype(np.float32)
     points, weights, *last = (torch.from_numpy(x)[None, None] for x in (log_sparse, trust, estimate, log_error))
-    got = with_own_points(points, weights, Estimate(*last), Grid(step, first))
+    got = self_conditioned_input(points, weights, Estimate(*last), SampleGrid(step, first))
     got, got_trust = (x.numpy()[0, 0] for x in got)
     for row in range(64):
         for column in range(96):
@@ -59,18 +60,18 @@ def test_own_points_are_the_estimate_on_a_grid_and_measured_ones_stay(seed, step
                 np.testing.assert_allclose(error_from_confidence(got_trust[here]), np.exp(log_error[here]), rtol=0.01)
 
 
-def test_each_look_takes_the_measured_points_and_only_the_last_estimate():
+def test_each_iteration_takes_the_measured_points_and_only_the_last_estimate():
     asked = []
 
     def stub(name):
         return lambda *inputs: asked.append((name, *inputs)) or f"estimate {len(asked)}"
 
-    assert look_again(stub("first"), stub("later"), "picture", "points", "trust", 3) == "estimate 3"
-    given = ("picture", "points", "trust")
-    assert asked == [("first", *given, None), ("later", *given, "estimate 1"), ("later", *given, "estimate 2")]
+    assert refine_iteratively(stub("first"), stub("recurrent"), "image", "points", "trust", 3) == "estimate 3"
+    given = ("image", "points", "trust")
+    assert asked == [("first", *given, None), ("recurrent", *given, "estimate 1"), ("recurrent", *given, "estimate 2")]
 
 
-def test_a_later_look_is_told_the_whole_estimate_and_which_points_were_measured(network):
+def test_a_recurrent_iteration_is_given_the_whole_estimate_and_which_points_were_measured(network):
     """Channels of the U-Net's input at half resolution, against what they mean."""
     rgb, log_sparse, trust = some_points(7)
     rng = np.random.default_rng(7)
@@ -83,10 +84,10 @@ def test_a_later_look_is_told_the_whole_estimate_and_which_points_were_measured(
     hook.remove()
     first, later = seen
     assert (first[:, 20:] == 0).all()
-    assert torch.equal(first[:, :16], later[:, :16])  # the picture
+    assert torch.equal(first[:, :16], later[:, :16])  # the image
     spread = torch.nn.functional.interpolate(later[:, 16:17], scale_factor=2, mode="bilinear")
-    told = torch.nn.functional.pixel_shuffle(later[:, 20:24], 2) + spread
-    torch.testing.assert_close(told, last.log_depth)
+    difference = torch.nn.functional.pixel_shuffle(later[:, 20:24], 2) + spread
+    torch.testing.assert_close(difference, last.log_depth)
     blocks = last.log_error.numpy().reshape(32, 2, 48, 2).mean((1, 3))
     np.testing.assert_allclose(later[0, 24], blocks / 6, rtol=1e-4, atol=1e-6)
     assert torch.equal(first[:, 18:20], later[:, 25:27])  # the measured points alone
@@ -96,13 +97,13 @@ def test_a_later_look_is_told_the_whole_estimate_and_which_points_were_measured(
 def test_the_margin_of_an_odd_size_has_no_points_of_its_own(network):
     rgb, log_sparse, trust = (x[..., :60, :70] for x in some_points(10))
     last = Estimate(torch.randn(1, 1, 60, 70), torch.full((1, 1, 60, 70), -4.0))
-    heard = []
-    hook = network.msc.register_forward_pre_hook(lambda module, given: heard.append(given))
+    inputs = []
+    hook = network.msc.register_forward_pre_hook(lambda module, given: inputs.append(given))
     with torch.inference_mode():
         made = network(rgb, log_sparse, trust, last)
     hook.remove()
     assert made.log_depth.shape == (1, 1, 60, 70)
-    points = heard[0][1][0, 0] > 0
+    points = inputs[0][1][0, 0] > 0
     assert points.shape == (32, 48)
     assert points[:30, :35].sum() > 40
     assert not points[30:].any()
@@ -112,35 +113,35 @@ def test_the_margin_of_an_odd_size_has_no_points_of_its_own(network):
 def test_only_measured_points_correct_the_sum(network):
     rgb, log_sparse, trust = some_points(8)
     last = Estimate(torch.randn(1, 1, 64, 96), torch.full((1, 1, 64, 96), -4.0))
-    heard = []
-    hook = network.anchor.register_forward_pre_hook(lambda module, given: heard.append(given[2:4]))
+    inputs = []
+    hook = network.anchor.register_forward_pre_hook(lambda module, given: inputs.append(given[2:4]))
     with torch.inference_mode():
         network(rgb, log_sparse, trust, last)
     hook.remove()
-    assert torch.equal(heard[0][0], log_sparse)
-    assert torch.equal(heard[0][1], trust)
+    assert torch.equal(inputs[0][0], log_sparse)
+    assert torch.equal(inputs[0][1], trust)
 
 
-def test_a_network_trained_to_look_once_takes_no_estimate():
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4)).eval()
+def test_a_network_trained_for_one_iteration_takes_no_estimate():
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4)).eval()
     rgb, log_sparse, trust = some_points(9)
     with torch.inference_mode():
         estimate = network(rgb, log_sparse, trust)
-        with pytest.raises(CompletionError, match="look once"):
+        with pytest.raises(CompletionError, match="one iteration"):
             network(rgb, log_sparse, trust, estimate)
-    with pytest.raises(CompletionError, match="trained for 1 looks at most"):
-        DepthCompleter(network, looks=2)
+    with pytest.raises(CompletionError, match="trained for 1 iterations at most"):
+        DepthCompleter(network, iterations=2)
 
 
 def statistics(network):
-    """Running statistics of the first look and of later ones."""
+    """Running statistics of the first iteration and of recurrent ones."""
     state = network.state_dict()
     return tuple({n: t.clone() for n, t in state.items() if f".{word}_" in n} for word in ("running", "again"))
 
 
-def test_each_look_learns_and_uses_statistics_of_its_own():
+def test_each_kind_of_iteration_learns_and_uses_statistics_of_its_own():
     torch.manual_seed(0)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, looks=2)).train()
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4, iterations=2)).train()
     features = []
     network.unet.encoder[0][0].register_forward_hook(lambda *call: features.append(call[2].detach()))
     last = Estimate(torch.randn(1, 1, 64, 96), torch.full((1, 1, 64, 96), -2.0))
@@ -169,26 +170,26 @@ def test_each_look_learns_and_uses_statistics_of_its_own():
         assert not torch.allclose(fold_batch_norm(network)(*inputs)[0], network(*inputs)[0], atol=1e-2)
 
 
-def test_weights_without_statistics_of_later_looks_are_refused():
+def test_weights_without_recurrent_statistics_are_refused():
     torch.manual_seed(1)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4, looks=2))
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4, iterations=2))
     for word in ("again_", "running_"):
         with pytest.raises(RuntimeError, match=word):
             network.load_state_dict({n: t for n, t in network.state_dict().items() if f".{word}" not in n})
 
 
-def test_training_draws_how_many_looks_came_before_and_does_not_train_through_them():
-    task = ScaleFreeTask(make_config(shards=("none",), out="none", width=4))
+def test_training_draws_how_many_iterations_came_before_and_does_not_train_through_them():
+    task = make_task(make_config(shards=("none",), out="none", width=4))
     calls = []
     task.network.register_forward_hook(lambda *call: calls.append(call))
     inputs = some_points(2)
     drawn, grids = set(), set()
     for seed in range(24):
         calls.clear()
-        last, grid = task._earlier_looks(*inputs, torch.Generator().manual_seed(seed))
+        last, grid = task._earlier_iterations(*inputs, torch.Generator().manual_seed(seed))
         drawn.add(len(calls))
         assert (last is None) == (not calls)
-        again, same = task._earlier_looks(*inputs, torch.Generator().manual_seed(seed))
+        again, same = task._earlier_iterations(*inputs, torch.Generator().manual_seed(seed))
         assert grid == same
         assert 0 <= grid.first < grid.step
         if last is not None:
@@ -199,10 +200,10 @@ def test_training_draws_how_many_looks_came_before_and_does_not_train_through_th
     assert len(grids) > 10
 
 
-def test_the_look_that_is_judged_trains_every_parameter_whatever_came_before():
-    """The earlier looks run without gradients in the same autocast, which keeps converted weights."""
+def test_the_iteration_that_is_judged_trains_every_parameter_whatever_came_before():
+    """The earlier iterations run without gradients in the same autocast, which keeps converted weights."""
     torch.manual_seed(0)
-    task = ScaleFreeTask(make_config(shards=("none",), out="none", width=4))
+    task = make_task(make_config(shards=("none",), out="none", width=4))
     rgb, _, _ = some_points(5)
     depth = 20 + 10 * torch.rand(1, 1, 64, 96)
     for seed in range(4):
@@ -211,16 +212,20 @@ def test_the_look_that_is_judged_trains_every_parameter_whatever_came_before():
         assert all(parameter.grad is not None for parameter in task.network.parameters())
 
 
-def test_two_looks_of_the_completer_are_not_one_and_neither_touches_the_scale():
+def test_two_iterations_of_the_completer_are_not_one_and_neither_touches_the_scale():
     rng = np.random.default_rng(0)
     rgb = rng.integers(20, 230, (96, 96, 3), dtype=np.uint8)
     sparse = np.where(rng.random((96, 96)) < 0.02, rng.uniform(20, 40, (96, 96)), 0).astype(np.float32)
-    network = load_scale_free("mscsa")
-    once, twice = (DepthCompleter(network, precision="fp32", looks=looks) for looks in (1, 2))
+    network = load_depth_network("mscsa")
+    once, twice = (DepthCompleter(network, precision="fp32", iterations=iterations) for iterations in (1, 2))
     assert np.abs(np.log(once(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
     np.testing.assert_allclose(twice(rgb, 7 * sparse)[0], 7 * twice(rgb, sparse)[0], rtol=1e-4)
-    both_first = DepthCompleter(network, precision="fp32", looks=2)
-    both_first.later = both_first.network
+    both_first = DepthCompleter(network, precision="fp32", iterations=2)
+    both_first.recurrent = both_first.network
     assert np.abs(np.log(both_first(rgb, sparse)[0] / twice(rgb, sparse)[0])).max() > 1e-3
+    with pytest.warns(DeprecationWarning, match="iterations="):
+        assert DepthCompleter(network, precision="fp32", looks=1).iterations == 1
+    with pytest.warns(DeprecationWarning, match="iterations="):
+        assert DepthCompleter.load("mscsa", precision="fp32", looks=3).iterations == 3
     with pytest.raises(CompletionError, match="at least 1"):
-        DepthCompleter(network, looks=0)
+        DepthCompleter(network, iterations=0)

@@ -4,12 +4,13 @@ import pytest
 import torch
 
 from completion.networks.checkpoint import load_network, save_network
-from completion.networks.gaenet import GAENet, GAENetConfig
-from completion.networks.registry import NAMES, build_model
-from completion.networks.resnet import resnet_stages
-from completion.networks.sparse_to_dense import UpProj
+from completion.networks.registry import ALIASES, REGISTRY, build_model, find_entry
+from completion.networks.rivals.gaenet import GAENet, GAENetConfig
+from completion.networks.rivals.resnet import resnet_stages
+from completion.networks.rivals.sparse_to_dense import UpProj
 from haustra.core.errors import CompletionError
 
+NAMES = [name for name in (*REGISTRY, *ALIASES) if find_entry(name).is_metric]
 TINY = {
     **{name: {"width": 4} for name in NAMES if name.startswith(("unet", "mscsa", "full"))},
     "std18": {"base": 8},

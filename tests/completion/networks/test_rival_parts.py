@@ -5,9 +5,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from completion.networks.gaenet import GAENet, GAENetConfig, JointDecoder, PointEmbedding, back_project
-from completion.networks.nlspn import NonLocalPropagation
-from completion.networks.sparse_to_dense import UnpoolConv, UpProj
+from completion.networks.rivals.gaenet import GAENet, GAENetConfig, JointDecoder, PointEmbedding, back_project
+from completion.networks.rivals.nlspn import NonLocalPropagation
+from completion.networks.rivals.sparse_to_dense import UnpoolConv, UpProj
 
 
 @pytest.fixture(autouse=True)

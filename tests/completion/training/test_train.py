@@ -11,13 +11,13 @@ import torch
 
 from completion.data.shards import Batch, Shard, augment
 from completion.evaluation.predictors import load_predictor
-from completion.inference.completer import DepthCompleter, load_scale_free
+from completion.inference.completer import DepthCompleter, load_depth_network
 from completion.networks.checkpoint import load_network, load_tensors, save_network, save_tensors
 from completion.networks.mscsa import MSCSANet
-from completion.networks.mscsa_sfm import ScaleFreeConfig, ScaleFreeMSCSANet
+from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.training.config import TrainConfig, make_config
-from completion.training.distributed import Team
-from completion.training.graceful_interrupt import Interruption
+from completion.training.distributed import ProcessGroup
+from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import TrainLog
 from completion.training.train import Run, draw_batch, learning_rate, train
 from haustra.core.errors import CompletionError
@@ -45,7 +45,7 @@ def test_training_is_repeatable_and_resumes(shards, tmp_path):
         assert torch.equal(tensor, load_tensors(again)[0][name]), name
     assert [row["step"] for row in csv.DictReader(whole.with_suffix(".log.csv").open())] == ["4"]  # a short run's too
     first = load_network(whole)
-    assert isinstance(first, ScaleFreeMSCSANet)
+    assert isinstance(first, ScaleInvariantMSCSANet)
     # A checkpoint of the finished run: resuming it trains no further and writes the same weights.
     before = whole.read_bytes()
     assert train(config(shards, whole, steps=4)).read_bytes() == before
@@ -88,7 +88,7 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
             if name in fresh:
                 buffer.copy_(fresh[name])
         opened = Shard.open(shards)
-        batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], Team(rank, 2))
+        batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], ProcessGroup(rank, 2))
         assert len(batch.rgb) == 1
         alone.task.network.zero_grad()
         alone.task.loss(batch.to(alone.device).rgb, batch.depth, None, generator).backward()
@@ -109,12 +109,12 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
         torch.testing.assert_close(together[f"network.{name}"], parameter.detach(), rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("model", ["scale-free", "gaenet"])
+@pytest.mark.parametrize("model", ["mscsa-sfm", "gaenet"])
 def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypatch, model):
     import completion.training.train as module
 
     def settings(name, **more):
-        kind = {} if model == "scale-free" else {"model": model, "size": "small"}  # GAENet drops out at random
+        kind = {} if model == "mscsa-sfm" else {"model": model, "size": "small"}  # GAENet drops out at random
         return config(shards, tmp_path / name, steps=4, **kind, **more)
 
     np.save(shards / "intrinsics.npy", np.tile(np.float32([60, 60, 32, 32]), (12, 1)))
@@ -156,9 +156,9 @@ def test_ctrl_c_ends_the_step_and_saves_it(shards, tmp_path):
     assert said[0].startswith("going on from step 3 of 4")
     for name, tensor in load_tensors(unbroken)[0].items():
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
-    with Interruption() as interruption:
+    with GracefulInterrupt() as interrupt:
         signal.raise_signal(signal.SIGINT)
-        assert interruption.asked
+        assert interrupt.requested
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
@@ -168,11 +168,11 @@ def test_wrong_weight_files_are_one_sentence(tmp_path):
     save_tensors(path, {"a": torch.zeros(1)}, {"network": "GPT", "config": {}})
     with pytest.raises(CompletionError, match="holds a GPT"):
         load_network(path)
-    network = ScaleFreeMSCSANet(ScaleFreeConfig(width=4))
+    network = ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4))
     weights = network.state_dict()
     weights.pop("unet.head.bias")
     save_network(path, network, weights, {})
-    with pytest.raises(CompletionError, match="do not fit ScaleFreeMSCSANet"):
+    with pytest.raises(CompletionError, match="do not fit ScaleInvariantMSCSANet"):
         load_network(path)
     metric = MSCSANet()
     save_network(path, metric, metric.state_dict(), {})
@@ -180,10 +180,10 @@ def test_wrong_weight_files_are_one_sentence(tmp_path):
         DepthCompleter.load(path)
 
 
-@pytest.mark.parametrize("looks", [1, 2, 3])
-def test_the_shipped_weights_load_and_beat_the_median(looks):
-    """On a rendered-like ramp the shipped model is far better than a constant, however often it looks."""
-    completer = DepthCompleter(load_scale_free("mscsa"), looks=looks)
+@pytest.mark.parametrize("iterations", [1, 2, 3])
+def test_the_shipped_weights_load_and_beat_the_median(iterations):
+    """On a rendered-like ramp the shipped model is far better than a constant, whatever the number of iterations."""
+    completer = DepthCompleter(load_depth_network("mscsa"), iterations=iterations)
     rows, columns = np.mgrid[:128, :128]
     truth = (15 + 0.3 * columns + 0.1 * rows).astype(np.float32)
     rgb = np.clip(4e4 / truth**2, 0, 255)[..., None].repeat(3, 2).astype(np.uint8)
@@ -239,7 +239,7 @@ def test_training_starts_from_given_weights_and_refuses_others(shards, tmp_path)
         torch.testing.assert_close(tensor, dict(start.named_parameters())[name], atol=2e-3, rtol=2e-3)
     with pytest.raises(CompletionError, match="do not fit"):
         train(config(shards, tmp_path / "c.safetensors", steps=1, init=first).model_copy(update={"width": 8}))
-    with pytest.raises(CompletionError, match="holds a ScaleFree"):
+    with pytest.raises(CompletionError, match="holds a ScaleInvariant"):
         train(config(shards, tmp_path / "d.safetensors", steps=1, init=first, model="unet", size="small"))
 
 

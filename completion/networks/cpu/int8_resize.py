@@ -1,4 +1,4 @@
-"""Images of 8-bit integers, made and enlarged by compiled loops: what lies between the convolutions of `eight_bit`."""
+"""Quantization to uint8 and bilinear upsampling of uint8 as compiled loops, for `int8_unet`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from torch import Tensor
 
 from haustra.core.numba_cache import compiled
 
-LARGEST, MIDDLE = 255, 128  # of an unsigned 8-bit integer; what stands for zero in what has a sign
-WORD = 4  # channels that are written at once
+LARGEST, MIDDLE = 255, 128  # of uint8; the zero point of signed tensors
+WORD = 4  # channels (bytes) that are written at once
 HALF_UP, NONE, MOST = np.float32(MIDDLE + 0.5), np.float32(0), np.float32(LARGEST)
 
 
 def words_of(images: list[Tensor], per_unit: list[float]) -> Tensor:
-    """Images (B,H,W) float32, as many as fill whole words, as `per_unit` steps from the middle -> (B,C,H,W)."""
+    """C images (B,H,W) float32, C a multiple of `WORD` -> (B,C,H,W) uint8: round(image * per_unit) + 128, clipped."""
     batch, height, width = images[0].shape
     out = np.empty((batch, height, width, len(images) // WORD), np.uint32)
     for word in range(out.shape[3]):
@@ -25,8 +25,9 @@ def words_of(images: list[Tensor], per_unit: list[float]) -> Tensor:
 
 
 def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
-    """Channels of `skip` (B,S,2h,2w) and, after them, those of `coarse` (B,C,h,w) enlarged as by `F.interpolate` with
-    "bilinear", rounded half up: all 8-bit integers, in channels_last. PyTorch's own enlarging gives a quarter too much.
+    """`skip` (B,S,2h,2w) and `coarse` (B,C,h,w) doubled bilinearly, rounded half up -> (B,S+C,2h,2w), uint8.
+
+    PyTorch's own interpolation of uint8 is a quarter too large.
     """
     batch, channels, height, width = coarse.shape
     both = skip.new_empty((batch, 2 * height, 2 * width, skip.shape[1] + channels))
@@ -43,10 +44,10 @@ def beside_doubled(skip: Tensor, coarse: Tensor) -> Tensor:
 
 @compiled
 def fill_beside_doubled(out, skip, coarse, sides, words):  # type: ignore[no-untyped-def]
-    """Fill `out` (2h,2w,s+c) with `skip` (2h,2w,s) and the bytes of `coarse` (h,w*C) enlarged, in words of one or of
-    eight bytes; `sides` (2,w*C) and `words` (2,w,c) are the same memory, for the pixels of even and of odd columns."""
+    """Fill `out` (2h,2w,s+c) with `skip` (2h,2w,s) and the doubled bytes of `coarse` (h,w*C), in words of one or eight
+    bytes; `sides` (2,w*C) and `words` (2,w,c) are one buffer, for the pixels of even and of odd columns."""
     channels = coarse.shape[1] // words.shape[1]
-    tall = np.empty(coarse.shape[1] + 2 * channels, np.uint16)  # a row between two, 4 times its value, and its ends
+    tall = np.empty(coarse.shape[1] + 2 * channels, np.uint16)  # 4 times the interpolated row, its ends repeated
     inner = tall[channels:-channels]
     for row in range(len(out)):
         near, far = row // 2, row // 2 + (1 if row % 2 else -1)
@@ -63,22 +64,21 @@ def fill_beside_doubled(out, skip, coarse, sides, words):  # type: ignore[no-unt
 
 @compiled
 def weigh(out, near, far):  # type: ignore[no-untyped-def]
-    """4 times what lies a quarter of the way from the bytes `near` to `far`. By itself, and in 16 bits, it is done in
-    as many bytes at once as the processor has lanes."""
+    """out = 3 near + far, of uint8 rows, in uint16. One row; a separate function so that LLVM vectorises the loop."""
     for i in range(len(out)):
         out[i] = np.uint16(3) * np.uint16(near[i]) + np.uint16(far[i])
 
 
 @compiled
 def weigh_and_round(out, near, far):  # type: ignore[no-untyped-def]
-    """What lies a quarter of the way from `near` to `far`, both 4 times their value."""
+    """out = (3 near + far + 8) / 16, of uint16 rows, to uint8: bilinear weights 1/4 and 3/4 on both axes, rounded."""
     for i in range(len(out)):
         out[i] = np.uint8((np.uint16(3) * near[i] + far[i] + np.uint16(8)) >> np.uint16(4))
 
 
 @compiled
 def fill_words(a, b, c, d, per_unit, out):  # type: ignore[no-untyped-def]
-    """Four images (B,h,w) as `per_unit` (4,) steps from the middle, a byte of `out` (B,h,w) each."""
+    """Quantize four images (B,h,w) by `per_unit` (4,) into the four bytes of `out` (B,h,w) uint32."""
     words = np.empty(a.shape[2], np.uint32)
     for frame in range(len(a)):
         for row in range(a.shape[1]):
@@ -89,15 +89,15 @@ def fill_words(a, b, c, d, per_unit, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def fill_row(a, b, c, d, per_unit, words):  # type: ignore[no-untyped-def]
-    """By itself it is done in as many as the processor has lanes."""
+    """One row; a separate function so that LLVM vectorises the loop."""
     of_a, of_b, of_c, of_d = per_unit
     for i in range(len(words)):
-        first, second = in_eight_bits(a[i] * of_a), in_eight_bits(b[i] * of_b)
-        third, fourth = in_eight_bits(c[i] * of_c), in_eight_bits(d[i] * of_d)
+        first, second = to_uint8(a[i] * of_a), to_uint8(b[i] * of_b)
+        third, fourth = to_uint8(c[i] * of_c), to_uint8(d[i] * of_d)
         words[i] = first | second << np.uint32(8) | third << np.uint32(16) | fourth << np.uint32(24)
 
 
 @compiled
-def in_eight_bits(steps):  # type: ignore[no-untyped-def]
-    """The nearest integer from the middle on, cut off at both ends; of finite steps."""
+def to_uint8(steps):  # type: ignore[no-untyped-def]
+    """round(steps) + 128, clipped to 0..255; steps must be finite."""
     return np.uint32(min(max(steps + HALF_UP, NONE), MOST))

@@ -1,12 +1,11 @@
-"""The U-Net for inference in integers of eight bits, which a processor with VNNI multiplies at twice its bfloat16 rate.
+"""The U-Net in int8 for inference: AVX-512 VNNI multiplies 8-bit integers at twice the rate of bfloat16.
 
-After a ReLU every channel c is held as round(x / s_c), cut off at 255, and s_c goes into the next convolution's
-weights, so that channels of different reach do not share one step: with one step for all of a layer depth erred by up
-to a quarter more. How far a channel reaches is read from its batch normalisation, which gave it the mean beta and the
-standard deviation gamma: s_c = (beta + 8 |gamma|) / 255. So no pictures are needed to choose it (Nagel et al.,
-"Data-free quantization", ICCV 2019). What has a sign, the input and what comes from the attention, is held as 128 and
-steps from there. Weights have 8 bits as well and a step for each output; sums are exact, in 32 bits. The attention, the
-last features and the head stay in floating point.
+After a ReLU channel c is uint8, round(x / s_c) clipped at 255, and the step s_c is multiplied into the weights of the
+next convolution; one step per layer instead raised the depth error by up to a quarter. The range comes from the batch
+normalisation, of shift beta and scale gamma: s_c = (beta + 8 |gamma|) / 255, without calibration images (Nagel et al.,
+"Data-free quantization", ICCV 2019). Signed tensors, the input and the attention's output, have the zero point 128.
+Weights are int8 with a scale per output channel; sums are exact in int32. The attention, the deepest and the last
+features and the head stay in floating point.
 """
 
 from __future__ import annotations
@@ -19,22 +18,22 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from completion.inference.cpu.fused_conv import Layouts, can_fuse
-from completion.inference.cpu.int8_resize import LARGEST, MIDDLE, WORD, beside_doubled, words_of
+from completion.networks.cpu.fused_conv import Layouts, can_fuse
+from completion.networks.cpu.int8_resize import LARGEST, MIDDLE, WORD, beside_doubled, words_of
 from completion.networks.mscsa import UNet
 
-# The best of 4, 6, 8, 12 and 16 on 40 rendered frames kept for choosing: fewer cut off too much, more are coarser.
+# Standard deviations of an activation's range; the best of 4, 6, 8, 12 and 16 on 40 rendered validation frames: fewer
+# clip too much, more are coarser.
 DEVIATIONS = 8.0
-REACH = LARGEST - MIDDLE  # the most steps from the middle
-# Of a step, in which the rest of a fine channel is given. More parts leave their weights too few of their own;
-# as good as 8 on those frames, better than 16.
-PARTS = 4
+MAX_STEPS = LARGEST - MIDDLE  # greatest value of a signed tensor, in steps
+# Levels into which a second channel divides one step of an input that needs more than 8 bits (its residual). As good as
+# 8 on those frames, better than 16, whose weights have too few bits left.
+RESIDUAL_STEPS = 4
 
 
 @cache
-def can_use_eight_bits() -> bool:
-    """Whether this processor multiplies 8-bit integers fast, and this PyTorch does so rightly: without VNNI, or with
-    oneDNN kept from using it, sums of large values are cut off at 16 bits."""
+def can_use_int8() -> bool:
+    """Whether this processor has VNNI and this PyTorch uses it; without, oneDNN saturates sums at 16 bits."""
     supported = getattr(torch.cpu, "_is_vnni_supported", None)
     if not (supported and supported() and can_fuse(torch.float32)):
         return False
@@ -43,7 +42,7 @@ def can_use_eight_bits() -> bool:
     conv.bias.zero_()  # type: ignore[union-attr]
     try:
         for zero in (0, MIDDLE):
-            made = EightBitConvReLU(conv, torch.ones(64), torch.ones(16), torch.float32, zero)
+            made = Int8ConvReLU(conv, torch.ones(64), torch.ones(16), torch.float32, zero)
             sums = made(torch.full((1, 64, 3, 3), LARGEST, dtype=torch.uint8))
             if not torch.allclose(sums, torch.full_like(sums, 9 * 64 * (LARGEST - zero))):
                 return False
@@ -52,65 +51,65 @@ def can_use_eight_bits() -> bool:
     return True
 
 
-class EightBitUNet(nn.Module):
-    """What `joined` makes of (B,in,H,W) -> (B,out,H,W), nearly as the `UNet` it is made of; H, W as there."""
+class Int8UNet(nn.Module):
+    """A `UNet` with int8 convolutions: the output of `joined` (B,C,H,W) uint8 -> (B,out,H,W); H, W as of the `UNet`."""
 
-    input_reaches: Tensor
+    input_ranges: Tensor
     deepest: Tensor
 
     def __init__(
         self,
         folded: UNet,
-        reaches: list[tuple[Tensor, Tensor]],
-        input_reaches: Tensor,
+        ranges: list[tuple[Tensor, Tensor]],
+        input_ranges: Tensor,
         fine: tuple[int, ...],
         dtype: torch.dtype,
     ) -> None:
-        """`folded`: with its normalisations folded. `reaches`: of the outputs of both convolutions of each encoder
-        block, then of each decoder block (`channel_reaches`). `input_reaches` (in,): where the input is cut off on both
-        sides of zero; `fine`: channels of it whose rest is given too. `dtype`: of the last features and the head.
+        """folded: the `UNet` with its normalisations folded. ranges: greatest outputs (`channel_ranges`). input_ranges
+        (in,): the input is clipped to +- these; fine: its channels that get residual bits. dtype: of the last features
+        and the head.
         """
         super().__init__()
         self.attention = folded.attention
         self.fine = fine
-        self.register_buffer("input_reaches", input_reaches)
+        self.register_buffer("input_ranges", input_ranges)
         levels = len(folded.encoder)
-        steps = [(a / LARGEST, b / LARGEST) for a, b in reaches]
+        steps = [(a / LARGEST, b / LARGEST) for a, b in ranges]
         outputs = [torch.uint8] * (2 * levels - 1)  # of each block, the encoder's first
         for index, output in ((levels - 1, torch.float32), (-1, dtype)):
             # The deepest features and the last stay in floating point, in their own unit.
             steps[index] = steps[index][0], torch.ones_like(steps[index][1])
             outputs[index] = output
-        deepest = torch.cat([reaches[levels - 2][1], reaches[levels - 1][1]]) / REACH
-        inputs = [with_rests(input_reaches / REACH, fine), *(b for _, b in steps[: levels - 1]), deepest]
+        deepest = torch.cat([ranges[levels - 2][1], ranges[levels - 1][1]]) / MAX_STEPS
+        inputs = [with_residual_bits(input_ranges / MAX_STEPS, fine), *(b for _, b in steps[: levels - 1]), deepest]
         inputs += [torch.cat([steps[levels - 2 - i][1], steps[levels - 1 + i][1]]) for i in range(1, levels - 1)]
         blocks = [*folded.encoder, *folded.decoder]
-        convolutions = [(block[0], block[3]) for block in blocks]  # type: ignore[index]
-        convolutions[0] = taking_rests(convolutions[0][0], fine), convolutions[0][1]
+        convolutions = [(block[0], block[3]) for block in blocks]
+        convolutions[0] = residual_bits_conv(convolutions[0][0], fine), convolutions[0][1]
         made = [
             nn.Sequential(
-                EightBitConvReLU(first, given, step[0], torch.uint8, MIDDLE if index in (0, levels) else 0),
-                EightBitConvReLU(second, *step, output),
+                Int8ConvReLU(first, given, step[0], torch.uint8, MIDDLE if index in (0, levels) else 0),
+                Int8ConvReLU(second, *step, output),
             )
             for index, ((first, second), given, step, output) in enumerate(
                 zip(convolutions, inputs, steps, outputs, strict=True)
             )
         ]
         self.encoder, self.decoder = nn.ModuleList(made[:levels]), nn.ModuleList(made[levels:])
-        # Of the features beside the deepest, in the steps of what comes from there; and of those.
+        # Factors that bring the skip connection and the attention's output to the steps of their joint tensor.
         skips = steps[levels - 2][1]
         self.register_buffer("deepest", torch.cat([skips, torch.ones(len(deepest) - len(skips))]) / deepest)
         self.head = folded.head.to(dtype)
 
     def joined(self, parts: list[Tensor]) -> Tensor:
-        """Channels (B,?,H,W) float32, one after the other, in 8 bits, and after them the rests of the fine ones."""
+        """Concatenate channels (B,?,H,W) float32 -> (B,C,H,W) uint8; then come the residual bits of the fine ones."""
         images = [image for part in parts for image in part.unbind(dim=1)]
-        per_unit = (REACH / self.input_reaches).tolist()
+        per_unit = (MAX_STEPS / self.input_ranges).tolist()
         for channel in self.fine:
             steps = images[channel] * per_unit[channel]
-            images.append(PARTS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, REACH)))
+            images.append(RESIDUAL_STEPS * (steps - (steps + 0.5).floor_().clamp_(-MIDDLE, MAX_STEPS)))
             per_unit.append(1)
-        while len(images) % WORD:  # what is added has no weight
+        while len(images) % WORD:  # padding; its weights are zero
             images.append(images[-1])
             per_unit.append(0)
         return words_of(images, per_unit)
@@ -129,14 +128,14 @@ class EightBitUNet(nn.Module):
         return self.head(x)
 
 
-def with_rests(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
-    """Steps (in,) of the input, of the rests, and of what fills the last word."""
-    steps = torch.cat([steps, steps[list(fine)] / PARTS])
+def with_residual_bits(steps: Tensor, fine: tuple[int, ...]) -> Tensor:
+    """Quantization steps (in,) of the input -> those of the input, of its residual bits and of the padding."""
+    steps = torch.cat([steps, steps[list(fine)] / RESIDUAL_STEPS])
     return F.pad(steps, (0, -len(steps) % WORD), value=1)
 
 
-def taking_rests(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
-    """A convolution that takes the rests too, with the weights of that of which they are, nothing of fillers."""
+def residual_bits_conv(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
+    """The convolution with the fine channels' weights repeated for their residual bits, and zeros for the padding."""
     made = copy.deepcopy(conv)
     weight = torch.cat([conv.weight, conv.weight[:, list(fine)]], dim=1)
     weight = F.pad(weight, (0, 0, 0, 0, 0, -weight.shape[1] % WORD))
@@ -144,8 +143,8 @@ def taking_rests(conv: nn.Conv2d, fine: tuple[int, ...]) -> nn.Conv2d:
     return made
 
 
-class EightBitConvReLU(nn.Module):
-    """ReLU of a convolution of 8-bit integers (B,in,H,W), in steps of `outputs` (out,) and of the type asked for."""
+class Int8ConvReLU(nn.Module):
+    """Convolution and ReLU of uint8 (B,in,H,W) -> (B,out,H,W) of `dtype`, in steps of `outputs` (out,)."""
 
     scale: Tensor
     zero: Tensor
@@ -155,8 +154,8 @@ class EightBitConvReLU(nn.Module):
     def __init__(
         self, conv: nn.Conv2d, inputs: Tensor, outputs: Tensor, dtype: torch.dtype, zero_point: int = 0
     ) -> None:
-        """`inputs` (in,), `outputs` (out,): the step of each channel of what goes in and comes out. `zero_point`: the
-        integer that stands for zero in what goes in."""
+        """inputs (in,), outputs (out,): quantization step of each channel; zero_point: the integer that is zero in the
+        input."""
         super().__init__()
         weight = conv.weight.detach().float() * inputs.view(1, -1, 1, 1) / outputs.view(-1, 1, 1, 1)
         scale = (weight.abs().amax(dim=(1, 2, 3)) / 127).clamp_min(1e-12)
@@ -179,21 +178,21 @@ class EightBitConvReLU(nn.Module):
         return torch.ops.onednn.qconv_prepack(self.weight, self.scale, 1.0, self.zero_point, *self._shape, shape)
 
 
-def channel_reaches(unet: UNet) -> list[tuple[Tensor, Tensor]]:
-    """How far each channel goes after the first and second ReLU of each encoder block, then of each decoder block.
+def channel_ranges(unet: UNet) -> list[tuple[Tensor, Tensor]]:
+    """Ranges (C,) of channels after the first and the second ReLU of each encoder block, then of each decoder block.
 
-    `unet`: with its normalisations as they were trained, not folded.
+    unet: with its batch normalisations, not folded.
     """
     blocks = [*unet.encoder, *unet.decoder]
-    return [(_reach(block[1]), _reach(block[4])) for block in blocks]  # type: ignore[index,arg-type]
+    return [(_range(block[1]), _range(block[4])) for block in blocks]
 
 
-def _reach(norm: nn.BatchNorm2d) -> Tensor:
+def _range(norm: nn.BatchNorm2d) -> Tensor:
     mean, deviation = norm.bias.detach().float(), norm.weight.detach().float().abs()
     return (mean + DEVIATIONS * deviation).clamp_min(1e-3)  # a channel that is never above zero has a step all the same
 
 
 def _halved(x: Tensor) -> Tensor:
-    """Greatest of each 2x2 block, which PyTorch's own pooling does not find of 8-bit integers in channels_last."""
+    """2x2 max pooling of uint8 in channels_last, which PyTorch's own does not support."""
     rows = torch.maximum(x[..., ::2, :], x[..., 1::2, :])
     return torch.maximum(rows[..., ::2], rows[..., 1::2])

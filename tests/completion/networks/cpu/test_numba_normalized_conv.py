@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from completion.inference.completer import load_scale_free
-from completion.inference.cpu.numba_normalized_conv import LinearConfidence
+from completion.inference.completer import load_depth_network
+from completion.networks.cpu.numba_normalized_conv import LinearConfidence
 from completion.networks.normalized_conv import MultiScaleConfidence
 
 
@@ -30,7 +30,7 @@ def test_the_joint_pyramid_is_the_pyramid(levels):
 
 @pytest.mark.parametrize("scale", [1.0, 1e-8, 1e-12])
 def test_in_single_precision_the_shipped_pyramids_are_as_exact(scale):
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     torch.manual_seed(3)
     trust = scale * torch.rand(2, 1, 96, 128) * (torch.rand(2, 1, 96, 128) < 0.02)
     depth = 0.4 * torch.randn(trust.shape) * (trust > 0)
@@ -45,7 +45,7 @@ def test_in_single_precision_the_shipped_pyramids_are_as_exact(scale):
 
 def test_a_confidence_that_is_hardly_there_is_divided_by_all_the_same():
     """One point of trust 1e-15 says as much of the depth as one of trust 1."""
-    msc = load_scale_free("mscsa").msc
+    msc = load_depth_network("mscsa").msc
     depth, trust = torch.zeros(2, 1, 1, 32, 32)
     depth[..., 16, 16], trust[..., 16, 16] = 0.7, 1
     linear = LinearConfidence(msc)

@@ -1,11 +1,11 @@
-"""`MultiScaleConfidence` for inference on a CPU: the same function, to rounding down to confidences of 1e-16.
+"""`MultiScaleConfidence` as compiled loops for inference on a CPU: equal up to rounding, for confidences over 1e-16.
 
-A layer of normalised convolution gives c' = K c and z' = K(z c) / c' + b, and the next one asks for c' and z' c' alone.
-That product is K(z c) + b K c: linear, without a division. So depth is carried as z c beside c, and only the last layer
-divides. Where nothing is known both are zero, as they are in the layers.
+A layer of normalised convolution gives c' = K c and z' = K(z c) / c' + b, and the next one needs only c' and z' c'
+= K(z c) + b K c, which is linear. So the loops carry the pair (c, z c), and only the last layer divides. Without any
+known pixel both are zero, as in the layers.
 
-The loops are our own, since two channels leave most of a processor's lanes idle in a library made for many. Theirs run
-along the rows of images of four planes, c in two channels and z c in two, with a margin of zeros around each.
+Libraries vectorise over channels, of which there are two here; these loops vectorise over columns. Arrays are of four
+planes, two channels of c and two of z c, with a margin of zeros around each.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from haustra.core.numba_cache import compiled
 
 Planes = NDArray[np.float32]  # (4, h + 2 MARGIN, w + 2 MARGIN)
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # kernel (in, rows, out, columns) and bias (out,)
-MARGIN = 2  # px, of zeros: as far as the kernels reach
+MARGIN = 2  # px of zeros around a plane: half of the largest kernel
 QUARTER = np.float32(1 / 4)
 
 
 class LinearConfidence(nn.Module):
-    """Sparse depth and its confidence (B,1,H,W) -> dense ones, as the module it is made of; without gradients."""
+    """`MultiScaleConfidence` without gradients: sparse depth and confidence (B,1,H,W) -> dense ones."""
 
     def __init__(self, msc: MultiScaleConfidence) -> None:
         super().__init__()
         self.levels = msc.levels
         self.lift, self.densify, self.refine = (_layer(part) for part in (msc.lift, msc.densify, msc.refine))
-        self.merge = [_layer(part) for part in msc.merge]
+        self.merge = [_layer(part) for part in msc.merge]  # type: ignore[arg-type]
         kernel, bias = _layer(msc.project)
         self.project, self.bias, self.guard = kernel.reshape(2), bias[0], np.float32(DIVISION_GUARD)
 
@@ -63,7 +63,7 @@ def _layer(layer: NormalizedConv2d) -> Layer:
 
 
 def rows(image: Tensor) -> NDArray[np.float32]:
-    """(B,1,H,W) -> (B,H,W), as the loops take it."""
+    """(B,1,H,W) -> contiguous (B,H,W) float32."""
     return np.ascontiguousarray(image[:, 0].numpy(), np.float32)
 
 
@@ -81,7 +81,7 @@ def started(depth, confidence):  # type: ignore[no-untyped-def]
 
 @compiled
 def convolved(planes, kernel, bias):  # type: ignore[no-untyped-def]
-    """A layer's c' and z' c' of the c and z c of as many channels as its kernel has inputs."""
+    """One layer: c and z c of the kernel's input channels -> c' and z' c' of two channels, (4,h,w)."""
     out = np.zeros((4, *planes.shape[1:]), np.float32)
     add_convolved(out, planes, kernel)
     add_bias(out, bias)
@@ -90,7 +90,7 @@ def convolved(planes, kernel, bias):  # type: ignore[no-untyped-def]
 
 @compiled
 def merged(fine, coarse, kernel, bias):  # type: ignore[no-untyped-def]
-    """A layer of the decoder, of a level's planes beside those of half its size, enlarged to the nearest pixel."""
+    """A decoder layer: planes of a level beside those of the next coarser one, doubled by nearest neighbour."""
     out = np.zeros(fine.shape, np.float32)
     add_convolved(out, fine, kernel[:2])
     add_convolved(out, doubled(coarse, fine.shape), kernel[2:])
@@ -100,7 +100,7 @@ def merged(fine, coarse, kernel, bias):  # type: ignore[no-untyped-def]
 
 @compiled
 def add_convolved(out, planes, kernel):  # type: ignore[no-untyped-def]
-    """Add to `out` (4,h,w) what the kernel (in,k,2,k) of 3 or 5 gives, the same of c and of z c; the margin stays."""
+    """out (4,h,w) += planes * kernel (in,k,2,k), k = 3 or 5, alike for c and z c; the margin stays zero."""
     inputs, size = kernel.shape[:2]
     for part in range(2):
         for y in range(MARGIN, out.shape[1] - MARGIN):
@@ -117,8 +117,7 @@ def add_convolved(out, planes, kernel):  # type: ignore[no-untyped-def]
 
 @compiled
 def add_five(first, second, source, kernel):  # type: ignore[no-untyped-def]
-    """Add to a row (w,) of each output what a row (w+4,) of an input gives; kernel (2,5). Written out, it is done in
-    as many pixels at once as the processor has lanes."""
+    """Row (w,) of each output += row (w+4,) of an input * kernel (2,5). Unrolled so that LLVM vectorises the loop."""
     a0, a1, a2, a3, a4 = kernel[0, 0], kernel[0, 1], kernel[0, 2], kernel[0, 3], kernel[0, 4]
     b0, b1, b2, b3, b4 = kernel[1, 0], kernel[1, 1], kernel[1, 2], kernel[1, 3], kernel[1, 4]
     for x in range(len(first)):
@@ -149,7 +148,7 @@ def add_bias(planes, bias):  # type: ignore[no-untyped-def]
 
 @compiled
 def halved(planes):  # type: ignore[no-untyped-def]
-    """`confidence_pool`: of each 2x2 block the c and z c of the pixel trusted most, over four."""
+    """As `confidence_pool`: c and z c of the most confident pixel of each 2x2 block, divided by four."""
     height, width = planes.shape[1] // 2 - MARGIN, planes.shape[2] // 2 - MARGIN
     out = np.zeros((4, height + 2 * MARGIN, width + 2 * MARGIN), np.float32)
     for channel in range(2):
@@ -168,7 +167,7 @@ def halved(planes):  # type: ignore[no-untyped-def]
 
 @compiled
 def doubled(planes, shape):  # type: ignore[no-untyped-def]
-    """Each pixel as a 2x2 block, in planes of that shape."""
+    """Nearest-neighbour upsampling by two, to planes of that shape."""
     out = np.zeros(shape, np.float32)
     for channel in range(4):
         for y in range(MARGIN, planes.shape[1] - MARGIN):
@@ -182,7 +181,7 @@ def doubled(planes, shape):  # type: ignore[no-untyped-def]
 
 @compiled
 def finish(planes, kernel, bias, guard, depth, confidence):  # type: ignore[no-untyped-def]
-    """The last layer, 1x1 to one channel, and the division, into `depth` and `confidence` (h,w)."""
+    """The last layer, 1x1 to one channel, and the division z c / c, into `depth` and `confidence` (h,w)."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             row, column = y + MARGIN, x + MARGIN

@@ -5,7 +5,7 @@ upsampling stages that halve them again, and a 3x3 convolution; the last factor 
 activation on the output. The first convolution and, here, everything else starts from scratch.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.networks.padding import pad_to_multiple
-from completion.networks.resnet import conv_bn, init_fan_out, out_widths, resnet_stages
+from completion.networks.rivals.resnet import conv_bn, init_fan_out, out_widths, resnet_stages
 from haustra.core.errors import CompletionError
 
 Decoder = Literal["upproj", "upconv", "deconv2", "deconv3"]
@@ -75,7 +75,7 @@ def _init_decoder(module: nn.Module) -> None:
 
 
 @dataclass(frozen=True)
-class StDConfig:
+class SparseToDenseConfig:
     """Published: base 64. The paper's decoder is upproj; the released code's default is deconv2."""
 
     layers: int = 18  # or 50
@@ -90,16 +90,13 @@ class StDConfig:
         if self.decoder not in ("upproj", "upconv", "deconv2", "deconv3"):
             raise CompletionError(f"StD has no decoder '{self.decoder}'")
 
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
 
-
-class StDNet(nn.Module):
+class SparseToDense(nn.Module):
     """Sparse-to-Dense: unit of the sparse depth in, same unit out."""
 
-    def __init__(self, config: StDConfig | None = None) -> None:
+    def __init__(self, config: SparseToDenseConfig | None = None) -> None:
         super().__init__()
-        self.config = config or StDConfig()
+        self.config = config or SparseToDenseConfig()
         base, deepest = self.config.base, out_widths(self.config.layers, self.config.base)[-1]
         self.stem = nn.Sequential(conv_bn(4, base, 7, stride=2), nn.ReLU(), nn.MaxPool2d(3, 2, padding=1))
         self.stages = resnet_stages(self.config.layers, base)

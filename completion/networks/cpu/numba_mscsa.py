@@ -1,6 +1,6 @@
-"""What a look of `ScaleFreeMSCSANet` does around its U-Net, for inference on a CPU: the same as compiled loops.
+"""`mscsa_sfm_kernels` as compiled loops, for inference on a CPU.
 
-In PyTorch that is a hundred small operations, each of which passes over the whole frame. Images are float32.
+In PyTorch they are a hundred small operations, each a pass over the whole frame. Images are float32.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from completion.inference.cpu.numba_normalized_conv import LinearConfidence, rows
-from completion.networks.mscsa_sfm import LEAST_TRUST, LOG_ERROR_RANGE, STRIDE, Anchor, ScaleFreeMSCSANet, Steps, double
+from completion.networks.cpu.numba_normalized_conv import LinearConfidence, rows
+from completion.networks.mscsa_sfm_kernels import (
+    LEAST_TRUST,
+    LOG_ERROR_RANGE,
+    STRIDE,
+    Anchor,
+    Kernels,
+    double,
+    image_inputs,
+)
 from haustra.core.numba_cache import compiled
 
-# What the loops take of other files they are given: a change there would not compile them anew.
+# Arguments of the loops, not globals: numba's cache would not notice a change in the other file.
 GUARD = np.float32(LEAST_TRUST)
 ERROR_BOUNDS = np.array(LOG_ERROR_RANGE, np.float32)
-LEVELS = torch.arange(256) / 255  # of a channel in 8 bits
+LEVELS = torch.arange(256) / 255  # intensity in [0,1] of an 8-bit value
 TABLES = torch.stack([*3 * [LEVELS - 0.5], torch.log(LEVELS + 1 / 255)]).numpy()  # red, green, blue and brightness
 
 
-def compile_look(network: ScaleFreeMSCSANet) -> None:
-    """Put these in place of the network's own, in place."""
-    network.msc = LinearConfidence(network.msc)
-    network.steps = Steps(halved_points, own_inputs, unfolded)
-    if network.anchor is not None:
-        network.anchor = CompiledAnchor(network.anchor)
-
-
 class CompiledAnchor(nn.Module):
-    """`Anchor`, which asks the estimate only where there are points."""
+    """`Anchor` that evaluates the estimate only at the points' pixels."""
 
     def __init__(self, anchor: Anchor) -> None:
         super().__init__()
@@ -50,38 +50,46 @@ class CompiledAnchor(nn.Module):
         return double(torch.sigmoid(gate) * correction)
 
 
-def picture_planes(rgb: NDArray[np.uint8]) -> Tensor:
-    """`picture_inputs` of pictures (B,H,W,3) in 8 bits."""
+def folded_image(rgb: Tensor) -> Tensor:
+    """`image_inputs`, by tables for 8-bit images (B,3,H,W)."""
+    return image_planes(rgb.permute(0, 2, 3, 1).numpy()) if rgb.dtype == torch.uint8 else image_inputs(rgb)
+
+
+def image_planes(rgb: NDArray[np.uint8]) -> Tensor:
+    """`image_inputs` of images (B,H,W,3)."""
     around = [(0, 0), *((0, -side % STRIDE) for side in rgb.shape[1:3])]
     planes = [[*cv2.split(frame), np.maximum.reduce(cv2.split(frame))] for frame in rgb]
     padded = np.pad(planes, [*around[:1], (0, 0), *around[1:]], mode="edge")
     out = np.empty((len(rgb), 16, padded.shape[2] // 2, padded.shape[3] // 2), np.float32)
-    fill_picture(padded, TABLES, out)
+    fill_image(padded, TABLES, out)
     return torch.from_numpy(out)
 
 
 def halved_points(values: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
-    """`halve_points`."""
+    """As `halve_points`."""
     halves = _halves(values)
     fill_halves(rows(values), rows(trust), GUARD, *(half.numpy()[:, 0] for half in halves))
     return halves
 
 
-def own_inputs(log_depth: Tensor, log_error: Tensor, whole_spread: Tensor) -> Tensor:
-    """`scale_free.own_inputs`."""
+def recurrent_inputs(log_depth: Tensor, log_error: Tensor, nconv_depth: Tensor) -> Tensor:
+    """As `mscsa_sfm_kernels.recurrent_inputs`."""
     batch, _, height, width = log_depth.shape
     channels = torch.empty(batch, 5, height // 2, width // 2)
     share = np.float32(-1 / (4 * LOG_ERROR_RANGE[0]))
-    fill_own_inputs(rows(log_depth), rows(log_error), rows(whole_spread), share, channels.numpy())
+    fill_recurrent_inputs(rows(log_depth), rows(log_error), rows(nconv_depth), share, channels.numpy())
     return channels
 
 
-def unfolded(out: Tensor, whole_spread: Tensor) -> tuple[Tensor, Tensor]:
-    """`unfold`."""
-    log_depth, log_error = torch.empty_like(whole_spread), torch.empty_like(whole_spread)
+def unfolded(out: Tensor, nconv_depth: Tensor) -> tuple[Tensor, Tensor]:
+    """As `unfold`."""
+    log_depth, log_error = torch.empty_like(nconv_depth), torch.empty_like(nconv_depth)
     given = np.ascontiguousarray(out.permute(0, 2, 3, 1).numpy())
-    fill_unfolded(given, rows(whole_spread), ERROR_BOUNDS, log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
+    fill_unfolded(given, rows(nconv_depth), ERROR_BOUNDS, log_depth.numpy()[:, 0], log_error.numpy()[:, 0])
     return log_depth, log_error
+
+
+COMPILED = Kernels(folded_image, halved_points, recurrent_inputs, unfolded)
 
 
 def _halves(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -91,8 +99,8 @@ def _halves(image: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @compiled
-def fill_picture(planes, tables, out):  # type: ignore[no-untyped-def]
-    """What `tables` (C,256) make of planes (B,C,H,W) of 8 bits, the pixels of 2x2 blocks apart: (B,4C,h,w)."""
+def fill_image(planes, tables, out):  # type: ignore[no-untyped-def]
+    """Look up 8-bit planes (B,C,H,W) in `tables` (C,256), each pixel of a 2x2 block a channel: out (B,4C,H/2,W/2)."""
     for frame in range(len(out)):
         for channel in range(out.shape[1]):
             source, pixel = planes[frame, channel // 4], channel % 4
@@ -102,7 +110,7 @@ def fill_picture(planes, tables, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def look_up(out, table, source, first):  # type: ignore[no-untyped-def]
-    """Every second value from the first on."""
+    """out[i] = table[source[2 i + first]], of a row."""
     for i in range(len(out)):
         out[i] = table[source[2 * i + first]]
 
@@ -121,7 +129,7 @@ def fill_halves(values, trust, guard, half_values, half_trust):  # type: ignore[
 
 @compiled
 def halve_rows(a, b, trust_a, trust_b, guard, mean, most):  # type: ignore[no-untyped-def]
-    """Of a row of blocks. By itself it is done in as many as the processor has lanes."""
+    """One row of blocks; a separate function so that LLVM vectorises the loop."""
     for i in range(len(mean)):
         w, x, y, z = trust_a[2 * i], trust_a[2 * i + 1], trust_b[2 * i], trust_b[2 * i + 1]
         weighted = a[2 * i] * w + a[2 * i + 1] * x + b[2 * i] * y + b[2 * i + 1] * z
@@ -130,50 +138,50 @@ def halve_rows(a, b, trust_a, trust_b, guard, mean, most):  # type: ignore[no-un
 
 
 @compiled
-def fill_own_inputs(log_depth, log_error, whole_spread, share, channels):  # type: ignore[no-untyped-def]
-    """Differences of each pixel of 2x2 blocks, and `share` of the sum of the block's errors."""
+def fill_recurrent_inputs(log_depth, log_error, nconv_depth, share, channels):  # type: ignore[no-untyped-def]
+    """Channels (B,5,H/2,W/2): log_depth - nconv_depth of each pixel of 2x2 blocks, `share` * sum of the log errors."""
     for frame in range(len(channels)):
         for row in range(channels.shape[2]):
             channels[frame, 4, row] = 0
             for pixel in range(4):
                 whole = 2 * row + pixel // 2
                 subtract_every_second(
-                    channels[frame, pixel, row], log_depth[frame, whole], whole_spread[frame, whole], pixel % 2
+                    channels[frame, pixel, row], log_depth[frame, whole], nconv_depth[frame, whole], pixel % 2
                 )
                 add_every_second(channels[frame, 4, row], log_error[frame, whole], share, pixel % 2)
 
 
 @compiled
 def subtract_every_second(out, a, b, first):  # type: ignore[no-untyped-def]
-    """Of two rows twice as long."""
+    """out[i] = a[2 i + first] - b[2 i + first], of a row."""
     for i in range(len(out)):
         out[i] = a[2 * i + first] - b[2 * i + first]
 
 
 @compiled
 def add_every_second(out, a, factor, first):  # type: ignore[no-untyped-def]
-    """Of a row twice as long."""
+    """out[i] += factor * a[2 i + first], of a row."""
     for i in range(len(out)):
         out[i] += factor * a[2 * i + first]
 
 
 @compiled
-def fill_unfolded(out, whole_spread, bounds, log_depth, log_error):  # type: ignore[no-untyped-def]
-    """`out` (B,h,w,9): residuals of the four pixels of a block, their log errors, and a gate."""
+def fill_unfolded(out, nconv_depth, bounds, log_depth, log_error):  # type: ignore[no-untyped-def]
+    """U-Net output (B,h,w,9): 4 residuals, 4 log errors, a gate of each 2x2 block -> depth and error (B,2h,2w)."""
     lowest, highest = bounds
     for frame in range(len(out)):
-        for row in range(whole_spread.shape[1]):
+        for row in range(nconv_depth.shape[1]):
             given, pixel = out[frame, row // 2], 2 * (row % 2)
-            spread, depth, error = whole_spread[frame, row], log_depth[frame, row], log_error[frame, row]
+            base, depth, error = nconv_depth[frame, row], log_depth[frame, row], log_error[frame, row]
             for column in range(len(given)):
                 for side in range(2):
-                    depth[2 * column + side] = spread[2 * column + side] + given[column, pixel + side]
+                    depth[2 * column + side] = base[2 * column + side] + given[column, pixel + side]
                     error[2 * column + side] = min(max(given[column, 4 + pixel + side], lowest), highest)
 
 
 @compiled
 def fill_disagreement(log_depth, log_error, log_sparse, trust, log_tolerance, guard, values, weights):  # type: ignore[no-untyped-def]
-    """`fill_halves` of what points say against the estimate, with Cauchy's weight of how far that is off."""
+    """`fill_halves` of log_sparse - log_depth at the points, trust multiplied by Cauchy's weight of that difference."""
     total = np.empty(values.shape[2], np.float32)
     for frame in range(len(values)):
         for row in range(values.shape[1]):
@@ -194,6 +202,6 @@ def fill_disagreement(log_depth, log_error, log_sparse, trust, log_tolerance, gu
 
 @compiled
 def divide(row, by, guard):  # type: ignore[no-untyped-def]
-    """In place."""
+    """row /= max(by, guard), of a row, in place."""
     for i in range(len(row)):
         row[i] /= max(by[i], guard)

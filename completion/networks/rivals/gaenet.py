@@ -12,7 +12,7 @@ inside DGCNN, a trainer that imports a missing class, a fixed CUDA device); this
 - From scratch, without the pretrained ERFNet and DGCNN.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -185,9 +185,6 @@ class GAENetConfig:
             )
         if self.k < 1 or self.coordinate not in ("z", "y"):
             raise CompletionError(f"GAENet takes k >= 1 and a coordinate z or y, got {self.k} and '{self.coordinate}'")
-
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
 
 
 class GAENet(nn.Module):

@@ -1,7 +1,7 @@
-"""Convolutions for inference on a CPU: with their ReLU in one pass, and with weights laid out once, not each time.
+"""Convolution and ReLU fused for inference on a CPU, with prepacked weights.
 
-Both are oneDNN's, by the operators that PyTorch's own compiler puts in their place. Those have no public name, so where
-a version of PyTorch or a processor lacks them the network stays as it is: the same function, a sixth slower.
+By oneDNN, through the operators that torch.compile emits. These have no public name: where a version of PyTorch or a
+processor lacks them the network stays unfused, the same function and a sixth slower.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from torch import Tensor, nn
 
 from completion.networks.mscsa import DoubleConv
 
-SHAPES = 4  # of the input, whose layouts of the weights are kept
+SHAPES = 4  # most recent input shapes for which prepacked weights are kept
 
 
 class Layouts:
-    """Weights laid out for each of the last few shapes of input.
+    """Cache of prepacked weights by input shape.
 
-    Which layout oneDNN wants depends on the picture: given another, it makes it anew in every call, which took up to
-    200 times as long as the convolution of a small one.
+    The layout that oneDNN wants depends on the input's shape; given another it repacks in every call, which took up to
+    200 times as long as the convolution of a small image.
     """
 
     def __init__(self) -> None:
         self._kept: dict[tuple[int, ...], Tensor] = {}
 
     def of(self, x: Tensor, lay_out: Callable[[list[int]], Tensor]) -> Tensor:
-        """What `lay_out` makes for the shape of x, or once made."""
+        """Weights prepacked by `lay_out` for the shape of x, cached."""
         shape = tuple(x.shape)
         laid_out = self._kept.get(shape)
         if laid_out is None:
@@ -37,7 +37,7 @@ class Layouts:
         return laid_out
 
     def __reduce__(self) -> tuple[type, tuple[()]]:
-        return Layouts, ()  # what is laid out can't be copied
+        return Layouts, ()  # prepacked weights cannot be copied
 
 
 class FusedConvReLU(nn.Module):
@@ -55,7 +55,7 @@ class FusedConvReLU(nn.Module):
 
     def _laid_out(self, shape: list[int]) -> Tensor:
         plain = self.conv.weight.detach().to_mkldnn()
-        return torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, shape)
+        return torch._C._nn.mkldnn_reorder_conv2d_weight(plain, *self._shape, shape)  # type: ignore[call-arg]
 
 
 def can_fuse(dtype: torch.dtype) -> bool:

@@ -6,7 +6,7 @@ the affinity-weighted mean of its neighbours. The released code calls a CUDA ker
 for a step; here a step is one bilinear `grid_sample` of all eight neighbours.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.networks.padding import pad_to_multiple
-from completion.networks.resnet import out_widths, resnet_stages
+from completion.networks.rivals.resnet import out_widths, resnet_stages
 from haustra.core.errors import CompletionError
 
 Affinity = Literal["AS", "ASS", "TC", "TGASS"]
@@ -70,7 +70,7 @@ class NonLocalPropagation(nn.Module):
         # 16 offsets, dy before dx for each neighbour, then 8 affinities. Zeros: it starts as the identity.
         self.predict = nn.Conv2d(NEIGHBOURS, 3 * NEIGHBOURS, 3, padding=1)
         nn.init.zeros_(self.predict.weight)
-        nn.init.zeros_(self.predict.bias)
+        nn.init.zeros_(self.predict.bias)  # type: ignore[arg-type]
         learnt = affinity == "TGASS"
         self.scale = nn.Parameter(torch.tensor(NEIGHBOURS * (gamma if learnt else 1.0)), requires_grad=learnt)
 
@@ -142,9 +142,6 @@ class NLSPNConfig:
             raise CompletionError(f"NLSPN's base width must be a multiple of 4, got {self.base}")
         if self.affinity not in ("AS", "ASS", "TC", "TGASS"):
             raise CompletionError(f"NLSPN has no affinity '{self.affinity}'")
-
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
 
 
 class NLSPN(nn.Module):

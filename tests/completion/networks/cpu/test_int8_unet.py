@@ -16,26 +16,26 @@ from scipy.signal import correlate
 from torch import nn
 
 from completion import DepthCompleter
-from completion.inference import completer as infer
-from completion.inference.completer import choose_precision, load_scale_free
-from completion.inference.cpu.int8_resize import beside_doubled
-from completion.inference.cpu.int8_unet import (
-    PARTS,
-    EightBitConvReLU,
-    EightBitUNet,
-    can_use_eight_bits,
-    channel_reaches,
+from completion.inference.completer import load_depth_network
+from completion.networks import precision as formats
+from completion.networks.cpu.int8_resize import beside_doubled
+from completion.networks.cpu.int8_unet import (
+    RESIDUAL_STEPS,
+    Int8ConvReLU,
+    Int8UNet,
+    can_use_int8,
+    channel_ranges,
 )
-from completion.networks import mscsa_sfm as scale_free
 from completion.networks.mscsa import UNet
-from completion.networks.mscsa_sfm import SPREAD
+from completion.networks.mscsa_sfm_kernels import INPUT_RANGES, NCONV_DEPTH_CHANNEL
+from completion.networks.precision import choose_precision
 from completion.networks.recurrent_norm import fold_batch_norm
 from haustra.core.errors import CompletionError
 
-needs_vnni = pytest.mark.skipif(not can_use_eight_bits(), reason="this processor or PyTorch has no fast 8-bit integers")
+needs_vnni = pytest.mark.skipif(not can_use_int8(), reason="this processor or PyTorch has no fast 8-bit integers")
 # Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
 TOLERANCE = 0.01
-REACHES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
+RANGES, FINE = torch.tensor([4.0, 4.0, 4.0, 4.0, 3.0]), (1, 4)  # of the small U-Nets' input
 
 
 def integers(*shape):
@@ -48,7 +48,7 @@ def test_a_convolution_of_integers_is_scipys(size, zero):
     torch.manual_seed(size)
     conv = nn.Conv2d(5, 4, size, padding=size // 2)
     steps, outputs = torch.rand(5) / 50 + 0.01, torch.rand(4) / 20 + 0.01
-    made = EightBitConvReLU(conv, steps, outputs, torch.float32, zero)
+    made = Int8ConvReLU(conv, steps, outputs, torch.float32, zero)
     weight = made.weight.numpy().astype(np.int64)
     np.testing.assert_array_equal(np.abs(weight).max(axis=(1, 2, 3)), 127)  # of all eight bits
     for shape in ((7, 9), (16, 16), (7, 9), (3, 4), (12, 5), (20, 2)):  # more than are kept
@@ -69,8 +69,8 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
     conv, steps = nn.Conv2d(3, 6, 3, padding=1), torch.full((6,), 0.008)
     x = integers(2, 3, 8, 12)
     with torch.inference_mode():
-        exact = EightBitConvReLU(conv, torch.full((3,), 0.02), steps, torch.float32)(x)
-        whole = EightBitConvReLU(conv, torch.full((3,), 0.02), steps, torch.uint8)(x)
+        exact = Int8ConvReLU(conv, torch.full((3,), 0.02), steps, torch.float32)(x)
+        whole = Int8ConvReLU(conv, torch.full((3,), 0.02), steps, torch.uint8)(x)
     assert whole.dtype == torch.uint8
     assert exact.max() > 260
     assert ((exact > 0) & (exact < 254)).any()
@@ -79,22 +79,22 @@ def test_what_comes_out_in_steps_is_rounded_and_ends_at_255():
 
 @needs_vnni
 @pytest.mark.parametrize("fine", [(), (1,), (4, 0)])
-def test_the_input_is_held_in_steps_from_the_middle_with_its_rest(fine):
-    """Cut off beyond its reach; with the rest it is `PARTS` times as exact."""
+def test_the_input_is_held_in_steps_from_the_middle_with_its_residual(fine):
+    """Clipped beyond its range; with the residual bits it is `RESIDUAL_STEPS` times as exact."""
     torch.manual_seed(3)
     unet = trained((8, 12))[0]
-    made = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, fine, torch.float32)
-    x = 1.4 * REACHES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
+    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), RANGES, fine, torch.float32)
+    x = 1.4 * RANGES.view(1, 5, 1, 1) * (2 * torch.rand(2, 5, 6, 8) - 1)
     x[0, :, 0, 0] = 0
     out = made.joined([x[:, :1], x[:, 1:4], x[:, 4:]])
     assert out.is_contiguous(memory_format=torch.channels_last)
     assert out.shape == (2, 8, 6, 8)  # whole words
     assert (out[0, :5, 0, 0] == 128).all()
-    steps, held = x * (127 / REACHES).view(1, 5, 1, 1), out.float() - 128
+    steps, held = x * (127 / RANGES).view(1, 5, 1, 1), out.float() - 128
     for channel in range(5):
-        rest = held[:, 5 + fine.index(channel)] / PARTS if channel in fine else 0
-        off = (held[:, channel] + rest - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
-        assert off.max() <= (0.5 / PARTS if channel in fine else 0.5) + 1e-4
+        residual = held[:, 5 + fine.index(channel)] / RESIDUAL_STEPS if channel in fine else 0
+        off = (held[:, channel] + residual - steps[:, channel])[steps[:, channel].abs() <= 127].abs()
+        assert off.max() <= (0.5 / RESIDUAL_STEPS if channel in fine else 0.5) + 1e-4
     assert (held[:, :5][steps > 128] == 127).all()
     assert (held[:, :5][steps < -128.5] == -128).all()
 
@@ -123,15 +123,15 @@ def trained(widths):
     return unet.eval(), x
 
 
-def in_eight_bits(unet, x, dtype=torch.float32):
-    made = EightBitUNet(fold_batch_norm(unet), channel_reaches(unet), REACHES, FINE, dtype)
+def to_uint8(unet, x, dtype=torch.float32):
+    made = Int8UNet(fold_batch_norm(unet), channel_ranges(unet), RANGES, FINE, dtype)
     return made(made.joined([x]))
 
 
 def by_hand(unet, x):
     """The U-Net with every activation and weight rounded as said, in double precision."""
     folded = fold_batch_norm(unet).double()
-    reaches = [tuple(255 / step.double().view(1, -1, 1, 1) for step in pair) for pair in channel_reaches(unet)]
+    ranges = [tuple(255 / step.double().view(1, -1, 1, 1) for step in pair) for pair in channel_ranges(unet)]
     blocks, levels, x = [*folded.encoder, *folded.decoder], len(folded.encoder), x.double()
 
     def rounded(x, steps):
@@ -148,7 +148,7 @@ def by_hand(unet, x):
         return sums / made + conv.bias.view(1, -1, 1, 1)
 
     def block(index, x, given):
-        first, second = reaches[index]
+        first, second = ranges[index]
         x = rounded(convolved(blocks[index][0], x, given, first).relu(), first)
         exact = index in (levels - 1, 2 * levels - 2)
         x = convolved(blocks[index][3], x, first, torch.ones_like(second) if exact else second).relu()
@@ -157,29 +157,29 @@ def by_hand(unet, x):
     def doubled(x):
         return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
-    of_input = (127 / REACHES).double().view(1, -1, 1, 1)
+    of_input = (127 / RANGES).double().view(1, -1, 1, 1)
     rounded_input, fine = signed(x, of_input), list(FINE)
-    rest = signed(x[:, fine] - rounded_input[:, fine], PARTS * of_input[:, fine])
+    residual = signed(x[:, fine] - rounded_input[:, fine], RESIDUAL_STEPS * of_input[:, fine])
     conv = blocks[0][0]
     conv.weight = nn.Parameter(torch.cat([conv.weight, conv.weight[:, fine]], dim=1))
     x, given, skips = (
-        torch.cat([rounded_input, rest], dim=1),
-        torch.cat([of_input, PARTS * of_input[:, fine]], dim=1),
+        torch.cat([rounded_input, residual], dim=1),
+        torch.cat([of_input, RESIDUAL_STEPS * of_input[:, fine]], dim=1),
         [],
     )
     for level in range(levels):
-        x = block(level, F.max_pool2d(x, 2) if level else x, reaches[level - 1][1] if level else given)
+        x = block(level, F.max_pool2d(x, 2) if level else x, ranges[level - 1][1] if level else given)
         skips.append(x)
     x = skips.pop()
     for index in range(levels, 2 * levels - 1):
         finer = 2 * levels - 2 - index
         if index == levels:
-            given = torch.cat([reaches[finer][1], reaches[levels - 1][1]], dim=1) * 127 / 255
+            given = torch.cat([ranges[finer][1], ranges[levels - 1][1]], dim=1) * 127 / 255
             x = signed(torch.cat([skips.pop(), doubled(x)], dim=1), given)
         else:
-            before = reaches[index - 1][1]
+            before = ranges[index - 1][1]
             x = torch.cat([skips.pop(), rounded(doubled(x), before)], dim=1)
-            given = torch.cat([reaches[finer][1], before], dim=1)
+            given = torch.cat([ranges[finer][1], before], dim=1)
         x = block(index, x, given)
     return folded.head(x)
 
@@ -191,7 +191,7 @@ def test_the_whole_is_the_unet_with_each_value_rounded(widths):
     torch.manual_seed(len(widths))
     unet, x = trained(widths)[0], torch.randn(8, 5, 32, 48)
     with torch.no_grad():
-        got, coarser = in_eight_bits(unet, x), in_eight_bits(unet, x, torch.bfloat16)
+        got, coarser = to_uint8(unet, x), to_uint8(unet, x, torch.bfloat16)
         expected, exact = by_hand(unet, x), unet(x)
     assert (got.dtype, coarser.dtype) == (torch.float32, torch.bfloat16)
     off = (got - expected).flatten(1).std(dim=1)
@@ -207,17 +207,17 @@ def test_every_channel_has_a_step_of_its_own():
     torch.manual_seed(1)
     unet, x = trained((8, 12, 16))
     with torch.no_grad():
-        expected = in_eight_bits(unet, x)
+        expected = to_uint8(unet, x)
         unet.encoder[0][4].weight[3] *= 1024
         unet.encoder[0][4].bias[3] *= 1024
         for block in (unet.encoder[1], unet.decoder[-1]):
             block[0].weight[:, 3] /= 1024
-        got = in_eight_bits(unet, x)
+        got = to_uint8(unet, x)
     torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-4 * expected.std().item())
 
 
 @needs_vnni
-def test_the_shipped_model_in_eight_bits_agrees_with_float32():
+def test_the_shipped_model_in_int8_agrees_with_float32():
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:96, :128] / 96 - 0.5
     depth = 8 / np.maximum(np.hypot(x, y), 0.08)
@@ -225,7 +225,7 @@ def test_the_shipped_model_in_eight_bits_agrees_with_float32():
     sparse = np.zeros(depth.shape, np.float32)
     chosen = rng.choice(depth.size, 100, replace=False)
     sparse.flat[chosen] = depth.flat[chosen]
-    network = load_scale_free("mscsa")
+    network = load_depth_network("mscsa")
     exact, eight = (DepthCompleter(network, precision=precision) for precision in ("fp32", "int8"))
     off = np.abs(eight(rgb, sparse)[0] / exact(rgb, sparse)[0] - 1)
     assert 0 < np.median(off) < TOLERANCE
@@ -237,7 +237,7 @@ def test_the_shipped_model_in_eight_bits_agrees_with_float32():
         assert np.median(scaled) < 1e-3
         assert scaled.max() < 0.05
     black = rgb.copy()
-    black[:, :64] = 0  # values that no training picture had are cut off at 255: worse, and still the same surface
+    black[:, :64] = 0  # values that no training image had are cut off at 255: worse, and still the same surface
     assert 0 < np.median(np.abs(eight(black, sparse)[0] / exact(black, sparse)[0] - 1)) < 0.05
     both = eight.batch(np.stack([rgb, black]), np.stack([sparse, sparse]))[0]
     np.testing.assert_allclose(both, [eight(rgb, sparse)[0], eight(black, sparse)[0]], rtol=1e-5)
@@ -252,7 +252,7 @@ def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
     sparse = np.where(rng.random((64, 96)) < 0.1, rng.uniform(10, 40, (64, 96)), 0).astype(np.float32)
     completer = DepthCompleter.load("mscsa", precision="int8")
     given = []
-    for network in (completer.network, completer.later):
+    for network in (completer.network, completer.recurrent):
         made = network.unet.joined
         monkeypatch.setattr(
             network.unet, "joined", lambda parts, made=made: given.append((parts, made(parts))) or given[-1][1]
@@ -260,10 +260,12 @@ def test_the_shipped_model_is_given_mscs_depth_to_a_part_of_a_step(monkeypatch):
     completer(rgb, sparse)
     assert len(given) == 2
     for parts, out in given:
-        steps = torch.cat(parts, dim=1)[:, SPREAD] * 127 / scale_free.REACHES[0][SPREAD]
+        steps = torch.cat(parts, dim=1)[:, NCONV_DEPTH_CHANNEL] * 127 / INPUT_RANGES[0][NCONV_DEPTH_CHANNEL]
         held = out.float() - 128
-        assert (held[:, SPREAD] - steps).abs().max() > 0.4
-        assert (held[:, SPREAD] + held[:, 27] / PARTS - steps).abs().max() < 0.5 / PARTS + 1e-4
+        assert (held[:, NCONV_DEPTH_CHANNEL] - steps).abs().max() > 0.4
+        assert (
+            held[:, NCONV_DEPTH_CHANNEL] + held[:, 27] / RESIDUAL_STEPS - steps
+        ).abs().max() < 0.5 / RESIDUAL_STEPS + 1e-4
 
 
 @needs_vnni
@@ -280,7 +282,7 @@ def test_a_point_beyond_all_numbers_leaves_depth_finite():
 @needs_vnni
 def test_a_onednn_that_is_kept_from_the_instructions_is_not_trusted():
     """Sums of bytes are then cut off at 16 bits, and nobody says so."""
-    code = "from completion.inference.cpu.int8_unet import can_use_eight_bits as can; print(can())"
+    code = "from completion.networks.cpu.int8_unet import can_use_int8 as can; print(can())"
     for instructions, expected in (("AVX2", "False"), ("ALL", "True")):
         environment = {**os.environ, "ONEDNN_MAX_CPU_ISA": instructions}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
@@ -289,18 +291,18 @@ def test_a_onednn_that_is_kept_from_the_instructions_is_not_trusted():
 
 @needs_vnni
 def test_making_it_draws_no_random_number():
-    network, before = load_scale_free("mscsa"), torch.get_rng_state()
+    network, before = load_depth_network("mscsa"), torch.get_rng_state()
     DepthCompleter(network, precision="int8")
     assert torch.equal(torch.get_rng_state(), before)
 
 
 def test_without_such_a_processor_the_next_best_is_taken(monkeypatch):
     cpu = torch.device("cpu")
-    monkeypatch.setattr(infer, "can_use_eight_bits", lambda: True)
+    monkeypatch.setattr(formats, "can_use_int8", lambda: True)
     assert [choose_precision(p, cpu) for p in ("auto", "int8", "bf16", "fp32")] == ["int8", "int8", "bf16", "fp32"]
     assert choose_precision("auto", torch.device("cuda")) == "bf16"
-    monkeypatch.setattr(infer, "can_use_eight_bits", lambda: False)
-    monkeypatch.setattr(infer, "has_fast_bfloat16", lambda device: False)
+    monkeypatch.setattr(formats, "can_use_int8", lambda: False)
+    monkeypatch.setattr(formats, "has_fast_bfloat16", lambda device: False)
     assert choose_precision("auto", cpu) == "fp32"
     with pytest.raises(CompletionError, match="VNNI"):
         choose_precision("int8", cpu)
