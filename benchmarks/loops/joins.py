@@ -28,9 +28,14 @@ from pipeline.config import Config
 from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
-from pipeline.mapping.lift_features import features_of_map
 from pipeline.mapping.local_map import LocalMap
-from pipeline.mapping.submap_matching import MapFeatures, consistent_matches, find_matches, joint_similarity
+from pipeline.mapping.submap_matching import (
+    MapFeatures,
+    consistent_matches,
+    features_of_map,
+    find_matches,
+    joint_similarity,
+)
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sift_cache import ReadFrame, SiftCache

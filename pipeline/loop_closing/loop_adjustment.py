@@ -20,7 +20,7 @@ from pipeline.loop_closing.keyframe_pose_graph import LoopClosingResult, deform,
 from pipeline.mapping.feature_adjustment import widest_narrow
 from pipeline.mapping.map_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
 from pipeline.matching.descriptor_matching import match_descriptors
-from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
+from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_features
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
@@ -105,7 +105,7 @@ def adjust_nodes(
 
 def _constraining_tracks(
     part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
-) -> tuple[Tracks, NDArray[np.int64]] | None:
+) -> tuple[FeatureTracks, NDArray[np.int64]] | None:
     """Tracks of narrow features, since wide ones slide and bend the scale (docs/lab/front_end.md); of all where those
     are too few; None if these are, too. And numbers of the places that they fix."""
     same = match_keyframes(part, places, links)
@@ -130,7 +130,7 @@ def match_keyframes(part: CompletedSubmap, places: list[KeyframeFeatures], links
 
 def feature_tracks(
     places: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf
-) -> Tracks:
+) -> FeatureTracks:
     """Features of at most `widest` pixels across that are the same are one point."""
     narrow = both_narrow([place.sizes for place in places], *same, widest)
     chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
@@ -138,12 +138,12 @@ def feature_tracks(
     return join_features(world, same[0], chosen)
 
 
-def well_constrained(tracks: Tracks, count: int) -> NDArray[np.int64]:
+def well_constrained(tracks: FeatureTracks, count: int) -> NDArray[np.int64]:
     """Numbers of the places that enough tracks fix."""
     return np.flatnonzero(np.bincount(tracks.place, minlength=count) >= MIN_FEATURES)
 
 
-def is_held(tracks: Tracks, number: NDArray[np.int64], count: int) -> bool:
+def is_held(tracks: FeatureTracks, number: NDArray[np.int64], count: int) -> bool:
     """Whether there are enough, they tie each of the places to the one before, and no long stretch is left out."""
     if np.median(np.bincount(tracks.place, minlength=count)[number]) < MIN_TYPICAL_FEATURES:
         return False

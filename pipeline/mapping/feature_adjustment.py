@@ -15,7 +15,7 @@ from haustra.core.se3 import Array, in_camera, inverse, scaled
 from pipeline.mapping.feature_matching import MatchedFeatures, incidence, match_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all, fit_points, growth
-from pipeline.matching.feature_tracks import Tracks
+from pipeline.matching.feature_tracks import FeatureTracks
 from pipeline.matching.sift import FindFeatures
 
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
@@ -79,7 +79,7 @@ def _adjusted(
     return True
 
 
-def _insert(local_map: LocalMap, matched: MatchedFeatures, tracks: Tracks, kind: TrackKind) -> NDArray[np.int64]:
+def _insert(local_map: LocalMap, matched: MatchedFeatures, tracks: FeatureTracks, kind: TrackKind) -> NDArray[np.int64]:
     """Tracks of features as tracks of the map, seen by its keyframes; their numbers (T,)."""
     ids = local_map.insert_tracks(tracks.points, kind)
     starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))

@@ -1,4 +1,4 @@
-"""Which SIFT features of a map's keyframes are the same, looked for where the map says that they should be."""
+"""SIFT features of a map's keyframes, with depth from the map's points, and matched where the map expects them."""
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,11 +12,10 @@ from scipy.sparse import csr_array
 
 from haustra.core.progress import ProgressCallback
 from haustra.core.se3 import Array, in_camera
-from pipeline.mapping.lift_features import features_of_keyframe
 from pipeline.mapping.local_map import LocalMap
-from pipeline.matching.feature_tracks import Tracks, both_narrow, join_features
+from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_features
 from pipeline.matching.guided_matching import likeness_elsewhere, match_near
-from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, lift_features
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import STATIC_PX
 
@@ -39,7 +38,7 @@ class MatchedFeatures:
     pairs: list[tuple[int, int]]
     same: list[NDArray[np.int64]]
 
-    def tracks(self, points: list[Array], wide: bool, widest: float) -> Tracks:
+    def tracks(self, points: list[Array], wide: bool, widest: float) -> FeatureTracks:
         """Of matches between two features of at most `widest` pixels across, or (`wide`) of all other matches.
 
         points: of each keyframe, its features' points (N,3) in the world.
@@ -48,11 +47,25 @@ class MatchedFeatures:
         chosen = [rows[good != wide] for rows, good in zip(self.same, narrow, strict=True)]
         return join_features(points, self.pairs, chosen)
 
-    def extrapolated(self, tracks: Tracks) -> NDArray[np.int64]:
+    def extrapolated(self, tracks: FeatureTracks) -> NDArray[np.int64]:
         """Numbers of the tracks of which any feature's depth is a guess."""
         starts = np.cumsum([0, *(len(features) for features in self.features)])
         guessed = np.concatenate([np.zeros(0, bool), *(features.extrapolated for features in self.features)])
         return np.unique(tracks.track[guessed[starts[tracks.place] + tracks.feature]])
+
+
+def features_of_keyframe(
+    local_map: LocalMap, number: int, find: FindFeatures, extrapolate: bool = False
+) -> KeyframeFeatures:
+    """Of keyframe `number`; none where it sees too few points. extrapolate: see `lift_features`."""
+    keyframe = local_map.keyframes[number]
+    points, pixels = local_map.visible_points(keyframe)
+    if len(points) < MIN_FEATURES:
+        return KeyframeFeatures.none(number)
+    depth = in_camera(keyframe.camera_from_world, points)[:, 2]
+    front = depth > 0
+    enough = extrapolate and int(front.sum()) >= MIN_FEATURES
+    return lift_features(number, find(keyframe.frame), local_map.rays, pixels[front], depth[front], enough)
 
 
 def match_features(local_map: LocalMap, find: FindFeatures, advance: ProgressCallback) -> MatchedFeatures:

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from haustra.core.se3 import Array, in_camera, inverse
 from haustra.core.sim3 import transform_points
+from pipeline.mapping.feature_matching import features_of_keyframe
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.depth_interpolation import interpolate_inverse_depth
-from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures
 from pipeline.matching.place_recognition import retrieve, similarities
+from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import (
     MIN_INLIER_SHARE,
     Sim3Match,
@@ -34,6 +36,7 @@ from pipeline.matching.sim3_ransac import (
     similarity_errors,
 )
 
+MOST_KEYFRAMES = 60  # of a map, evenly spaced, that are compared with other maps'
 PER_KEYFRAME = 3  # look-alikes tried
 MIN_BASELINE = 0.1  # of the median depth, between two matches on both sides: neighbours see one and the same picture
 SAME_SHARE = 0.7  # of one match's inliers that another match's similarity must explain
@@ -43,6 +46,13 @@ AROUND = 4  # compared keyframes on each side of a matched one that are asked fo
 # are, of tubes laid into each other at random under 0.4 in the median (docs/lab/front_end.md).
 SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
 EXPANDED = 5  # matches, those with most inliers, around which keyframes are asked
+
+
+def features_of_map(local_map: LocalMap, find: FindFeatures) -> list[KeyframeFeatures]:
+    """Of evenly spaced keyframes, those with enough features to be compared."""
+    step = -(-len(local_map.keyframes) // MOST_KEYFRAMES)
+    found = [features_of_keyframe(local_map, k, find) for k in range(0, len(local_map.keyframes), max(1, step))]
+    return [features for features in found if len(features) >= MIN_FEATURES]
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from haustra.core.se3 import in_camera
 from haustra.core.sim3 import scale_of, transform_camera, transform_points
-from pipeline.mapping.lift_features import features_of_map
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.submap_matching import (
     AROUND,
     MapFeatures,
     best_matches,
     consistent_matches,
+    features_of_map,
     find_matches,
     joint_similarity,
 )

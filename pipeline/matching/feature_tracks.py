@@ -12,7 +12,7 @@ from haustra.core.se3 import Array
 
 
 @dataclass(frozen=True)
-class Tracks:
+class FeatureTracks:
     """points (T,3) in the world; (M,) observations, by picture: feature number `feature` of picture `place` belongs to
     `track`."""
 
@@ -32,7 +32,7 @@ def both_narrow(
 
 def join_features(
     points: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]]
-) -> Tracks:
+) -> FeatureTracks:
     """Tracks of two pictures and more, each at the mean of its features' points.
 
     points: (N,3) in the world of each picture's features. same: for each pair of pictures, (K,2) numbers of features
@@ -52,4 +52,4 @@ def join_features(
     world = np.concatenate([np.zeros((0, 3)), *points])[chosen]
     total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
     mean = total / np.maximum(np.bincount(track), 1)[:, None]
-    return Tracks(mean, track, place[chosen], chosen - starts[place[chosen]])
+    return FeatureTracks(mean, track, place[chosen], chosen - starts[place[chosen]])

@@ -12,10 +12,9 @@ from pipeline.frontend.odometry.klt import normalise
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.frontend.odometry.tracking import Tracker
 from pipeline.mapping import submap_matching, submap_merging
-from pipeline.mapping.lift_features import features_of_map
 from pipeline.mapping.local_map import Keyframe, LocalMap
 from pipeline.mapping.map_adjustment import adjust_window, sharing
-from pipeline.mapping.submap_matching import MapFeatures, consistent_matches, find_matches
+from pipeline.mapping.submap_matching import MapFeatures, consistent_matches, features_of_map, find_matches
 from pipeline.mapping.submap_merging import merge_maps
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sift_cache import SiftCache

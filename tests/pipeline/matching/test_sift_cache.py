@@ -9,7 +9,7 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.ray_table import RayTable
-from pipeline.mapping.lift_features import features_of_keyframe
+from pipeline.mapping.feature_matching import features_of_keyframe
 from pipeline.matching.sift import detect_sift
 from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.textured_tube import CAMERA, MASK, camera_at, render, run
