@@ -48,7 +48,7 @@ Figures = dict[str, Any]
 class PosedMap:
     """The main submap before or after refinement; `truth_from_map` (4,4) is the Sim(3) of its posed frames to mm."""
 
-    part: CompletedSubmap
+    completed: CompletedSubmap
     truth_from_map: NDArray[np.float64]
 
     @property
@@ -86,35 +86,35 @@ class MeasuredRun:
     @cached_property
     def views(self) -> dict[int, KeyframeView]:
         """By frame number, every keyframe that either map fuses."""
-        wanted = {int(p.submap.frames[row]) for p in (self.before.part, self.after.part) for row in p.rows}
-        return {view.keyframe.index: view for part in self.planned for view in self._views_of(part, wanted)}
+        wanted = {int(p.submap.frames[row]) for p in (self.before.completed, self.after.completed) for row in p.rows}
+        return {view.keyframe.index: view for completed in self.planned for view in self._views_of(completed, wanted)}
 
-    def _views_of(self, part: CompletedSubmap, wanted: set[int]) -> Iterator[KeyframeView]:
-        rows = [int(row) for row in part.rows if int(part.submap.frames[row]) in wanted]
+    def _views_of(self, completed: CompletedSubmap, wanted: set[int]) -> Iterator[KeyframeView]:
+        rows = [int(row) for row in completed.rows if int(completed.submap.frames[row]) in wanted]
         if not rows:
             return
-        true_rows, mm_per_unit = associated(part, self.frames, self.film), self._posed(part).mm_per_unit
-        maker = SparseDepthMaker(part.submap, part.camera)
+        true_rows, mm_per_unit = associated(completed, self.frames, self.film), self._posed(completed).mm_per_unit
+        maker = SparseDepthMaker(completed.submap, completed.camera)
         for row in rows:
             path = self.film.depths[true_rows[row]] if row in true_rows else None
             sparse = maker.sparse_depth(row)
-            yield KeyframeView(part.keyframe(row), sparse, part.rectifier, mm_per_unit, path, self.film.unit)
+            yield KeyframeView(completed.keyframe(row), sparse, completed.rectifier, mm_per_unit, path, self.film.unit)
 
-    def _posed(self, part: CompletedSubmap) -> PosedMap:
+    def _posed(self, completed: CompletedSubmap) -> PosedMap:
         """With the Sim(3) that `haustra compare` fits: poses alone, all posed frames, never the surface."""
-        rows = associated(part, self.frames, self.film)
-        poses = part.submap.world_from_camera[list(rows)]
-        return PosedMap(part, align_poses(poses, self.film.poses[list(rows.values())]))
+        rows = associated(completed, self.frames, self.film)
+        poses = completed.submap.world_from_camera[list(rows)]
+        return PosedMap(completed, align_poses(poses, self.film.poses[list(rows.values())]))
 
     @property
     def about(self) -> Figures:
         """What limits every row of this run alike."""
-        part, scale = self.after.part, self.after.mm_per_unit
-        settings = ranges(part, self.config)
+        completed, scale = self.after.completed, self.after.mm_per_unit
+        settings = ranges(completed, self.config)
         return {
-            "posed": len(part.submap.frames),
+            "posed": len(completed.submap.frames),
             "film": len(self.film.poses),
-            "keyframes": len(part),
+            "keyframes": len(completed),
             "submaps": len(self.planned),
             "refinement": "moved" if self.moved else "nothing moved" if self.refinement_ran else "not run",
             "mm_per_unit": scale,
@@ -135,7 +135,7 @@ class MeasuredRun:
         return figures
 
     def _fused(self, posed: PosedMap, made: dict[int, Completed], is_true: bool) -> "FusedMap":
-        index = [int(posed.part.submap.frames[row]) for row in posed.part.rows]
+        index = [int(posed.completed.submap.frames[row]) for row in posed.completed.rows]
         return FusedMap(posed, [self.views[i] for i in index], [made[i] for i in index], is_true)
 
 
@@ -163,26 +163,30 @@ class FusedMap:
     """A map whose keyframes have been given some depth, in the map's units."""
 
     def __init__(self, posed: PosedMap, views: list[KeyframeView], made: list[Completed], is_true: bool) -> None:
-        part = posed.part
-        scales = np.ones(len(part.submap.frames)) if part.depth_scale is None else part.depth_scale
-        factors = np.full(len(part), 1 / posed.mm_per_unit) if is_true else scales[part.rows]
+        completed = posed.completed
+        scales = np.ones(len(completed.submap.frames)) if completed.depth_scale is None else completed.depth_scale
+        factors = np.full(len(completed), 1 / posed.mm_per_unit) if is_true else scales[completed.rows]
         self.posed, self.images = posed, [view.keyframe.rgb for view in views]
         self.depths = [depth * np.float32(factor) for (depth, _), factor in zip(made, factors, strict=True)]
         self.confidences = [confidence for _, confidence in made]
 
     def figures(self, weighted: bool, consistent: bool, config: Config, truth: ReferenceSurface) -> Figures:
         """Errors of the fused surface in mm, and how many keyframes were left out as contradicted."""
-        part, floor, left_out = self.posed.part, config.fusion.min_confidence, 0
+        completed, floor, left_out = self.posed.completed, config.fusion.min_confidence, 0
         weights = self._weights(weighted, floor)
-        frames = WeightedFrames(part.camera, self.depths, weights, part.submap.world_from_camera[part.rows])
+        frames = WeightedFrames(
+            completed.camera, self.depths, weights, completed.submap.world_from_camera[completed.rows]
+        )
         check = ConsistencyCheck(frames, config.consistency, floor)  # type: ignore[arg-type]
-        fusion = SurfaceFusion(ranges(part, config))
+        fusion = SurfaceFusion(ranges(completed, config))
         for place, weight in enumerate(weights):
             kept = check.confidence(place, weight) if consistent else weight
             if kept is None:
                 left_out += 1
             else:
-                fusion.integrate(self.images[place], self.depths[place], kept, part.camera.matrix, frames.poses[place])
+                fusion.integrate(
+                    self.images[place], self.depths[place], kept, completed.camera.matrix, frames.poses[place]
+                )
         mesh = drop_small_components(fusion.extract(), MIN_COMPONENT)[0]
         return errors_of(mesh.transformed(self.posed.truth_from_map), truth) | {"left_out": left_out}
 
@@ -196,9 +200,9 @@ class FusedMap:
         return weights
 
 
-def ranges(part: CompletedSubmap, config: Config) -> FusionSettings:
+def ranges(completed: CompletedSubmap, config: Config) -> FusionSettings:
     """Voxel size and greatest depth by the run's own depth, so that they are alike for every source."""
-    settings = fusion_ranges(part, config.fusion)
+    settings = fusion_ranges(completed, config.fusion)
     assert settings is not None, "a finished run has depth"
     return settings
 
@@ -218,8 +222,8 @@ def read_film(folder: Path) -> TrueFilm:
     return TrueFilm(seconds, poses, depths, float(json.loads((folder / "camera.json").read_text())["depth_unit_mm"]))
 
 
-def associated(part: CompletedSubmap, frames: Frames, film: TrueFilm) -> dict[int, int]:
+def associated(completed: CompletedSubmap, frames: Frames, film: TrueFilm) -> dict[int, int]:
     """Row of the truth for each row of the submap, by time, half a frame apart at most."""
-    mine = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])
+    mine = np.array([frames.seconds_of(int(index)) for index in completed.submap.frames])
     rows, true_rows = associate(mine, film.seconds, 0.5 * float(np.median(np.diff(film.seconds))))
     return dict(zip(rows.tolist(), true_rows.tolist(), strict=True))

@@ -61,9 +61,9 @@ def film_of(folder: Path, scratch: Path) -> Film:
     return Film(folder.name, frames, SiftCache(read), read, truth)
 
 
-def tracked(film: Film, part: np.ndarray) -> list[Held]:
+def tracked(film: Film, completed: np.ndarray) -> list[Held]:
     """The maps of some of the frames, adjusted, most keyframes first."""
-    maps = tracked_maps(film.frames.camera, film.read, part)
+    maps = tracked_maps(film.frames.camera, film.read, completed)
     held = zip(maps, adjust_maps(maps, film.features, SilentProgress()), strict=True)
     return sorted((h for h in held if to_submap(h[0], h[0].rays.camera.params)), key=lambda h: -len(h[0].keyframes))
 

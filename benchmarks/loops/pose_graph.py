@@ -81,8 +81,8 @@ def links_of(
     return (first, second), verify_loops(first, second, pairs, seed), len(pairs)
 
 
-def path_figures(part: CompletedSubmap, truth: np.ndarray) -> dict[str, float]:
-    poses, true = part.submap.world_from_camera, truth[part.submap.frames]
+def path_figures(completed: CompletedSubmap, truth: np.ndarray) -> dict[str, float]:
+    poses, true = completed.submap.world_from_camera, truth[completed.submap.frames]
     errors = trajectory_errors(poses, true)
     figures = {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
     if np.linalg.norm(true[0, :3, 3] - true[-1, :3, 3]) > RETURNS_MM:
@@ -103,9 +103,9 @@ def end_to_start(poses: np.ndarray, true: np.ndarray, mm_per_unit: float) -> dic
 
 
 def is_false(
-    link: LoopClosure, rows: tuple[int, int], part: CompletedSubmap, truth: np.ndarray, unit_mm: float
+    link: LoopClosure, rows: tuple[int, int], completed: CompletedSubmap, truth: np.ndarray, unit_mm: float
 ) -> bool:
-    first, second = (truth[part.submap.frames[row]] for row in rows)
+    first, second = (truth[completed.submap.frames[row]] for row in rows)
     wanted, found = np.linalg.inv(first) @ second, link.match.first_from_second
     turn = Rotation.from_matrix((found[:3, :3] / scale_of(found)).T @ wanted[:3, :3]).magnitude()
     shift = np.linalg.norm(found[:3, 3] - wanted[:3, 3] / unit_mm)
@@ -113,16 +113,21 @@ def is_false(
 
 
 def surface_figures(
-    part: CompletedSubmap, truth: np.ndarray, wall: ReferenceSurface, config: Config
+    completed: CompletedSubmap, truth: np.ndarray, wall: ReferenceSurface, config: Config
 ) -> dict[str, float]:
-    settings = fusion_ranges(part, config.fusion)
+    settings = fusion_ranges(completed, config.fusion)
     assert settings is not None
-    fusion, check = SurfaceFusion(settings), ConsistencyCheck(part, config.consistency, config.fusion.min_confidence)
-    for place, keyframe in enumerate(part):
+    fusion, check = (
+        SurfaceFusion(settings),
+        ConsistencyCheck(completed, config.consistency, config.fusion.min_confidence),
+    )
+    for place, keyframe in enumerate(completed):
         confidence = check.confidence(place, keyframe.confidence)
         if confidence is not None:
-            fusion.integrate(keyframe.rgb, keyframe.depth, confidence, part.camera.matrix, keyframe.world_from_camera)
-    truth_from_run = align_poses(part.submap.world_from_camera, truth[part.submap.frames])
+            fusion.integrate(
+                keyframe.rgb, keyframe.depth, confidence, completed.camera.matrix, keyframe.world_from_camera
+            )
+    truth_from_run = align_poses(completed.submap.world_from_camera, truth[completed.submap.frames])
     mesh = drop_small_components(fusion.extract(), MIN_COMPONENT)[0].transformed(truth_from_run)
     errors = surface_errors(mesh, wall, 1.0, np.random.default_rng(0))
     return {"f_score": errors.f_score, "precision": errors.precision, "recall": errors.recall}
@@ -131,28 +136,28 @@ def surface_figures(
 def loops_of(folder: Path, config: Config, with_surface: bool, scratch: Path) -> dict[str, Any]:
     truth = read_tum(folder / "trajectory.txt")[1]
     dense = dense_submaps(folder, config, scratch)
-    part = dense[0]
-    places, links, tried = links_of((part, part), config)
+    completed = dense[0]
+    places, links, tried = links_of((completed, completed), config)
     closed = close_loops(places[0], links)
-    unit_mm = trajectory_errors(part.submap.world_from_camera, truth[part.submap.frames]).scale
+    unit_mm = trajectory_errors(completed.submap.world_from_camera, truth[completed.submap.frames]).scale
     at = {k: (places[0].rows[link.match.first], places[1].rows[link.match.second]) for k, link in enumerate(links)}
-    false = {k: is_false(link, at[k], part, truth, unit_mm) for k, link in enumerate(links)}
-    kept = {k for k in at if tuple(int(part.submap.frames[row]) for row in at[k]) in closed.kept}
+    false = {k: is_false(link, at[k], completed, truth, unit_mm) for k, link in enumerate(links)}
+    kept = {k for k in at if tuple(int(completed.submap.frames[row]) for row in at[k]) in closed.accepted_pairs}
     figures: dict[str, Any] = {
-        "frames": len(part.submap.frames),
+        "frames": len(completed.submap.frames),
         "submaps": len(dense),
         "tried": tried,
         "links": len(links),
         "false_links": sum(false.values()),
-        "supported": closed.supported,
+        "supported": closed.consistent,
         "kept": len(kept),
         "false_kept": sum(false[k] for k in kept),
     }
-    states = {"before": part}
-    if closed.kept:
+    states = {"before": completed}
+    if closed.accepted_pairs:
         adjusted = adjust_loops(places[0], closed)
-        states |= {"graph": closed.part} | ({"after": adjusted} if adjusted else {})
-    wall = read_reference_surface(folder) if with_surface and closed.kept else None
+        states |= {"graph": closed.completed} | ({"after": adjusted} if adjusted else {})
+    wall = read_reference_surface(folder) if with_surface and closed.accepted_pairs else None
     for name, state in states.items():
         figures[name] = path_figures(state, truth)
         if wall is not None:

@@ -87,7 +87,7 @@ def attempt(number: int, front_end: str) -> dict[str, Any]:
             return outcome | {"end": "sentence", "text": str(error)}
         except Exception:  # noqa: BLE001 - what else there may be is the question asked
             return outcome | {"end": "fault", "text": traceback.format_exc()}
-    dark = sum(part["evidence"]["contrary"] > 0.05 for part in metrics["submaps"])
+    dark = sum(completed["evidence"]["contrary"] > 0.05 for completed in metrics["submaps"])
     parts = len(metrics["submaps"])
     return outcome | {"end": "reconstructed", "posed": metrics["frames"]["posed"], "submaps": parts, "dark": dark}
 

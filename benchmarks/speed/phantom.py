@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Without events, and with all of them."""
-    appearance = {name: part for name, part in EVERYTHING.items() if name != "events"}
+    appearance = {name: completed for name, completed in EVERYTHING.items() if name != "events"}
     kinds = {"full appearance": appearance, "and all five events": EVERYTHING}
     runs, frames = arguments.runs, arguments.frames
     return {"figures": {label: measure_film(label, settings, runs, frames) for label, settings in kinds.items()}}

@@ -38,17 +38,17 @@ TOO_FEW_FEATURES = "too few features hold its keyframes together"
 class _Piece:
     """A submap on its way: what it was made of, and what became of its loops."""
 
-    part: CompletedSubmap
+    completed: CompletedSubmap
     members: list[int]
     seen: SubmapFeatures
-    proposed: int = 0
-    supported: int = 0
+    candidates: int = 0
+    consistent: int = 0
     loops: list[tuple[int, int]] = field(default_factory=list)
 
 
 def close_loops_stage(
     frames: Frames,
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     settings: LoopClosingSettings,
     seed: int,
     workspace: Workspace,
@@ -61,22 +61,22 @@ def close_loops_stage(
     """
     done = workspace.is_done(STAGE) or workspace.is_done("surface")
     if not done and settings.enabled and not closes_loops(workspace):
-        _refine(frames, completed, settings, seed, workspace, progress)
-    return load_refined(completed, workspace)
+        _refine(frames, submaps, settings, seed, workspace, progress)
+    return load_refined(submaps, workspace)
 
 
 def _refine(
     frames: Frames,
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     settings: LoopClosingSettings,
     seed: int,
     workspace: Workspace,
     progress: Progress,
 ) -> None:
     warnings: list[str] = []
-    with progress.bar("loop detection", len(completed)) as advance:
+    with progress.bar("loop detection", len(submaps)) as advance:
         pieces = []
-        for number, submap in enumerate(completed):
+        for number, submap in enumerate(submaps):
             pieces.append(_Piece(submap, [number], find_features(submap, settings.max_keyframes)))
             advance(number + 1)
     if settings.merge_submaps:
@@ -90,12 +90,12 @@ def _refine(
     workspace.finish(STAGE, submaps=records, warnings=warnings)
 
 
-def load_refined(completed: list[CompletedSubmap], workspace: Workspace) -> list[CompletedSubmap]:
+def load_refined(submaps: list[CompletedSubmap], workspace: Workspace) -> list[CompletedSubmap]:
     """What a finished stage made of the depth stage's submaps; those themselves where it did not run."""
     if not workspace.is_done(STAGE):
-        return completed
+        return submaps
     records = workspace.result(STAGE)["submaps"]
-    return [_loaded(number, completed, record, workspace) for number, record in enumerate(records)]
+    return [_loaded(number, submaps, record, workspace) for number, record in enumerate(records)]
 
 
 def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:
@@ -129,64 +129,64 @@ def _merged(pieces: list[_Piece], settings: LoopClosingSettings, seed: int, warn
 
 def _merge(base: _Piece, other: _Piece, settings: LoopClosingSettings, seed: int, warnings: list[str]) -> _Piece | None:
     seen = base.seen, other.seen
-    if min(len(base.part), len(other.part)) == 0:
+    if min(len(base.completed), len(other.completed)) == 0:
         return None
     try:
         pairs = merge_candidates(*seen, seed)
-        part = merge(seen, verify_loops(*seen, pairs, seed))
+        completed = merge(seen, verify_loops(*seen, pairs, seed))
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not merged: {error}")
         return None
-    if part is None:
+    if completed is None:
         return None
-    return _Piece(part, base.members + other.members, find_features(part, settings.max_keyframes))
+    return _Piece(completed, base.members + other.members, find_features(completed, settings.max_keyframes))
 
 
 def _close(piece: _Piece, seed: int, warnings: list[str]) -> None:
-    if len(piece.part) < 2:
+    if len(piece.completed) < 2:
         return
     try:
         pairs = loop_candidates(piece.seen, seed)
         closed = close_loops(piece.seen, verify_loops(piece.seen, piece.seen, pairs, seed))
-        piece.proposed, piece.supported = closed.proposed, closed.supported
-        adjusted = adjust_loops(piece.seen, closed) if closed.kept else piece.part
+        piece.candidates, piece.consistent = closed.candidates, closed.consistent
+        adjusted = adjust_loops(piece.seen, closed) if closed.accepted_pairs else piece.completed
     except FAILURES as error:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {error}")
         return
-    if adjusted is None and closed.part is piece.part:
+    if adjusted is None and closed.completed is piece.completed:
         return  # the map misses its loops by no more than they can tell
     if adjusted is None:
         warnings.append(f"the loops of submap {piece.members[0]} were not closed: {TOO_FEW_FEATURES}")
         return
-    piece.part, piece.loops = adjusted, list(closed.kept)
+    piece.completed, piece.loops = adjusted, list(closed.accepted_pairs)
 
 
 def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) -> dict[str, Any]:
     """Write a piece that moved, and say what it is; `loops` are pairs of frame numbers."""
-    part, deform = piece.part, piece.part.depth_scale is not None
+    completed, deform = piece.completed, piece.completed.depth_scale is not None
     if deform:
         folder = _folder(workspace, number)
-        write_model(part.submap, refined_camera(frames.camera, part.submap), folder)
-        np.savez(folder / "depth_scale.npz", rows=part.rows, depth_scale=np.asarray(part.depth_scale))
+        write_model(completed.submap, refined_camera(frames.camera, completed.submap), folder)
+        np.savez(folder / "depth_scale.npz", rows=completed.rows, depth_scale=np.asarray(completed.depth_scale))
     return {
         "members": piece.members,
         "moved": deform,
-        "proposed": piece.proposed,
-        "supported": piece.supported,
+        "proposed": piece.candidates,
+        "supported": piece.consistent,
         "loops": [list(pair) for pair in piece.loops],
     }
 
 
 def _loaded(
-    number: int, completed: list[CompletedSubmap], record: dict[str, Any], workspace: Workspace
+    number: int, submaps: list[CompletedSubmap], record: dict[str, Any], workspace: Workspace
 ) -> CompletedSubmap:
-    part = completed[record["members"][0]]
+    completed = submaps[record["members"][0]]
     if not record["moved"]:
-        return part
+        return completed
     folder = _folder(workspace, number)
     with report_corruption(folder), np.load(folder / "depth_scale.npz", allow_pickle=False) as arrays:
-        submap = replace(read_submap(folder), camera_sigma=part.submap.camera_sigma)
-        return replace(part, submap=submap, rows=arrays["rows"], depth_scale=arrays["depth_scale"])
+        submap = replace(read_submap(folder), camera_sigma=completed.submap.camera_sigma)
+        return replace(completed, submap=submap, rows=arrays["rows"], depth_scale=arrays["depth_scale"])
 
 
 def _folder(workspace: Workspace, number: int) -> Path:
@@ -194,7 +194,7 @@ def _folder(workspace: Workspace, number: int) -> Path:
 
 
 def _sentence(piece: _Piece) -> str:
-    scale = np.asarray(piece.part.depth_scale)
+    scale = np.asarray(piece.completed.depth_scale)
     name = f"submap {piece.members[0]}"
     if len(piece.members) > 1:
         name = "submaps " + ", ".join(str(member) for member in piece.members) + " joined"

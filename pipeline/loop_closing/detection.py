@@ -33,7 +33,7 @@ COMMON = np.array([0.004, 0.004, 0.004, 0.01, 0.01, 0.01, 0.01])  # that all fea
 TOLERANCE, MAX_CONTRADICTED = 0.1, 0.5  # of the depth maps laid on each other
 MIN_CONFIDENCE = 0.1  # of depth that may contradict
 
-Parts = tuple[CompletedSubmap, CompletedSubmap]
+SubmapPair = tuple[CompletedSubmap, CompletedSubmap]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class LoopClosure:
 class SubmapFeatures:
     """A submap and the features of those of its keyframes that are compared; `keyframe` is the row in the submap."""
 
-    part: CompletedSubmap
+    completed: CompletedSubmap
     features: list[KeyframeFeatures]
     rays: RayTable  # of the rectified pictures
 
@@ -57,26 +57,26 @@ class SubmapFeatures:
         return [features.keyframe for features in self.features]
 
 
-def find_features(part: CompletedSubmap, max_keyframes: int) -> SubmapFeatures:
+def find_features(completed: CompletedSubmap, max_keyframes: int) -> SubmapFeatures:
     """Features of evenly spaced keyframes of a submap: `max_keyframes`, or more where they would lie too far apart."""
-    step = max(1, min(-(-len(part) // max_keyframes), MAX_STEP))
-    return _features(part, part.rows[::step], {})
+    step = max(1, min(-(-len(completed) // max_keyframes), MAX_STEP))
+    return _features(completed, completed.rows[::step], {})
 
 
 def features_of_all(known: SubmapFeatures) -> SubmapFeatures:
     """Features of all keyframes of the submap; those that are known already are not detected again."""
     found = {features.keyframe: features for features in known.features}
-    return _features(known.part, known.part.rows, found)
+    return _features(known.completed, known.completed.rows, found)
 
 
 def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
     """Pairs of keyframes that no sparse point ties: those whose poses say that they overlap, and the most alike."""
-    world_from_camera = seen.part.submap.world_from_camera[seen.rows]
+    world_from_camera = seen.completed.submap.world_from_camera[seen.rows]
     turn = np.arccos(np.clip(world_from_camera[:, :3, 2] @ world_from_camera[:, :3, 2].T, -1, 1))
     apart = np.linalg.norm(world_from_camera[:, None, :3, 3] - world_from_camera[None, :, :3, 3], axis=2)
     similarity = similarities(seen.features, seen.features, seed)
     number = np.arange(len(world_from_camera))
-    open_ = (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(seen.part, seen.rows) <= MAX_SHARED)
+    open_ = (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(seen.completed, seen.rows) <= MAX_SHARED)
     near = open_ & (apart < REACH) & (turn < MAX_TURN)
     expected = retrieve_within(np.where(near, similarity, -np.inf), PER_KEYFRAME)
     return expected + retrieve_within(np.where(open_ & ~near, similarity, -np.inf), 1)
@@ -94,16 +94,20 @@ def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair
     return [loop for loop in tried if loop is not None]
 
 
-def _features(part: CompletedSubmap, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures]) -> SubmapFeatures:
-    maker = SparseDepthMaker(part.submap, part.camera)
-    rays = RayTable(part.camera)
-    return SubmapFeatures(part, [known.get(row) or _lifted(part, maker, rays, row) for row in map(int, rows)], rays)
+def _features(
+    completed: CompletedSubmap, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures]
+) -> SubmapFeatures:
+    maker = SparseDepthMaker(completed.submap, completed.camera)
+    rays = RayTable(completed.camera)
+    return SubmapFeatures(
+        completed, [known.get(row) or _lifted(completed, maker, rays, row) for row in map(int, rows)], rays
+    )
 
 
-def _lifted(part: CompletedSubmap, maker: SparseDepthMaker, rays: RayTable, row: int) -> KeyframeFeatures:
+def _lifted(completed: CompletedSubmap, maker: SparseDepthMaker, rays: RayTable, row: int) -> KeyframeFeatures:
     """Features of one rectified picture, within the hull of its sparse points."""
-    mask = cv2.erode(part.mask(row), np.ones((5, 5), np.uint8))
-    found, sparse = detect_sift(part.rgb(row), mask), maker.sparse_depth(row)
+    mask = cv2.erode(completed.mask(row), np.ones((5, 5), np.uint8))
+    found, sparse = detect_sift(completed.rgb(row), mask), maker.sparse_depth(row)
     return lift_features(row, found, rays, sparse.pixels, sparse.depth)
 
 
@@ -112,25 +116,25 @@ def _verified(
 ) -> LoopClosure | None:
     here, there = first.features[pair[0]], second.features[pair[1]]
     match = verify_match(pair, here, there, (first.rays, second.rays), rng)
-    parts, rows = (first.part, second.part), (here.keyframe, there.keyframe)
-    if match is None or _contradict(parts, rows, np.asarray(match.first_from_second, np.float64)):
+    submaps, rows = (first.completed, second.completed), (here.keyframe, there.keyframe)
+    if match is None or _contradict(submaps, rows, np.asarray(match.first_from_second, np.float64)):
         return None
     points = np.asarray(there.points[match.rows[:, 1]], np.float64)
     distance = np.linalg.norm(points, axis=1)
-    across = ACROSS_PX / np.mean(second.part.camera.focal) * distance
+    across = ACROSS_PX / np.mean(second.completed.camera.focal) * distance
     return LoopClosure(match, with_common_error(sim3_information(points, across, ALONG * distance), COMMON))
 
 
-def _contradict(parts: Parts, rows: tuple[int, int], first_from_second: NDArray[np.float64]) -> bool:
+def _contradict(submaps: SubmapPair, rows: tuple[int, int], first_from_second: NDArray[np.float64]) -> bool:
     """Whether either completed surface lies in the space that the other looks through, in most of the overlap."""
     scale = float(scale_of(first_from_second))
     rigid = first_from_second.copy()
     rigid[:3, :3] /= scale
     views = []
-    for part, row, factor, world_from_camera in zip(parts, rows, (1.0, scale), (np.eye(4), rigid), strict=True):
-        depth, confidence, _ = part.depth(row)
+    for completed, row, factor, world_from_camera in zip(submaps, rows, (1.0, scale), (np.eye(4), rigid), strict=True):
+        depth, confidence, _ = completed.depth(row)
         accepted = np.where(confidence < MIN_CONFIDENCE, np.float32(0), depth * np.float32(factor))
-        views.append(DepthView(accepted, part.camera.matrix, world_from_camera))
+        views.append(DepthView(accepted, completed.camera.matrix, world_from_camera))
     for one, other in (views, views[::-1]):
         votes = agreement(one, [other], TOLERANCE, stride=4)
         if votes.voters == 0 or votes.contradicted_share > MAX_CONTRADICTED:
@@ -138,13 +142,13 @@ def _contradict(parts: Parts, rows: tuple[int, int], first_from_second: NDArray[
     return False
 
 
-def _shared(part: CompletedSubmap, rows: list[int]) -> NDArray[np.int64]:
+def _shared(completed: CompletedSubmap, rows: list[int]) -> NDArray[np.int64]:
     """(P,P) number of sparse points that two frames `rows` of the submap both observed."""
-    number = np.full(len(part.submap.frames), -1)
+    number = np.full(len(completed.submap.frames), -1)
     number[rows] = np.arange(len(rows))
-    frame, point = part.submap.observations.T
+    frame, point = completed.submap.observations.T
     mine = number[frame] >= 0
     pairs = np.unique(np.column_stack([number[frame[mine]], point[mine]]), axis=0)
-    shape = (len(rows), len(part.submap.points))
+    shape = (len(rows), len(completed.submap.points))
     seen = csr_array((np.ones(len(pairs), np.int64), tuple(pairs.T)), shape=shape)
     return (seen @ seen.T).toarray()

@@ -28,54 +28,58 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LoopClosingResult:
-    """A submap after its loops: `proposed` links fitted two images, `supported` had company, `links` were believed.
+    """A submap after loop closing. candidates: loops verified in both images; consistent: those of them that agree with
+    another one; accepted: those that the pose graph kept.
 
-    `part` did not move where the map fulfils most of its supported loops already; those that it fulfils are believed,
-    and what is left between them is for the images to say. Of a map that has closed its loops itself there are none.
+    Where the map fulfils most of its consistent loops already, `completed` is not moved, and those that it fulfils are
+    accepted: the adjustment to the images decides on the rest. Of a map that has closed its loops, none is accepted.
     """
 
-    part: CompletedSubmap
-    proposed: int
-    supported: int
-    links: tuple[LoopClosure, ...]
-    kept: tuple[tuple[int, int], ...]  # frame numbers of `links`
+    completed: CompletedSubmap
+    candidates: int
+    consistent: int
+    accepted: tuple[LoopClosure, ...]
+    accepted_pairs: tuple[tuple[int, int], ...]  # frame numbers of `accepted`
 
 
-def close_loops(seen: SubmapFeatures, links: list[LoopClosure]) -> LoopClosingResult:
-    """Move the submap by those of its own links that can be believed; it comes back as it is if there are none."""
-    part = seen.part
-    world_from_camera = part.submap.world_from_camera[part.rows]
-    loops = _edges(seen, seen, links)
-    company = consistent_loops(loops, world_from_camera, world_from_camera, REACH)
-    good, theirs = list(compress(loops, company)), list(compress(links, company))
-    off = np.array([chi2(world_from_camera, loop) for loop in good])
-    missed = float(np.median(off)) if good else 0.0
-    if missed < CHI2_CLOSED:
-        return LoopClosingResult(part, len(links), len(good), (), ())
-    if missed < CHI2_SATISFIED:
-        near = tuple(compress(theirs, off < CHI2_SATISFIED))
-        return LoopClosingResult(part, len(links), len(good), near, _frames_of(seen, near))
-    solution = solve_pose_graph(world_from_camera, covisibility_factors(part), good)
-    accepted = tuple(compress(theirs, solution.accepted))
-    if not accepted:
-        return LoopClosingResult(part, len(links), len(good), (), ())
-    after = deform(part, part.rows, solution.world_from_node)
-    return LoopClosingResult(after, len(links), len(good), accepted, _frames_of(seen, accepted))
+def close_loops(seen: SubmapFeatures, loops: list[LoopClosure]) -> LoopClosingResult:
+    """Move the submap by those of its loops that the pose graph accepts; it comes back as it is if there are none."""
+    completed = seen.completed
+    world_from_camera = completed.submap.world_from_camera[completed.rows]
+    edges = _edges(seen, seen, loops)
+    is_consistent = consistent_loops(edges, world_from_camera, world_from_camera, REACH)
+    edges, loops, candidates = list(compress(edges, is_consistent)), list(compress(loops, is_consistent)), len(loops)
+
+    def result(moved: CompletedSubmap, accepted: Iterable[LoopClosure]) -> LoopClosingResult:
+        accepted = tuple(accepted)
+        return LoopClosingResult(moved, candidates, len(loops), accepted, _frames_of(seen, accepted))
+
+    off = np.array([chi2(world_from_camera, edge) for edge in edges])
+    typical = float(np.median(off)) if edges else 0.0
+    if typical < CHI2_CLOSED:
+        return result(completed, ())
+    if typical < CHI2_SATISFIED:
+        return result(completed, compress(loops, off < CHI2_SATISFIED))
+    solution = solve_pose_graph(world_from_camera, covisibility_factors(completed), edges)
+    if not solution.accepted.any():
+        return result(completed, ())
+    moved = deform(completed, completed.rows, solution.world_from_node)
+    return result(moved, compress(loops, solution.accepted))
 
 
-def _frames_of(seen: SubmapFeatures, links: Iterable[LoopClosure]) -> tuple[tuple[int, int], ...]:
-    number = seen.part.submap.frames[seen.rows]
-    return tuple((int(number[link.match.first]), int(number[link.match.second])) for link in links)
+def _frames_of(seen: SubmapFeatures, loops: Iterable[LoopClosure]) -> tuple[tuple[int, int], ...]:
+    number = seen.completed.submap.frames[seen.rows]
+    return tuple((int(number[loop.match.first]), int(number[loop.match.second])) for loop in loops)
 
 
-def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure]) -> CompletedSubmap | None:
+def merge(seen: tuple[SubmapFeatures, SubmapFeatures], loops: list[LoopClosure]) -> CompletedSubmap | None:
     """The second submap in the frame and scale of the first, both bent to agree; None without enough evidence."""
-    parts = first, second = seen[0].part, seen[1].part
+    submaps = first, second = seen[0].completed, seen[1].completed
     if first.camera != second.camera or first.submap.camera_params != second.submap.camera_params:
         return None  # one pinhole may stand for two lenses, where the field of view is cut
-    nodes = [part.submap.world_from_camera[part.rows] for part in parts]
-    loops = _edges(*seen, links)
-    good = [loop for loop, yes in zip(loops, consistent_loops(loops, nodes[0], nodes[1], REACH), strict=True) if yes]
+    nodes = [completed.submap.world_from_camera[completed.rows] for completed in submaps]
+    edges = _edges(*seen, loops)
+    good = list(compress(edges, consistent_loops(edges, nodes[0], nodes[1], REACH)))
     if not good:
         return None
     start = first_from_second(good, nodes[0], nodes[1])
@@ -84,7 +88,7 @@ def merge(seen: tuple[SubmapFeatures, SubmapFeatures], links: list[LoopClosure])
         replace(factor, first=factor.first + offset, second=factor.second + offset)
         for factor in covisibility_factors(second)
     ]
-    shifted = [replace(loop, second=loop.second + offset) for loop in good]
+    shifted = [replace(edge, second=edge.second + offset) for edge in good]
     solution = solve_pose_graph(np.concatenate([nodes[0], start @ nodes[1]]), odometry_factors, shifted)
     if solution.accepted.sum() < 2:
         return None
@@ -106,24 +110,24 @@ def first_from_second(loops: list[Edge], first_nodes: Array, second_nodes: Array
     return guesses[int(np.median(off, axis=1).argmin())]
 
 
-def covisibility_factors(part: CompletedSubmap) -> list[Edge]:
+def covisibility_factors(completed: CompletedSubmap) -> list[Edge]:
     """Relations of keyframes as the map has them, with the information of the points that both saw.
 
     A point of m keyframes ties m (m - 1) / 2 pairs, but links m frames: each pair has 2 / m of it. Its sigma along
     the ray is the depth error that its triangulation left.
     """
-    submap = part.submap
-    maker = SparseDepthMaker(submap, part.camera)
-    seen = [np.unique(maker.seen_by(int(row))) for row in part.rows]
+    submap = completed.submap
+    maker = SparseDepthMaker(submap, completed.camera)
+    seen = [np.unique(maker.seen_by(int(row))) for row in completed.rows]
     times = np.bincount(np.concatenate(seen), minlength=len(submap.points))
     odometry_factors = []
     for one, other in _covisible_pairs(seen, len(submap.points)):
         shared = np.intersect1d(seen[one], seen[other], assume_unique=True)
-        rows = int(part.rows[one]), int(part.rows[other])
+        rows = int(completed.rows[one]), int(completed.rows[other])
         points = submap.points_in_camera(rows[1], submap.points[shared])
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
         less = SLACK * np.sqrt(times[shared] / 2) * distance
-        across = PIXEL_NOISE / float(np.mean(part.camera.focal)) * less
+        across = PIXEL_NOISE / float(np.mean(completed.camera.focal)) * less
         information = sim3_information(points, across, np.maximum(maker.scatter[shared], 1e-4) * less)
         relation = np.linalg.inv(submap.world_from_camera[rows[0]]) @ submap.world_from_camera[rows[1]]
         odometry_factors.append(Edge(one, other, relation, information))
@@ -141,12 +145,12 @@ def _covisible_pairs(seen: list[NDArray[np.int64]], points: int) -> list[tuple[i
     return sorted(pairs | set(pairwise(range(len(seen)))))
 
 
-def deform(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array) -> CompletedSubmap:
+def deform(completed: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Array) -> CompletedSubmap:
     """The submap with those of its frames at the nodes (K,4,4), Sim(3); what else it holds follows.
 
     A frame between two nodes follows both, by its share of the way; a point follows the nearest frame that saw it.
     """
-    submap = part.submap
+    submap = completed.submap
     change = world_from_node @ np.linalg.inv(submap.world_from_camera[rows])
     of_frame = _spread(change, rows, len(submap.frames))
     scale = scale_of(of_frame)
@@ -159,9 +163,11 @@ def deform(part: CompletedSubmap, rows: NDArray[np.int64], world_from_node: Arra
     guide = np.zeros(len(submap.points), np.int64)
     guide[first[0]] = frame[order][first[1]]
     points = np.einsum("nij,nj->ni", of_frame[guide, :3, :3], submap.points) + of_frame[guide, :3, 3]
-    before = np.ones(len(scale)) if part.depth_scale is None else part.depth_scale
+    before = np.ones(len(scale)) if completed.depth_scale is None else completed.depth_scale
     return replace(
-        part, submap=replace(submap, world_from_camera=world_from_camera, points=points), depth_scale=before * scale
+        completed,
+        submap=replace(submap, world_from_camera=world_from_camera, points=points),
+        depth_scale=before * scale,
     )
 
 
@@ -208,10 +214,10 @@ def _spread(change: Array, rows: NDArray[np.int64], count: int) -> Array:
     return result
 
 
-def _edges(first: SubmapFeatures, second: SubmapFeatures, links: list[LoopClosure]) -> list[Edge]:
+def _edges(first: SubmapFeatures, second: SubmapFeatures, loops: list[LoopClosure]) -> list[Edge]:
     """Loop closures as edges between keyframe numbers."""
-    here, there = (np.searchsorted(seen.part.rows, seen.rows) for seen in (first, second))
+    here, there = (np.searchsorted(seen.completed.rows, seen.rows) for seen in (first, second))
     return [
         Edge(int(here[k.match.first]), int(there[k.match.second]), k.match.first_from_second, k.information)
-        for k in links
+        for k in loops
     ]

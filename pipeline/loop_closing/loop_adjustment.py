@@ -1,8 +1,8 @@
-"""A submap whose loops were closed, adjusted to its images: SIFT features of all keyframes, joined over the loops.
+"""Bundle adjustment of a submap over its loops: SIFT features of all keyframes, matched along the path and over loops.
 
-The front end follows its corners from frame to frame, and what that adds to their places is not noise: it bends the
-scale along the path by the direction of the motion, the same on the way out and back, so that no loop shows it.
-Features found anew in each keyframe do not. They alone make this bundle, seeded by the pose graph.
+KLT corners drift along the direction of motion and bend the scale of the path, the same on the way out and back, so
+that no loop shows it. Features detected anew in each keyframe do not drift; only they take part. The pose graph's
+solution is where the adjustment starts.
 """
 
 from collections.abc import Sequence
@@ -42,61 +42,63 @@ Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
 
 
 def adjust_loops(seen: SubmapFeatures, closed: LoopClosingResult) -> CompletedSubmap | None:
-    """The submap, whose loops the graph `closed`, adjusted to its images; None if the features do not hold, or if the
-    adjusted map fulfils its loops no better than before."""
-    part, every = seen.part, features_of_all(seen).features
-    number = np.searchsorted(part.rows, seen.rows)
+    """The submap adjusted to its images, from the pose graph's result `closed`.
+
+    None if too few features constrain it, or if the adjusted map fulfils its loops no better than before."""
+    completed, every = seen.completed, features_of_all(seen).features
+    number = np.searchsorted(completed.rows, seen.rows)
     matches = [
-        replace(k.match, first=int(number[k.match.first]), second=int(number[k.match.second])) for k in closed.links
+        replace(k.match, first=int(number[k.match.first]), second=int(number[k.match.second])) for k in closed.accepted
     ]
-    found = adjust_nodes(part, every, matches, nodes_of(part, closed.part))
+    found = adjust_nodes(completed, every, matches, nodes_of(completed, closed.completed))
     if found is None:
         return None
-    adjusted = deform(part, part.rows[found[0]], found[1])
+    adjusted = deform(completed, completed.rows[found[0]], found[1])
     edges = [
-        Edge(match.first, match.second, match.first_from_second, link.information)
-        for match, link in zip(matches, closed.links, strict=True)
+        Edge(match.first, match.second, match.first_from_second, loop.information)
+        for match, loop in zip(matches, closed.accepted, strict=True)
     ]
     before, after = (
         np.median([chi2(nodes, edge) for edge in edges])
-        for nodes in (part.submap.world_from_camera[part.rows], nodes_of(part, adjusted))
+        for nodes in (completed.submap.world_from_camera[completed.rows], nodes_of(completed, adjusted))
     )
     return adjusted if after < before else None
 
 
 def adjust_nodes(
-    part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
+    completed: CompletedSubmap, keyframes: list[KeyframeFeatures], loops: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[NDArray[np.int64], Array] | None:
-    """Numbers of keyframes and their nodes (.,4,4), Sim(3), as the images have them; None if the features do not hold.
+    """Numbers of keyframes and their nodes (.,4,4), Sim(3), adjusted to the images; None if too few features constrain
+    them.
 
-    `places` are all keyframes of the submap as it was before the graph gave `world_from_node` (K,4,4); `links`, between
-    places, are believed.
+    keyframes: features of all keyframes of the submap, as it was before the pose graph. loops: accepted matches between
+    them. world_from_node (K,4,4): the pose graph's solution.
     """
-    found = _constraining_tracks(part, places, links, world_from_node)
+    found = _constraining_tracks(completed, keyframes, loops, world_from_node)
     if found is None:
         return None
     tracks, number = found
     scale = scale_of(world_from_node)
     world_from_camera = world_from_node.copy()
     world_from_camera[:, :3, :3] /= scale[:, None, None]
-    camera = np.full(len(places), -1)
+    camera = np.full(len(keyframes), -1)
     camera[number] = np.arange(len(number))
-    held = np.flatnonzero(camera[tracks.place] >= 0)
-    held = held[np.argsort(tracks.place[held], kind="stable")]
-    place, feature = tracks.place[held], tracks.feature[held]
+    used = np.flatnonzero(camera[tracks.place] >= 0)
+    used = used[np.argsort(tracks.place[used], kind="stable")]
+    keyframe, feature = tracks.place[used], tracks.feature[used]
     rotation = np.swapaxes(world_from_camera[number, :3, :3], 1, 2)
-    local = _all(places, place, feature)
+    local = _all(keyframes, keyframe, feature)
     bundle = Bundle(
         rotation,
         -np.einsum("nij,nj->ni", rotation, world_from_camera[number, :3, 3]),
         tracks.points,
-        camera[place],
-        tracks.track[held],
+        camera[keyframe],
+        tracks.track[used],
         local[:, :2] / local[:, 2:],
-        np.broadcast_to(np.diag(part.camera.focal), (len(held), 2, 2)),
+        np.broadcast_to(np.diag(completed.camera.focal), (len(used), 2, 2)),
         np.arange(len(number)) == 0,
     )
-    bundle, depth = _at(bundle, local[:, 2], np.arange(len(held)))
+    bundle, depth = _at(bundle, local[:, 2], np.arange(len(used)))
     for loss_px, max_error_px in LOSS_SCHEDULE:
         bundle = adjust(bundle, ITERATIONS, loss_px, FINAL_TOLERANCE, FINAL_DAMPING)
         bundle, depth = _at(bundle, depth, np.flatnonzero(bundle.errors() < max_error_px))
@@ -104,47 +106,47 @@ def adjust_nodes(
 
 
 def _constraining_tracks(
-    part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match], world_from_node: Array
+    completed: CompletedSubmap, keyframes: list[KeyframeFeatures], loops: Sequence[Sim3Match], world_from_node: Array
 ) -> tuple[FeatureTracks, NDArray[np.int64]] | None:
     """Tracks of narrow features, since wide ones slide and bend the scale (docs/lab/front_end.md); of all where those
-    are too few; None if these are, too. And numbers of the places that they fix."""
-    same = match_keyframes(part, places, links)
-    for widest in (widest_narrow(part.camera.width), np.inf):
-        tracks = feature_tracks(places, same, world_from_node, widest)
-        number = well_constrained(tracks, len(places))
-        if len(number) >= 2 and is_held(tracks, number, len(places)):
+    are too few; None if these are, too. And numbers of the keyframes that they constrain."""
+    same = match_keyframes(completed, keyframes, loops)
+    for widest in (widest_narrow(completed.camera.width), np.inf):
+        tracks = feature_tracks(keyframes, same, world_from_node, widest)
+        number = well_constrained(tracks, len(keyframes))
+        if len(number) >= 2 and is_held(tracks, number, len(keyframes)):
             return tracks, number
     return None
 
 
-def match_keyframes(part: CompletedSubmap, places: list[KeyframeFeatures], links: Sequence[Sim3Match]) -> Same:
-    """Pairs of places, and of each the features (K,2) that look alike and lie where the map has them, or that a link
+def match_keyframes(completed: CompletedSubmap, keyframes: list[KeyframeFeatures], loops: Sequence[Sim3Match]) -> Same:
+    """Pairs of keyframes, and of each the features (K,2) that look alike and lie where the map has them, or that a loop
     matched."""
-    pairs, same = [(k.first, k.second) for k in links], [k.rows for k in links]
-    for one in range(len(places)):
-        for other in range(one + 1, min(len(places), one + AHEAD + 1)):
+    pairs, same = [(k.first, k.second) for k in loops], [k.rows for k in loops]
+    for one in range(len(keyframes)):
+        for other in range(one + 1, min(len(keyframes), one + AHEAD + 1)):
             pairs.append((one, other))
-            same.append(_match_near(part, places[one], places[other]))
+            same.append(_match_near(completed, keyframes[one], keyframes[other]))
     return pairs, same
 
 
 def feature_tracks(
-    places: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf
+    keyframes: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf
 ) -> FeatureTracks:
     """Features of at most `widest` pixels across that are the same are one point."""
-    narrow = both_narrow([place.sizes for place in places], *same, widest)
+    narrow = both_narrow([keyframe.sizes for keyframe in keyframes], *same, widest)
     chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
-    world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(places, world_from_node, strict=True)]
+    world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(keyframes, world_from_node, strict=True)]
     return join_features(world, same[0], chosen)
 
 
 def well_constrained(tracks: FeatureTracks, count: int) -> NDArray[np.int64]:
-    """Numbers of the places that enough tracks fix."""
+    """Numbers of the keyframes that enough tracks constrain."""
     return np.flatnonzero(np.bincount(tracks.place, minlength=count) >= MIN_FEATURES)
 
 
 def is_held(tracks: FeatureTracks, number: NDArray[np.int64], count: int) -> bool:
-    """Whether there are enough, they tie each of the places to the one before, and no long stretch is left out."""
+    """Whether tracks are many, connect each keyframe to the one before, and leave no long stretch out."""
     if np.median(np.bincount(tracks.place, minlength=count)[number]) < MIN_TYPICAL_FEATURES:
         return False
     if np.diff(np.concatenate([[-1], number, [count]])).max() > MAX_GAP + 1:
@@ -154,24 +156,24 @@ def is_held(tracks: FeatureTracks, number: NDArray[np.int64], count: int) -> boo
     return bool((seen[1:].multiply(seen[:-1]).sum(axis=1) >= MIN_SHARED).all())
 
 
-def _match_near(part: CompletedSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
+def _match_near(completed: CompletedSubmap, here: KeyframeFeatures, there: KeyframeFeatures) -> NDArray[np.int64]:
     """(K,2) features of two near keyframes that look alike and lie where the map says."""
     pairs = match_descriptors(here.rootsift, there.rootsift)
     if len(pairs) == 0:
         return pairs
-    world_from_camera = part.submap.world_from_camera[here.keyframe]
+    world_from_camera = completed.submap.world_from_camera[here.keyframe]
     world = here.points[pairs[:, 0]] @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
-    local = part.submap.points_in_camera(there.keyframe, world)
+    local = completed.submap.points_in_camera(there.keyframe, world)
     front = local[:, 2] > 1e-6
     local[:, 2] = np.where(front, local[:, 2], 1.0)
-    off = np.linalg.norm(part.camera.project(local) - there.pixels[pairs[:, 1]], axis=1)
+    off = np.linalg.norm(completed.camera.project(local) - there.pixels[pairs[:, 1]], axis=1)
     return pairs[front & (off < MAX_OFF_PX)]
 
 
-def _all(places: list[KeyframeFeatures], place: NDArray[np.int64], feature: NDArray[np.int64]) -> Array:
+def _all(keyframes: list[KeyframeFeatures], keyframe: NDArray[np.int64], feature: NDArray[np.int64]) -> Array:
     """(M,3) points of features in their cameras' axes."""
-    starts = np.concatenate([[0], np.cumsum([len(p.points) for p in places])])
-    return np.concatenate([p.points for p in places])[starts[place] + feature]
+    starts = np.concatenate([[0], np.cumsum([len(p.points) for p in keyframes])])
+    return np.concatenate([p.points for p in keyframes])[starts[keyframe] + feature]
 
 
 def _at(bundle: Bundle, depth: Array, rows: NDArray[np.int64]) -> tuple[Bundle, Array]:

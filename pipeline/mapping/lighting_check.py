@@ -1,8 +1,8 @@
-"""Is a reconstruction true? LightingCheck beyond the number of registered frames.
+"""Lighting check: does brightness fall with distance from the camera, as the lamp beside it demands?
 
-An endoscope carries its own witness: the lamp sits at the camera, so brightness falls with the square of the distance
-and in a true model nearer points are brighter, in every frame. Wrong models (a false two-view start registers every
-frame with a fine reprojection error) pass on average but fail in single frames, so each frame is looked at.
+The lamp sits at the camera, so brightness falls with the square of the distance, and in a true model nearer points are
+brighter in every frame. Wrong models (a false two-view start registers every frame with a fine reprojection error) pass
+on average but fail in single frames, so each frame is checked.
 """
 
 from collections.abc import Callable

@@ -24,43 +24,45 @@ from reconstruction.mesh.mesh_io import write_mesh
 
 def write_report(
     frames: Frames,
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     workspace: Workspace,
     progress: Progress,
 ) -> None:
     """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
-    for number, (part, surface) in enumerate(zip(completed, surfaces, strict=True)):
-        _write_paths(frames, part, surface, number, workspace)
+    for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True)):
+        _write_paths(frames, completed, surface, number, workspace)
     _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
     workspace.record["submaps"] = [
-        _submap_record(camera_path(workspace, number).name, part, surface)
-        for number, (part, surface) in enumerate(zip(completed, surfaces, strict=True))
+        _submap_record(camera_path(workspace, number).name, completed, surface)
+        for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True))
     ]
-    metrics = collect_metrics(frames, completed, surfaces, coverage, workspace)
+    metrics = collect_metrics(frames, submaps, surfaces, coverage, workspace)
     write_json(workspace.metrics, metrics)
-    write_page(frames, completed, surfaces, coverage, metrics, workspace)
+    write_page(frames, submaps, surfaces, coverage, metrics, workspace)
     workspace.finish("report")
 
 
-def _submap_record(camera: str, part: CompletedSubmap, surface: Surface) -> dict[str, Any]:
+def _submap_record(camera: str, completed: CompletedSubmap, surface: Surface) -> dict[str, Any]:
     """How to read a submap's depth maps: unit, step of the PNGs, camera, and which frames they are."""
     return {
         "unit": surface.scale.unit,
         "depth_png_step": DEPTH_STEP * surface.scale.factor,
         "camera": camera,
-        "keyframes": part.submap.frames[part.rows].tolist(),
-        "depth_scale": None if part.depth_scale is None else part.depth_scale[part.rows].tolist(),
+        "keyframes": completed.submap.frames[completed.rows].tolist(),
+        "depth_scale": None if completed.depth_scale is None else completed.depth_scale[completed.rows].tolist(),
     }
 
 
-def _write_paths(frames: Frames, part: CompletedSubmap, surface: Surface, number: int, workspace: Workspace) -> None:
+def _write_paths(
+    frames: Frames, completed: CompletedSubmap, surface: Surface, number: int, workspace: Workspace
+) -> None:
     """`trajectory.tum` and `keyframes.tum`; with `_1`, `_2`, ... for further submaps, each in its own frame."""
-    submap = part.submap.scaled(surface.scale.factor)
+    submap = completed.submap.scaled(surface.scale.factor)
     seconds = np.array([frames.seconds_of(int(index)) for index in submap.frames])
-    for path, rows in ((workspace.trajectory, np.arange(len(seconds))), (workspace.keyframes, part.rows)):
+    for path, rows in ((workspace.trajectory, np.arange(len(seconds))), (workspace.keyframes, completed.rows)):
         named = path if number == 0 else path.with_name(f"{path.stem}_{number}.tum")
         write_tum(named, seconds[rows], submap.world_from_camera[rows])
 
@@ -83,7 +85,7 @@ def _scale_sparse(surfaces: list[Surface], workspace: Workspace, progress: Progr
 
 def collect_metrics(
     frames: Frames,
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     workspace: Workspace,
@@ -94,14 +96,14 @@ def collect_metrics(
     # What speaks for a submap that others were joined to is said of its first part.
     evidence = structure["evidence"][structure["mapper"]]
     evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
-    submaps = []
-    for part, surface, result, witness in zip(completed, surfaces, coverage, evidence, strict=False):
-        mesh, submap = surface.mesh, part.submap.scaled(surface.scale.factor)
+    records = []
+    for completed, surface, result, check in zip(submaps, surfaces, coverage, evidence, strict=False):
+        mesh, submap = surface.mesh, completed.submap.scaled(surface.scale.factor)
         steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
-        submaps.append(
+        records.append(
             {
                 "frames": len(submap.frames),
-                "keyframes": len(part),
+                "keyframes": len(completed),
                 "points": len(submap.points),
                 "faces": len(mesh.faces),
                 "area": float(mesh.face_areas.sum()),
@@ -113,21 +115,21 @@ def collect_metrics(
                 "unit": surface.scale.unit,
                 "coverage": result.record,
                 "scale": surface.scale.origin,
-                "evidence": witness,
+                "evidence": check,
                 "camera": {
                     "model": frames.camera.model,
                     "params": list(submap.camera_params),
                     "sigma": list(submap.camera_sigma),
                     "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap),
                 },
-                "rectified_share": part.rectifier.kept_share,
+                "rectified_share": completed.rectifier.kept_share,
             }
         )
     return {
         "source": workspace.record["source"]["path"],
         "frames": {
             "total": sum(frames.verdicts.values()),
-            "posed": sum(len(part.submap.frames) for part in completed),
+            "posed": sum(len(completed.submap.frames) for completed in submaps),
             "verdicts": frames.verdicts,
             "notes": workspace.result("frames")["notes"],
         },
@@ -137,6 +139,6 @@ def collect_metrics(
         "warnings": [*structure["warnings"], *refinement["warnings"]],
         "loops": refinement["submaps"],
         "model": workspace.record["config"]["model"],
-        "submaps": submaps,
+        "submaps": records,
         "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],
     }

@@ -46,9 +46,9 @@ def export_rerun(run: Path, target: Path) -> Path:
     finished = open_run(run)
     recording = rerun.RecordingStream("haustra", recording_id=recording_id(finished.workspace))
     recording.save(str(target))
-    for number, (part, surface) in enumerate(zip(finished.completed_submaps, finished.surfaces, strict=True)):
+    for number, (completed, surface) in enumerate(zip(finished.completed_submaps, finished.surfaces, strict=True)):
         # Submaps that could not be joined share no frame: each has a root of its own.
-        _log_submap(rerun, recording, f"submap_{number}", finished.frames, part, surface)
+        _log_submap(rerun, recording, f"submap_{number}", finished.frames, completed, surface)
     recording.flush()
     recording.disconnect()
     return target
@@ -61,8 +61,10 @@ def recording_id(workspace: Workspace) -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:32]
 
 
-def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: CompletedSubmap, surface: Surface) -> None:
-    submap, mesh = part.submap.scaled(surface.scale.factor), surface.mesh
+def _log_submap(
+    rerun: Any, recording: Any, root: str, frames: Frames, completed: CompletedSubmap, surface: Surface
+) -> None:
+    submap, mesh = completed.submap.scaled(surface.scale.factor), surface.mesh
     recording.log(root, rerun.ViewCoordinates.RDF, static=True)  # x right, y down, z forward: the first camera's
     if len(mesh.faces):
         recording.log(
@@ -78,23 +80,23 @@ def _log_submap(rerun: Any, recording: Any, root: str, frames: Frames, part: Com
     recording.log(f"{root}/path", rerun.LineStrips3D([submap.centres.astype(np.float32)]), static=True)
     camera = f"{root}/camera"
     pinhole = rerun.Pinhole(
-        image_from_camera=part.camera.matrix,
-        resolution=[part.camera.width, part.camera.height],
+        image_from_camera=completed.camera.matrix,
+        resolution=[completed.camera.width, completed.camera.height],
         camera_xyz=rerun.ViewCoordinates.RDF,
     )
     recording.log(camera, pinhole, static=True)
-    keyframes = set(part.rows.tolist())
+    keyframes = set(completed.rows.tolist())
     for row, index in enumerate(submap.frames.tolist()):
         recording.set_time(TIMELINE, duration=frames.seconds_of(index))
         recording.set_time("frame", sequence=index)
         world_from_camera = submap.world_from_camera[row]
         recording.log(camera, rerun.Transform3D(translation=world_from_camera[:3, 3], mat3x3=world_from_camera[:3, :3]))
         if row in keyframes:
-            _log_keyframe(rerun, recording, camera, part, row, surface.scale.factor)
+            _log_keyframe(rerun, recording, camera, completed, row, surface.scale.factor)
 
 
-def _log_keyframe(rerun: Any, recording: Any, camera: str, part: CompletedSubmap, row: int, factor: float) -> None:
-    keyframe = part.keyframe(row)
+def _log_keyframe(rerun: Any, recording: Any, camera: str, completed: CompletedSubmap, row: int, factor: float) -> None:
+    keyframe = completed.keyframe(row)
     recording.log(f"{camera}/image", rerun.Image(keyframe.rgb).compress(jpeg_quality=JPEG_QUALITY))
     recording.log(f"{camera}/depth", rerun.DepthImage(keyframe.depth * np.float32(factor), meter=1.0))
     confidence = np.round(255 * keyframe.confidence).astype(np.uint8)

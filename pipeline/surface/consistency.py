@@ -1,4 +1,4 @@
-"""Before fusion: what a keyframe's neighbours say against its depth lowers its confidence, or leaves it out wholly."""
+"""Consistency of depth before fusion: neighbouring keyframes lower a keyframe's confidence, or leave it out wholly."""
 
 from functools import lru_cache
 
@@ -17,34 +17,34 @@ CACHED = 64  # depth maps kept while the check moves along the keyframes; more t
 class ConsistencyCheck:
     """Agreement of each keyframe of a submap with keyframes before and after it."""
 
-    def __init__(self, part: CompletedSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
-        self.part, self.settings, self.min_confidence = part, settings, min_confidence
+    def __init__(self, completed: CompletedSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
+        self.completed, self.settings, self.min_confidence = completed, settings, min_confidence
         self._view = lru_cache(CACHED)(self._load)
 
-    def __call__(self, place: int) -> Agreement:
-        """Of the keyframe at `place` among the part's rows.
+    def __call__(self, number: int) -> Agreement:
+        """Of keyframe `number` among the submap's rows.
 
         Neighbours at growing distances: next to each other frames share points, network and errors.
         """
-        places = [place + sign * step for step in self.settings.steps for sign in (-1, 1)]
-        others = [self._view(other) for other in places if 0 <= other < len(self.part)]
-        return agreement(self._view(place), others, self.settings.tolerance)
+        neighbours = [number + sign * step for step in self.settings.steps for sign in (-1, 1)]
+        others = [self._view(other) for other in neighbours if 0 <= other < len(self.completed)]
+        return agreement(self._view(number), others, self.settings.tolerance)
 
-    def confidence(self, place: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    def confidence(self, number: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """The keyframe's confidence times what the votes leave of it; 0 where either alone is below the least that is
         fused; None where the frame as a whole is contradicted.
 
         Their product is no limit: wall that a frame is half sure of would go for one contradiction of many votes.
         """
-        votes = self(place)
+        votes = self(number)
         if votes.is_outvoted(MAX_CONTRADICTED):
             return None
         left = votes.weight(SEVERITY)
         kept = (confidence >= self.min_confidence) & (left >= self.min_confidence)
         return np.where(kept, confidence * left, np.float32(0))
 
-    def _load(self, place: int) -> DepthView:
-        depth, confidence, world_from_camera = self.part.depth(int(self.part.rows[place]))
+    def _load(self, number: int) -> DepthView:
+        depth, confidence, world_from_camera = self.completed.depth(int(self.completed.rows[number]))
         # Depth that is not sure enough to be fused has no vote, and nobody need agree with it.
-        believed = np.where(confidence < self.min_confidence, np.float32(0), depth)
-        return DepthView(believed, self.part.camera.matrix, world_from_camera)
+        sure = np.where(confidence < self.min_confidence, np.float32(0), depth)
+        return DepthView(sure, self.completed.camera.matrix, world_from_camera)

@@ -65,12 +65,12 @@ def _unmeasured(record: dict[str, Any]) -> str:
 
 
 def coverage_stage(
-    frames: Frames, completed: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
+    frames: Frames, submaps: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
 ) -> list[CoverageResult]:
     """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
     return [
-        _judge(frames, part, surface, coverage_image_path(workspace, number))
-        for number, (part, surface) in enumerate(zip(completed, surfaces, strict=True))
+        _judge(frames, completed, surface, coverage_image_path(workspace, number))
+        for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True))
     ]
 
 
@@ -79,25 +79,25 @@ def coverage_image_path(workspace: Workspace, number: int) -> Path:
     return workspace.coverage if number == 0 else workspace.coverage.with_name(f"coverage_{number}.png")
 
 
-def measure_submap(frames: Frames, part: CompletedSubmap, surface: Surface) -> Coverage:
+def measure_submap(frames: Frames, completed: CompletedSubmap, surface: Surface) -> Coverage:
     """Coverage in the run's axes and unit, of the wall that the keyframes' depth bears out. Raises `NotATube`."""
-    return measure_supported(frames, part, surface)[0]
+    return measure_supported(frames, completed, surface)[0]
 
 
-def measure_supported(frames: Frames, part: CompletedSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
+def measure_supported(frames: Frames, completed: CompletedSubmap, surface: Surface) -> tuple[Coverage, SurfaceMesh]:
     """The same, and that wall: what is drawn must be what was measured."""
     factor = surface.scale.factor
-    submap = part.submap.scaled(factor)
+    submap = completed.submap.scaled(factor)
     # Before the depth maps are read: a picture that cannot be judged need not wait for them.
-    rays = RayTable(refined_camera(frames.camera, part.submap))
-    half, picture = half_field_of_view(rays, part.camera, frames.content), lens_field_of_view(rays, frames.content)
-    witness = DepthSupport(surface.mesh)
-    for row in part.rows:
-        depth, confidence, _ = part.depth(int(row))
-        witness.add(depth * np.float32(factor), confidence, part.camera.matrix, submap.world_from_camera[row])
+    rays = RayTable(refined_camera(frames.camera, completed.submap))
+    half, picture = half_field_of_view(rays, completed.camera, frames.content), lens_field_of_view(rays, frames.content)
+    support = DepthSupport(surface.mesh)
+    for row in completed.rows:
+        depth, confidence, _ = completed.depth(int(row))
+        support.add(depth * np.float32(factor), confidence, completed.camera.matrix, submap.world_from_camera[row])
     unit, voxel = surface.scale.unit, surface.voxel_size
-    believed = witness.supported_faces()
-    return measure_coverage(believed, submap.world_from_camera, half, unit, EDGE_VOXELS * voxel, picture), believed
+    supported = support.supported_faces()
+    return measure_coverage(supported, submap.world_from_camera, half, unit, EDGE_VOXELS * voxel, picture), supported
 
 
 def lens_field_of_view(rays: RayTable, content: NDArray[np.uint8]) -> FieldOfView:
@@ -125,9 +125,9 @@ def half_field_of_view(rays: RayTable, pinhole: Camera, content: NDArray[np.uint
     return min(edge, float(np.degrees(np.arctan(side))))
 
 
-def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Path) -> CoverageResult:
+def _judge(frames: Frames, completed: CompletedSubmap, surface: Surface, picture: Path) -> CoverageResult:
     try:
-        coverage, believed = measure_supported(frames, part, surface)
+        coverage, supported = measure_supported(frames, completed, surface)
     except NotATube as reason:
         picture.unlink(missing_ok=True)  # of a report that was made before
         return CoverageResult({"judged": False, "reason": str(reason)}, None)
@@ -136,7 +136,7 @@ def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Pat
     smallest = LISTED_MM if millimetres else LISTED_RADII * coverage.radius
     segments = coverage.segments(SEGMENT_MM if millimetres else SEGMENT_RADII * coverage.radius)
     listed = [region for region in coverage.regions if region.diameter >= smallest]
-    draw_coverage(coverage, unroll(coverage, believed, len(listed)), segments, len(listed), picture)
+    draw_coverage(coverage, unroll(coverage, supported, len(listed)), segments, len(listed), picture)
     record = {
         "judged": True,
         "unit": unit,
@@ -151,7 +151,7 @@ def _judge(frames: Frames, part: CompletedSubmap, surface: Surface, picture: Pat
         "listed_from": smallest,
         "smaller_regions": len(coverage.regions) - len(listed),
         "segments": [_segment(s) for s in segments],
-        "missed_regions": [_row(number, region, frames, part) for number, region in enumerate(listed, start=1)],
+        "missed_regions": [_row(number, region, frames, completed) for number, region in enumerate(listed, start=1)],
     }
     patches = tuple(coverage.closed_wall.surface.with_faces(coverage.region == k) for k in range(len(listed)))
     return CoverageResult(record, picture, patches)
@@ -162,8 +162,8 @@ def _segment(segment: Segment) -> dict[str, float]:
     return {"start": segment.start, "end": segment.end, **shares}
 
 
-def _row(number: int, region: MissedRegion, frames: Frames, part: CompletedSubmap) -> dict[str, Any]:
-    index = int(part.submap.frames[region.frame])
+def _row(number: int, region: MissedRegion, frames: Frames, completed: CompletedSubmap) -> dict[str, Any]:
+    index = int(completed.submap.frames[region.frame])
     return {
         "number": number,
         "area": region.area,

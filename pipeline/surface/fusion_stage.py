@@ -50,22 +50,22 @@ class SurfaceSettings:
 
 
 def fuse_depth(
-    completed: list[CompletedSubmap], settings: SurfaceSettings, workspace: Workspace, progress: Progress
+    submaps: list[CompletedSubmap], settings: SurfaceSettings, workspace: Workspace, progress: Progress
 ) -> list[Surface]:
     """Fuse every submap; a submap whose frames agree on no surface keeps an empty mesh."""
     return load_or_make(
         workspace,
         STAGE,
         lambda: load_surfaces(workspace),
-        lambda: _fuse_all(completed, settings, workspace, progress),
+        lambda: _fuse_all(submaps, settings, workspace, progress),
     )
 
 
 def _fuse_all(
-    completed: list[CompletedSubmap], settings: SurfaceSettings, workspace: Workspace, progress: Progress
+    submaps: list[CompletedSubmap], settings: SurfaceSettings, workspace: Workspace, progress: Progress
 ) -> None:
     surfaces = []
-    for number, submap in enumerate(completed):
+    for number, submap in enumerate(submaps):
         # A scale file speaks of the first submap: the others have units of their own.
         own = settings if number == 0 else replace(settings, scale=settings.scale.without_file())
         surface = _fuse(submap, own, f"fusion of submap {number}", progress)
@@ -112,47 +112,51 @@ def mesh_path(workspace: Workspace, number: int) -> Path:
     return workspace.mesh if number == 0 else workspace.mesh.with_name(f"mesh_{number}.ply")
 
 
-def _fuse(part: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
-    ranges = fusion_ranges(part, settings.fusion)
+def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
+    ranges = fusion_ranges(completed, settings.fusion)
     if ranges is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
     fusion, left_out = SurfaceFusion(ranges), []
-    check = ConsistencyCheck(part, settings.consistency, settings.fusion.min_confidence)
-    lamp = _lamp(part, settings.seed) if settings.fusion.delight else None
-    with progress.bar(label, len(part)) as advance:
-        for place, keyframe in enumerate(part):
+    check = ConsistencyCheck(completed, settings.consistency, settings.fusion.min_confidence)
+    lamp = _lamp(completed, settings.seed) if settings.fusion.delight else None
+    with progress.bar(label, len(completed)) as advance:
+        for place, keyframe in enumerate(completed):
             confidence, world_from_camera = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
             if confidence is None:
                 left_out.append(keyframe.index)
             else:
-                rgb = lamp.shading_corrected(keyframe.rgb, keyframe.depth, part.camera.matrix) if lamp else keyframe.rgb
-                fusion.integrate(rgb, keyframe.depth, confidence, part.camera.matrix, world_from_camera)
+                rgb = (
+                    lamp.shading_corrected(keyframe.rgb, keyframe.depth, completed.camera.matrix)
+                    if lamp
+                    else keyframe.rgb
+                )
+                fusion.integrate(rgb, keyframe.depth, confidence, completed.camera.matrix, world_from_camera)
             advance(place + 1)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, MIN_COMPONENT)
-    scale = find_scale(settings.scale, part.submap, mesh)
+    scale = find_scale(settings.scale, completed.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
     voxel_size = ranges.voxel_size * scale.factor
     return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
 
 
-def _lamp(part: CompletedSubmap, seed: int) -> Illumination | None:
+def _lamp(completed: CompletedSubmap, seed: int) -> Illumination | None:
     """What the lamp does in this film, from keyframes spread over it."""
-    spread = np.unique(np.linspace(0, len(part) - 1, min(LAMP_SAMPLES, len(part))).astype(int))
-    keyframes = (part.keyframe(int(part.rows[place])) for place in spread)
-    return fit_illumination(((k.rgb, k.depth) for k in keyframes), part.camera.matrix, seed)
+    spread = np.unique(np.linspace(0, len(completed) - 1, min(LAMP_SAMPLES, len(completed))).astype(int))
+    keyframes = (completed.keyframe(int(completed.rows[place])) for place in spread)
+    return fit_illumination(((k.rgb, k.depth) for k in keyframes), completed.camera.matrix, seed)
 
 
-def fusion_ranges(part: CompletedSubmap, settings: FusionConfig) -> FusionSettings | None:
+def fusion_ranges(completed: CompletedSubmap, settings: FusionConfig) -> FusionSettings | None:
     """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
-    step = max(1, len(part) // VOXEL_SAMPLES)
-    depths = [part.depth(int(row))[0] for row in part.rows[::step]]
+    step = max(1, len(completed) // VOXEL_SAMPLES)
+    depths = [completed.depth(int(row))[0] for row in completed.rows[::step]]
     if not any((depth > 0).any() for depth in depths):
         return None
     median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
     return FusionSettings(
-        voxel_size=settings.voxel_size or choose_voxel_size(depths, part.camera.matrix),
+        voxel_size=settings.voxel_size or choose_voxel_size(depths, completed.camera.matrix),
         truncation=TRUNCATION_VOXELS,
         max_depth=settings.max_depth_ratio * median,
         min_observations=settings.min_observations,

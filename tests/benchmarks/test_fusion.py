@@ -131,7 +131,7 @@ def test_true_depth_is_brought_to_the_rectified_picture(tmp_path):
     write_run(tmp_path / "run", BENT)
     run = MeasuredRun(tmp_path / "run", tmp_path / "film")
     depth = completed(source("true", run), view_of(run))[0]
-    wanted = MM * tube_depth(rays_of(run.before.part.camera))
+    wanted = MM * tube_depth(rays_of(run.before.completed.camera))
     both = (depth > 0) & (wanted > 0)
     assert both.sum() > 0.9 * (wanted > 0).sum()
     raw = 0.01 * cv2.imread(str(view_of(run).true_depth), cv2.IMREAD_UNCHANGED)

@@ -34,7 +34,7 @@ __all__ = ["coverage_section", "write_page"]
 
 def write_page(
     frames: Frames,
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     metrics: dict[str, Any],
@@ -42,15 +42,15 @@ def write_page(
 ) -> None:
     """Write the report of a run."""
     surfaces = [replace(surface, mesh=finite(surface.mesh)) for surface in surfaces]
-    shown = choose_shown(frames, completed)
+    shown = choose_shown(frames, submaps)
     frame_of = np.array([keyframe.frame for keyframe in shown])
 
     def link(frame: int) -> str:
         return f"#keyframe-{int(np.abs(frame_of - frame).argmin()) if len(frame_of) else 0}"
 
-    states = frame_states(workspace, completed)
+    states = frame_states(workspace, submaps)
     data = {
-        "submaps": scene_data(frames, completed, surfaces, coverage, shown),
+        "submaps": scene_data(frames, submaps, surfaces, coverage, shown),
         "shown": [{"submap": k.submap, "frame": k.frame, "seconds": k.seconds} for k in shown],
         "seconds": states.range,
     }
@@ -62,12 +62,10 @@ def write_page(
         "VERSION": html.escape(workspace.record["versions"]["haustra"]),
         "CAUTIONS": cautions(metrics),
         "CARDS": cards(metrics),
-        "STATIC": "".join(
-            _static(frames, *parts) for parts in list(zip(completed, surfaces, strict=True))[:MOST_STATIC]
-        ),
-        "COUNT": html.escape(count_sentence(shown, completed)),
-        "BROWSER": browser_section(shown, completed, surfaces),
-        "TIMELINE": timeline_section(states, shown, completed),
+        "STATIC": "".join(_static(frames, *parts) for parts in list(zip(submaps, surfaces, strict=True))[:MOST_STATIC]),
+        "COUNT": html.escape(count_sentence(shown, submaps)),
+        "BROWSER": browser_section(shown, submaps, surfaces),
+        "TIMELINE": timeline_section(states, shown, submaps),
         "COVERAGE": _coverage(coverage, link),
         "DETAILS": details(metrics),
         "STYLE": _asset("report.css"),
@@ -128,18 +126,18 @@ def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
     )
 
 
-def _static(frames: Frames, part: CompletedSubmap, surface: Surface) -> str:
+def _static(frames: Frames, completed: CompletedSubmap, surface: Surface) -> str:
     """For a browser without scripts or WebGL: the surface from outside and from within, and the path."""
-    centres, unit = part.submap.centres * surface.scale.factor, surface.scale.unit
-    seconds = np.array([frames.seconds_of(int(index)) for index in part.submap.frames])
-    path = _image(path_figure(centres, part.rows, seconds, unit), "png", "camera path")
+    centres, unit = completed.submap.centres * surface.scale.factor, surface.scale.unit
+    seconds = np.array([frames.seconds_of(int(index)) for index in completed.submap.frames])
+    path = _image(path_figure(centres, completed.rows, seconds, unit), "png", "camera path")
     if len(surface.mesh.faces) == 0:
         return f"<p>The keyframes of this submap agree on no surface.</p>{path}"
-    if len(part.rows) == 0:  # no place to look from
+    if len(completed.rows) == 0:  # no place to look from
         outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
         return f"{_image(webp(outside), 'webp', 'surface cut open')}{path}"
-    middle = part.submap.scaled(surface.scale.factor).world_from_camera[part.rows[len(part.rows) // 2]]
-    wide = float(np.degrees(2 * np.arctan(part.camera.width / 2 / part.camera.focal[0])))
+    middle = completed.submap.scaled(surface.scale.factor).world_from_camera[completed.rows[len(completed.rows) // 2]]
+    wide = float(np.degrees(2 * np.arctan(completed.camera.width / 2 / completed.camera.focal[0])))
     outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
     inside = render_mesh(surface.mesh, middle, 640, 480, fov_deg=wide)
     return (

@@ -39,12 +39,12 @@ class Shown:
     seconds: float
 
 
-def choose_shown(frames: Frames, completed: list[CompletedSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
+def choose_shown(frames: Frames, submaps: list[CompletedSubmap], most: int = MOST_KEYFRAMES) -> list[Shown]:
     """At most `most` keyframes, evenly over those of the largest submaps, in the order of submaps and frames."""
     every = [
-        Shown(number, int(row), index := int(part.submap.frames[row]), frames.seconds_of(index))
-        for number, part in enumerate(completed[:MOST_SUBMAPS])
-        for row in part.rows
+        Shown(number, int(row), index := int(completed.submap.frames[row]), frames.seconds_of(index))
+        for number, completed in enumerate(submaps[:MOST_SUBMAPS])
+        for row in completed.rows
     ]
     if not every:
         return []
@@ -60,11 +60,11 @@ class Panels:
     points: int
 
 
-def browser_section(shown: list[Shown], completed: list[CompletedSubmap], surfaces: list[Surface]) -> str:
+def browser_section(shown: list[Shown], submaps: list[CompletedSubmap], surfaces: list[Surface]) -> str:
     """Every shown keyframe as an article. Without script they stand in a list; with it, one at a time is seen."""
-    ranges = {k: _depth_range(completed[k], surfaces[k].scale.factor) for k in sorted({k.submap for k in shown})}
-    panels = _within_budget(shown, completed, surfaces, ranges)
-    several = len(completed) > 1
+    ranges = {k: _depth_range(submaps[k], surfaces[k].scale.factor) for k in sorted({k.submap for k in shown})}
+    panels = _within_budget(shown, submaps, surfaces, ranges)
+    several = len(submaps) > 1
     parts = [_legend(number, limits, surfaces[number].scale.unit) for number, limits in ranges.items()]
     for number, (keyframe, panel) in enumerate(zip(shown, panels, strict=True)):
         where = f", submap {keyframe.submap}" if several else ""
@@ -89,14 +89,14 @@ def data_uri(data: bytes, kind: str) -> str:
 
 def _within_budget(
     shown: list[Shown],
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     surfaces: list[Surface],
     ranges: dict[int, tuple[float, float]],
 ) -> list[Panels]:
     """All pictures at the best quality that keeps the page small, however noisy the video is."""
     panels: list[Panels] = []
     for quality in QUALITIES:
-        panels = list(_draw(shown, completed, surfaces, ranges, quality))
+        panels = list(_draw(shown, submaps, surfaces, ranges, quality))
         if sum(len(picture) for panel in panels for picture in panel.pictures) <= BUDGET:
             break
     return panels
@@ -104,17 +104,17 @@ def _within_budget(
 
 def _draw(
     shown: list[Shown],
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     surfaces: list[Surface],
     ranges: dict[int, tuple[float, float]],
     quality: int,
 ) -> Iterator[Panels]:
     makers: dict[int, SparseDepthMaker] = {}
     for keyframe in shown:
-        part, factor = completed[keyframe.submap], surfaces[keyframe.submap].scale.factor
+        completed, factor = submaps[keyframe.submap], surfaces[keyframe.submap].scale.factor
         if keyframe.submap not in makers:
-            makers[keyframe.submap] = SparseDepthMaker(part.submap, part.camera)
-        views, limits = part.keyframe(keyframe.row), ranges[keyframe.submap]
+            makers[keyframe.submap] = SparseDepthMaker(completed.submap, completed.camera)
+        views, limits = completed.keyframe(keyframe.row), ranges[keyframe.submap]
         sparse = makers[keyframe.submap].sparse_depth(keyframe.row).scaled(factor)
         known, image = views.depth > 0, np.ascontiguousarray(views.rgb[..., ::-1])
         pictures = (
@@ -127,10 +127,10 @@ def _draw(
         yield Panels((encoded[0], encoded[1], encoded[2], encoded[3]), len(sparse.depth))
 
 
-def _depth_range(part: CompletedSubmap, factor: float) -> tuple[float, float]:
+def _depth_range(completed: CompletedSubmap, factor: float) -> tuple[float, float]:
     """One colour range for the whole submap, so that neighbouring keyframes can be compared; output units."""
-    step = max(1, len(part) // RANGE_SAMPLES)
-    known = [depth[depth > 0] for depth in (part.depth(int(row))[0] for row in part.rows[::step])]
+    step = max(1, len(completed) // RANGE_SAMPLES)
+    known = [depth[depth > 0] for depth in (completed.depth(int(row))[0] for row in completed.rows[::step])]
     if not sum(map(len, known)):
         return 0.0, 1.0
     low, high = np.percentile(np.concatenate(known), [1, 98]) * factor
@@ -191,8 +191,8 @@ def _bar(colours: int, low: str, title: str, high: str) -> str:
     )
 
 
-def count_sentence(shown: Iterable[Shown], completed: list[CompletedSubmap]) -> str:
+def count_sentence(shown: Iterable[Shown], submaps: list[CompletedSubmap]) -> str:
     """How many of how many keyframes are in the page."""
-    count, total = len(list(shown)), sum(len(part) for part in completed)
-    where = f" over the {MOST_SUBMAPS} largest of {len(completed)} submaps" if len(completed) > MOST_SUBMAPS else ""
+    count, total = len(list(shown)), sum(len(completed) for completed in submaps)
+    where = f" over the {MOST_SUBMAPS} largest of {len(submaps)} submaps" if len(submaps) > MOST_SUBMAPS else ""
     return f"all {total} keyframes" if count == total else f"{count} of {total} keyframes, evenly spread{where}"

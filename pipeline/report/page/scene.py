@@ -37,7 +37,7 @@ class Limits:
 
 def scene_data(
     frames: Frames,
-    completed: list[CompletedSubmap],
+    submaps: list[CompletedSubmap],
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     shown: list[Shown],
@@ -48,7 +48,7 @@ def scene_data(
     return [
         _submap(
             frames,
-            part,
+            completed,
             surface,
             result,
             Limits(
@@ -58,7 +58,7 @@ def scene_data(
             ),
             [(place, keyframe.row) for place, keyframe in enumerate(shown) if keyframe.submap == number],
         )
-        for number, (part, surface, result) in enumerate(zip(completed, surfaces, coverage, strict=True))
+        for number, (completed, surface, result) in enumerate(zip(submaps, surfaces, coverage, strict=True))
     ]
 
 
@@ -70,13 +70,13 @@ def finite(mesh: SurfaceMesh) -> SurfaceMesh:
 
 def _submap(
     frames: Frames,
-    part: CompletedSubmap,
+    completed: CompletedSubmap,
     surface: Surface,
     result: CoverageResult,
     limits: Limits,
     shown: list[tuple[int, int]],
 ) -> dict[str, Any]:
-    submap, unit = part.submap.scaled(surface.scale.factor), unit_label(surface.scale.unit)
+    submap, unit = completed.submap.scaled(surface.scale.factor), unit_label(surface.scale.unit)
     coarse = decimated(surface.mesh, limits.triangles)
     rows = np.arange(0, len(submap.frames), max(1, -(-len(submap.frames) // limits.path_points)))
     world_from_camera = submap.world_from_camera
@@ -84,7 +84,7 @@ def _submap(
     low, high = points.min(axis=0), points.max(axis=0)
     axes = _axes(coarse.vertices if len(coarse.faces) else submap.centres, world_from_camera)
     seen = points @ axes.T  # as the first view shows them
-    (fx, fy), (width, height) = part.camera.focal, (part.camera.width, part.camera.height)
+    (fx, fy), (width, height) = completed.camera.focal, (completed.camera.width, completed.camera.height)
     return {
         "unit": unit,
         "triangles": len(coarse.faces),
@@ -104,8 +104,8 @@ def _submap(
             "seconds": [round(frames.seconds_of(int(submap.frames[row])), 3) for row in rows],
         },
         "keyframes": {
-            "places": _floats(submap.centres[part.rows]),
-            "frames": submap.frames[part.rows].tolist(),
+            "places": _floats(submap.centres[completed.rows]),
+            "frames": submap.frames[completed.rows].tolist(),
         },
         "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown],
         "missed": _missed(result, unit, limits.patch_triangles),

@@ -96,8 +96,8 @@ def details(metrics: dict[str, Any]) -> str:
 
 
 def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
-    unit, witness = submap["unit"], submap["evidence"]
-    light = f"of {witness['voters']} frames (Spearman {witness['spearman']:.2f} in the median)"
+    unit, check = submap["unit"], submap["evidence"]
+    light = f"of {check['voters']} frames (Spearman {check['spearman']:.2f} in the median)"
     return [
         (
             f"submap {number}",
@@ -106,10 +106,10 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
             f"camera path {submap['path_length']:.4g} {unit}; voxel {submap['voxel_size']:.3g} {unit}",
         ),
         (
-            "evidence",
-            f"reprojection error {witness['reprojection_px']:.2f} px (mean); triangulation angle "
-            f"{witness['angle_deg']:.1f}° (median); nearer is brighter in "
-            f"{100 * (1 - witness['contrary']):.0f} % {light}",
+            "checks",
+            f"reprojection error {check['reprojection_px']:.2f} px (mean); triangulation angle "
+            f"{check['angle_deg']:.1f}° (median); nearer wall is brighter, as the endoscope's own light demands, in "
+            f"{100 * (1 - check['contrary']):.0f} % {light}",
         ),
         ("scale", submap["scale"]),
         ("left out", _left_out(submap["contradicted_keyframes"])),
@@ -118,13 +118,14 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _loops(record: dict[str, Any]) -> str:
-    """What the pose graph did: the places that were seen twice, by their frame numbers."""
+    """What loop closing did, by the numbers of the frames that show the same place."""
     pairs = ", ".join(f"{first} and {second}" for first, second in record["loops"])
     joined = f"joined from {len(record['members'])} submaps; " if len(record["members"]) > 1 else ""
     if pairs:
         return joined + f"closed between frames {pairs}"
-    found = f"{record['supported']} found that the map fulfils already, or that could not be closed (see the warnings)"
-    return joined + (found if record["supported"] else "none found that could be believed")
+    if record["supported"]:
+        return f"{joined}{record['supported']} found; the path fulfils them already, or see the warnings"
+    return joined + "none: no revisited place was confirmed by two matches"
 
 
 def _left_out(frames: list[int]) -> str:

@@ -42,25 +42,25 @@ class FrameStates:
         return float(self.seconds[0]), float(self.seconds[-1]) + self.step
 
 
-def frame_states(workspace: Workspace, completed: list[CompletedSubmap]) -> FrameStates:
+def frame_states(workspace: Workspace, submaps: list[CompletedSubmap]) -> FrameStates:
     """From `frames.json` and the poses."""
     with report_corruption(workspace.frames):
         rows = json.loads(workspace.frames.read_text())["frames"]
     index = np.array([row[0] for row in rows], dtype=np.int64)
     submap = np.full(len(rows), UNPOSED)
-    for number in reversed(range(len(completed))):  # the largest, first one has the last word
-        submap[np.isin(index, completed[number].submap.frames)] = number
+    for number in reversed(range(len(submaps))):  # the largest, first one has the last word
+        submap[np.isin(index, submaps[number].submap.frames)] = number
     return FrameStates(index, np.array([row[1] for row in rows], dtype=float), [row[2] for row in rows], submap)
 
 
-def timeline_section(states: FrameStates, shown: list[Shown], completed: list[CompletedSubmap]) -> str:
+def timeline_section(states: FrameStates, shown: list[Shown], submaps: list[CompletedSubmap]) -> str:
     """Three lanes: what was judged of the frames, which are posed, which are keyframes."""
     columns = _columns(states)
     count = int(columns.max()) + 1
     width = WIDTH / count
     drawing = _merged([_verdict_column(states, columns == c) for c in range(count)], width)
     drawing += _merged([_posed_column(states, columns == c) for c in range(count)], width)
-    drawing += _keyframes(states, shown, completed)
+    drawing += _keyframes(states, shown, submaps)
     start, end = states.range
     seconds = [start + (end - start) * k / (TICKS - 1) for k in range(TICKS)]
     digits = 0 if end - start > 30 else 1 if end - start > 3 else 2
@@ -71,7 +71,7 @@ def timeline_section(states: FrameStates, shown: list[Shown], completed: list[Co
         f'aria-label="state of every frame over time">{drawing}'
         f'<rect id="cursor" x="-10" y="0" width="2" height="{HEIGHT}"/></svg>'
         f'<div class="ticks">{ticks}</div></div></div>'
-        f"{_key(states, completed)}"
+        f"{_key(states, submaps)}"
     )
 
 
@@ -129,12 +129,12 @@ def _merged(columns: list[tuple[Piece, ...]], width: float) -> str:
     return "".join(parts)
 
 
-def _keyframes(states: FrameStates, shown: list[Shown], completed: list[CompletedSubmap]) -> str:
+def _keyframes(states: FrameStates, shown: list[Shown], submaps: list[CompletedSubmap]) -> str:
     """A thin mark for every keyframe, at most one a column, and a thick one for those that the page shows."""
     start, end = states.range
     top, height = KEYFRAME_LANE
     when = dict(zip(states.index.tolist(), states.seconds.tolist(), strict=True))
-    every = {int(part.submap.frames[row]) for part in completed for row in part.rows}
+    every = {int(completed.submap.frames[row]) for completed in submaps for row in completed.rows}
     places = {round((when[f] - start) / (end - start) * MOST_COLUMNS) for f in every}
     thin = "".join(
         f'<rect class="thin" x="{p * WIDTH / MOST_COLUMNS:.2f}" y="{top + 5}" width="1" height="{height - 10}"/>'
@@ -148,10 +148,10 @@ def _keyframes(states: FrameStates, shown: list[Shown], completed: list[Complete
     return thin + thick
 
 
-def _key(states: FrameStates, completed: list[CompletedSubmap]) -> str:
+def _key(states: FrameStates, submaps: list[CompletedSubmap]) -> str:
     counts = Counter(states.verdicts)
     items = [(slug(verdict), f"{verdict} ({n})") for verdict, n in counts.most_common()]
-    sizes = [len(part.submap.frames) for part in completed]
+    sizes = [len(completed.submap.frames) for completed in submaps]
     items += [(f"s-{n % HUES}", f"posed, submap {n} ({size})") for n, size in enumerate(sizes[:MOST_SUBMAPS])]
     if sizes[MOST_SUBMAPS:]:
         items.append((f"s-{MOST_SUBMAPS % HUES}", f"posed, smaller submaps ({sum(sizes[MOST_SUBMAPS:])})"))

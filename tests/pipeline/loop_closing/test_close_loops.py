@@ -70,8 +70,8 @@ def dense(workspace: Workspace, submap: Submap | None = None) -> CompletedSubmap
     return CompletedSubmap(submap, make_rectifier(CAMERA, 120), rows, DiskKeyframes(workspace))
 
 
-def seen(part: CompletedSubmap) -> SubmapFeatures:
-    return SubmapFeatures(part, [KeyframeFeatures.none(int(row)) for row in part.rows], RAYS)
+def seen(completed: CompletedSubmap) -> SubmapFeatures:
+    return SubmapFeatures(completed, [KeyframeFeatures.none(int(row)) for row in completed.rows], RAYS)
 
 
 def closure(first: int, second: int, first_from_second: np.ndarray, sigma: np.ndarray) -> LoopClosure:
@@ -112,10 +112,10 @@ def frames() -> Frames:
 @pytest.fixture
 def seen_twice(monkeypatch):
     """The stage with hand-made links in place of images."""
-    monkeypatch.setattr(stage, "find_features", lambda part, *_: seen(part))
+    monkeypatch.setattr(stage, "find_features", lambda completed, *_: seen(completed))
     monkeypatch.setattr(stage, "loop_candidates", lambda *_: [])
     monkeypatch.setattr(stage, "verify_loops", lambda *_: true_links())
-    monkeypatch.setattr(stage, "adjust_loops", lambda _, closed: closed.part)
+    monkeypatch.setattr(stage, "adjust_loops", lambda _, closed: closed.completed)
 
 
 def gap(submap: Submap) -> float:
@@ -125,24 +125,24 @@ def gap(submap: Submap) -> float:
 
 
 def test_scale_drift_is_closed_and_everything_follows(workspace):
-    part = dense(workspace)
-    closed = close_loops(seen(part), true_links())
-    assert len(closed.kept) == 3
-    assert gap(part.submap) > 0.2
-    assert gap(closed.part.submap) < gap(part.submap) / 5
-    assert closed.part.depth_scale[46] == pytest.approx(np.exp(-GROWTH * 23), abs=0.02)
-    depth, _, pose = closed.part.depth(46)
-    np.testing.assert_allclose(depth, closed.part.depth_scale[46], atol=DEPTH_STEP)
-    np.testing.assert_array_equal(pose, closed.part.submap.world_from_camera[46])
+    completed = dense(workspace)
+    closed = close_loops(seen(completed), true_links())
+    assert len(closed.accepted_pairs) == 3
+    assert gap(completed.submap) > 0.2
+    assert gap(closed.completed.submap) < gap(completed.submap) / 5
+    assert closed.completed.depth_scale[46] == pytest.approx(np.exp(-GROWTH * 23), abs=0.02)
+    depth, _, pose = closed.completed.depth(46)
+    np.testing.assert_allclose(depth, closed.completed.depth_scale[46], atol=DEPTH_STEP)
+    np.testing.assert_array_equal(pose, closed.completed.submap.world_from_camera[46])
 
 
 def test_moving_keeps_each_point_where_its_nearest_frame_saw_it(workspace):
-    part = dense(workspace)
-    nodes = part.submap.world_from_camera[part.rows] @ exponential(np.array([0.1, 0, 0.2, 0.3, 0, 0, 0.2]))
-    after = deform(part, part.rows, nodes)
-    before, now = part.submap, after.submap
+    completed = dense(workspace)
+    nodes = completed.submap.world_from_camera[completed.rows] @ exponential(np.array([0.1, 0, 0.2, 0.3, 0, 0, 0.2]))
+    after = deform(completed, completed.rows, nodes)
+    before, now = completed.submap, after.submap
     np.testing.assert_allclose(np.linalg.det(now.world_from_camera[:, :3, :3]), 1)
-    np.testing.assert_allclose(after.depth_scale[part.rows], np.exp(0.2))
+    np.testing.assert_allclose(after.depth_scale[completed.rows], np.exp(0.2))
     for point in range(0, len(before.points), 37):
         mine = before.observations[before.observations[:, 1] == point, 0]
         nearest = mine[np.linalg.norm(before.centres[mine] - before.points[point], axis=1).argmin()]
@@ -160,38 +160,40 @@ def test_ties_know_the_scale_better_between_near_keyframes(workspace):
 
 
 def test_a_map_that_fulfils_its_loops_is_left_alone(workspace):
-    part = dense(workspace, drifting_submap(growth=0.0))
-    exact = [with_relation(k, rigid(part, k)) for k in true_links()]
-    closed = close_loops(seen(part), exact)
-    assert closed.part is part
-    assert closed.supported == 3
-    assert closed.kept == ()
+    completed = dense(workspace, drifting_submap(growth=0.0))
+    exact = [with_relation(k, rigid(completed, k)) for k in true_links()]
+    closed = close_loops(seen(completed), exact)
+    assert closed.completed is completed
+    assert closed.consistent == 3
+    assert closed.accepted_pairs == ()
 
 
 def test_what_little_a_map_misses_its_loops_by_is_left_to_the_images(workspace):
-    part = dense(workspace, drifting_submap(growth=0.0))
+    completed = dense(workspace, drifting_submap(growth=0.0))
     off = np.eye(4)
     off[0, 3] = 0.015  # of sigma 0.01: a squared misfit of 2.25
-    links = [with_relation(k, off @ rigid(part, k)) for k in true_links()]
-    closed = close_loops(seen(part), links)
-    assert closed.part is part
-    assert closed.links == tuple(links)
-    assert closed.kept == ((0, 46), (4, 42), (2, 44))
+    links = [with_relation(k, off @ rigid(completed, k)) for k in true_links()]
+    closed = close_loops(seen(completed), links)
+    assert closed.completed is completed
+    assert closed.accepted == tuple(links)
+    assert closed.accepted_pairs == ((0, 46), (4, 42), (2, 44))
     wild = off.copy()
     wild[0, 3] = 0.3
     false = [with_relation(k, wild @ k.match.first_from_second) for k in true_links(((5, 20), (6, 19)))]
-    assert close_loops(seen(part), [*links, *false]).links == tuple(links)
+    assert close_loops(seen(completed), [*links, *false]).accepted == tuple(links)
 
 
-def rigid(part: CompletedSubmap, link: LoopClosure) -> np.ndarray:
-    first, second = (part.submap.world_from_camera[part.rows[k]] for k in (link.match.first, link.match.second))
+def rigid(completed: CompletedSubmap, link: LoopClosure) -> np.ndarray:
+    first, second = (
+        completed.submap.world_from_camera[completed.rows[k]] for k in (link.match.first, link.match.second)
+    )
     return np.linalg.inv(first) @ second
 
 
 def test_a_single_false_link_changes_nothing(workspace):
-    part = dense(workspace)
+    completed = dense(workspace)
     lie = closure(3, 15, np.eye(4), np.full(7, 0.01))
-    assert close_loops(seen(part), [lie]).part is part
+    assert close_loops(seen(completed), [lie]).completed is completed
 
 
 def test_halves_of_different_scale_are_joined(workspace):
@@ -231,12 +233,12 @@ def test_uniting_keeps_who_saw_what(workspace):
 
 
 def test_the_stage_writes_what_it_did_and_resumes_from_it(workspace, frames, seen_twice):
-    part = dense(workspace)
-    refined = close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
+    completed = dense(workspace)
+    refined = close_loops_stage(frames, [completed], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == [[0, 46], [4, 42], [2, 44]]
-    assert gap(refined[0].submap) < gap(part.submap) / 5
-    again = load_refined([part], workspace)
+    assert gap(refined[0].submap) < gap(completed.submap) / 5
+    again = load_refined([completed], workspace)
     np.testing.assert_array_equal(again[0].submap.world_from_camera, refined[0].submap.world_from_camera)
     np.testing.assert_array_equal(again[0].depth(46)[0], refined[0].depth(46)[0])
     folder, unit = model_sources(workspace)[0]
@@ -249,8 +251,10 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
         raise ReconstructionError("the pose graph has no solution")
 
     monkeypatch.setattr(stage, "close_loops", fail)
-    part = dense(workspace)
-    assert close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [part]
+    completed = dense(workspace)
+    assert close_loops_stage(frames, [completed], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [
+        completed
+    ]
     assert workspace.result("refinement")["warnings"] == [
         "the loops of submap 0 were not closed: the pose graph has no solution"
     ]
@@ -259,17 +263,21 @@ def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch
 
 def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice, monkeypatch):
     monkeypatch.setattr(stage, "adjust_loops", lambda *_: None)
-    part = dense(workspace)
-    assert close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [part]
+    completed = dense(workspace)
+    assert close_loops_stage(frames, [completed], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [
+        completed
+    ]
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == []
     assert record["warnings"] == [f"the loops of submap 0 were not closed: {stage.TOO_FEW_FEATURES}"]
 
 
 def test_without_the_stage_nothing_changes(workspace, frames):
-    part = dense(workspace)
+    completed = dense(workspace)
     off = CONFIG.model_copy(update={"loop_closing": LoopClosingSettings(enabled=False)})
-    assert close_loops_stage(frames, [part], off.loop_closing, off.seed, workspace, SilentProgress()) == [part]
+    assert close_loops_stage(frames, [completed], off.loop_closing, off.seed, workspace, SilentProgress()) == [
+        completed
+    ]
     assert not workspace.is_done("refinement")
 
 
@@ -279,7 +287,7 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     workspace.finish("structure", mapper="odometry", units=[1.0, 1.0])
     relation = np.diag([1 / 1.7] * 3 + [1.0])
     links = [closure(k, m, relation, np.full(7, 0.01)) for k, m in ((10, 0), (12, 2), (13, 3))]
-    monkeypatch.setattr(stage, "find_features", lambda part, *_: seen(part))
+    monkeypatch.setattr(stage, "find_features", lambda completed, *_: seen(completed))
     for name in ("loop_candidates", "merge_candidates"):
         monkeypatch.setattr(stage, name, lambda *_: [])
     monkeypatch.setattr(stage, "verify_loops", lambda one, other, *_: links if one is not other else [])
@@ -295,10 +303,12 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
 
 def test_submaps_without_completed_keyframes_pass_through(workspace, frames, seen_twice):
     """What depth could not complete must not end the run, alone or beside a submap that closes its loops."""
-    part = dense(workspace)
-    empty = replace(part, rows=part.rows[:0])
-    refined = close_loops_stage(frames, [part, empty], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
-    assert [len(each) for each in refined] == [len(part), 0]
+    completed = dense(workspace)
+    empty = replace(completed, rows=completed.rows[:0])
+    refined = close_loops_stage(
+        frames, [completed, empty], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()
+    )
+    assert [len(each) for each in refined] == [len(completed), 0]
     assert refined[0].depth_scale is not None
     assert refined[1].depth_scale is None
 
@@ -309,6 +319,8 @@ def test_maps_that_must_stay_are_not_touched(workspace, frames, seen_twice, why)
         workspace.finish("surface", surfaces=[])
     else:
         workspace.finish("structure", mapper="global", units=[2.0])
-    part = dense(workspace)
-    assert close_loops_stage(frames, [part], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [part]
+    completed = dense(workspace)
+    assert close_loops_stage(frames, [completed], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [
+        completed
+    ]
     assert not workspace.is_done("refinement")

@@ -67,11 +67,11 @@ def seen() -> tuple[CompletedSubmap, list[KeyframeFeatures], Sim3Match]:
     submap = Submap(
         np.arange(COUNT), poses, np.zeros((0, 3)), np.zeros(0), nothing.astype(np.int64), nothing, CAMERA.params
     )
-    part = CompletedSubmap(
+    completed = CompletedSubmap(
         submap, make_rectifier(CAMERA, 120), np.arange(COUNT), DiskKeyframes(Workspace(Path("unused")))
     )
     rows = np.intersect1d(ids[0], ids[-1], return_indices=True)[1:]
-    return part, places, Sim3Match(0, COUNT - 1, np.eye(4), np.column_stack(rows))
+    return completed, places, Sim3Match(0, COUNT - 1, np.eye(4), np.column_stack(rows))
 
 
 def ate(poses: np.ndarray, number: np.ndarray | None = None) -> float:
@@ -92,10 +92,10 @@ def few_features_suffice(monkeypatch):
 
 
 def test_a_bend_that_no_loop_shows_is_taken_back():
-    part, places, link = seen()
+    completed, places, link = seen()
     assert link.inliers > 10
-    before = ate(part.submap.world_from_camera)
-    number, nodes = adjust_nodes(part, places, [link], part.submap.world_from_camera)
+    before = ate(completed.submap.world_from_camera)
+    number, nodes = adjust_nodes(completed, places, [link], completed.submap.world_from_camera)
     assert number.tolist() == list(range(COUNT))
     assert before > 0.05
     assert ate(rigid(nodes)) < before / 50
@@ -104,24 +104,24 @@ def test_a_bend_that_no_loop_shows_is_taken_back():
 
 
 def test_two_runs_agree_to_the_bit():
-    part, places, link = seen()
-    runs = [adjust_nodes(part, places, [link], part.submap.world_from_camera) for _ in range(2)]
+    completed, places, link = seen()
+    runs = [adjust_nodes(completed, places, [link], completed.submap.world_from_camera) for _ in range(2)]
     assert all(np.array_equal(one, other) for one, other in zip(*runs, strict=True))
 
 
 def test_false_matches_are_left_out():
-    part, places, link = seen()
+    completed, places, link = seen()
     rng = np.random.default_rng(1)
     rows = rng.integers(0, [[len(places[0].pixels)], [len(places[-1].pixels)]], (2, 8))
     lies = replace(link, rows=rows.T)
-    _, nodes = adjust_nodes(part, places, [link, lies], part.submap.world_from_camera)
-    assert ate(rigid(nodes)) < ate(part.submap.world_from_camera) / 10
+    _, nodes = adjust_nodes(completed, places, [link, lies], completed.submap.world_from_camera)
+    assert ate(rigid(nodes)) < ate(completed.submap.world_from_camera) / 10
 
 
 @pytest.mark.parametrize("narrow_suffice", [True, False])
 def test_wide_features_have_a_say_only_where_narrow_ones_are_too_few(monkeypatch, narrow_suffice):
     """A quarter of the features, 30 px wide, lie a hundredth too far out in every picture, as by another lens."""
-    part, places, link = seen()
+    completed, places, link = seen()
     if not narrow_suffice:
         monkeypatch.setattr(
             "pipeline.loop_closing.loop_adjustment.MIN_TYPICAL_FEATURES",
@@ -132,29 +132,29 @@ def test_wide_features_have_a_say_only_where_narrow_ones_are_too_few(monkeypatch
         wide = place.descriptors[:, 0] < 64  # the same ones everywhere
         points = np.where(wide[:, None], place.points * [1.01, 1.01, 1.0], place.points)
         spoilt.append(replace(place, points=points, sizes=np.where(wide, 30.0, 4.0)))
-    _, nodes = adjust_nodes(part, spoilt, [link], part.submap.world_from_camera)
-    without = ate(rigid(adjust_nodes(part, places, [link], part.submap.world_from_camera)[1]))
+    _, nodes = adjust_nodes(completed, spoilt, [link], completed.submap.world_from_camera)
+    without = ate(rigid(adjust_nodes(completed, places, [link], completed.submap.world_from_camera)[1]))
     assert (ate(rigid(nodes)) < 2 * without + 1e-4) == narrow_suffice
 
 
 def test_a_keyframe_without_features_follows_its_neighbours():
-    part, places, link = seen()
+    completed, places, link = seen()
     blind = [place if k != 11 else empty(place) for k, place in enumerate(places)]
-    number, nodes = adjust_nodes(part, blind, [link], part.submap.world_from_camera)
+    number, nodes = adjust_nodes(completed, blind, [link], completed.submap.world_from_camera)
     assert number.tolist() == [k for k in range(COUNT) if k != 11]
-    followed = deform(part, part.rows[number], nodes)
-    assert ate(followed.submap.world_from_camera) < ate(part.submap.world_from_camera) / 20
+    followed = deform(completed, completed.rows[number], nodes)
+    assert ate(followed.submap.world_from_camera) < ate(completed.submap.world_from_camera) / 20
 
 
 def test_a_stretch_without_features_is_not_adjusted():
-    part, places, link = seen()
+    completed, places, link = seen()
     blind = [empty(place) if k in range(10, 20) else place for k, place in enumerate(places)]
-    assert adjust_nodes(part, blind, [link], part.submap.world_from_camera) is None
+    assert adjust_nodes(completed, blind, [link], completed.submap.world_from_camera) is None
 
 
 def test_few_may_follow_at_the_ends(monkeypatch):
-    part, places, _ = seen()
-    tracks = feature_tracks(places, match_keyframes(part, places, []), part.submap.world_from_camera)
+    completed, places, _ = seen()
+    tracks = feature_tracks(places, match_keyframes(completed, places, []), completed.submap.world_from_camera)
     assert well_constrained(tracks, COUNT).tolist() == list(range(COUNT))
     assert is_held(tracks, np.arange(COUNT - 4), COUNT)
     assert not is_held(tracks, np.arange(COUNT - 7), COUNT)
@@ -163,24 +163,24 @@ def test_few_may_follow_at_the_ends(monkeypatch):
 
 
 def test_two_features_of_one_picture_are_not_one_point():
-    part, places, link = seen()
+    completed, places, link = seen()
     twice = replace(link, rows=np.array([[0, 0], [1, 0]]))
-    tracks = feature_tracks(places, match_keyframes(part, places, [twice]), part.submap.world_from_camera)
+    tracks = feature_tracks(places, match_keyframes(completed, places, [twice]), completed.submap.world_from_camera)
     assert len(np.unique(np.column_stack([tracks.track, tracks.place]), axis=0)) == len(tracks.track)
     assert (np.bincount(tracks.track) >= 2).all()
 
 
 def test_links_between_places_are_those_of_keyframes(monkeypatch):
     """The graph looks at some keyframes only; the bundle at all."""
-    part, places, link = seen()
-    everything = SubmapFeatures(part, places, RayTable(CAMERA))
+    completed, places, link = seen()
+    everything = SubmapFeatures(completed, places, RayTable(CAMERA))
     monkeypatch.setattr("pipeline.loop_closing.loop_adjustment.features_of_all", lambda *_: everything)
-    some = SubmapFeatures(part, [places[0], places[20], places[-1]], RayTable(CAMERA))
+    some = SubmapFeatures(completed, [places[0], places[20], places[-1]], RayTable(CAMERA))
     loop = LoopClosure(replace(link, second=2), np.eye(7))
-    closed = LoopClosingResult(part, 1, 1, (loop,), ((0, COUNT - 1),))
+    closed = LoopClosingResult(completed, 1, 1, (loop,), ((0, COUNT - 1),))
     adjusted = adjust_loops(some, closed)
-    expected = adjust_nodes(part, places, [link], nodes_of(part, part))[1]
-    np.testing.assert_allclose(nodes_of(part, adjusted), expected, atol=1e-9)
+    expected = adjust_nodes(completed, places, [link], nodes_of(completed, completed))[1]
+    np.testing.assert_allclose(nodes_of(completed, adjusted), expected, atol=1e-9)
 
 
 def empty(place: KeyframeFeatures) -> KeyframeFeatures:

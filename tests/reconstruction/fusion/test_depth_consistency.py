@@ -207,9 +207,9 @@ def test_depth_that_is_not_believed_anyway_throws_no_keyframe_out() -> None:
     wrong = frames[6].depth.copy()
     wrong[:60] *= 2
     frames[6] = DepthView(wrong, INTRINSICS, frames[6].world_from_camera)
-    part = Keyframes(frames)
-    part.confidences[6] = doubted
-    check = ConsistencyCheck(part, ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    completed = Keyframes(frames)
+    completed.confidences[6] = doubted
+    check = ConsistencyCheck(completed, ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     kept = check.confidence(6, doubted)
     assert kept is not None
     assert np.median(kept[64:]) == pytest.approx(0.8, abs=0.01)
