@@ -1,4 +1,4 @@
-"""Which posed frames are completed and fused: those that see something new, and see enough of it."""
+"""Selection of the frames whose depth is completed: new parallax, and enough sparse points."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Stage 3a: COLMAP's points to the sparse depth of one keyframe, each point with its relative error.
+"""Sparse depth of one keyframe from a submap's points, each with its expected relative error.
 
 A point's depth error follows from its parallax: n rays at angles alpha_i, each off by sigma_pixel / f, fix the depth to
 sigma_z / z = sigma_pixel / (f sqrt(sum (alpha_i - mean)^2)), the slope of a line fitted to them.

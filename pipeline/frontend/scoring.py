@@ -1,4 +1,4 @@
-"""Which mapper's submaps are the better ones, and when another front end should be asked.
+"""Scoring of front ends' submaps: which are better, and when another front end is run.
 
 A lighting check speaks for or against each submap (`mapping.lighting_check`): the number of posed frames and the
 reprojection error do not tell a false two-view start.

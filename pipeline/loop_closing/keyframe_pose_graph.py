@@ -1,4 +1,4 @@
-"""A submap as a pose graph: its keyframes tied by the points they share, and everything else moved with them."""
+"""Sim(3) pose graph of a submap: covisibility factors and loops; frames and points move with the keyframes' nodes."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

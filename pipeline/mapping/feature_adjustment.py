@@ -1,9 +1,9 @@
-"""The last bundle adjustment of a map, to SIFT features that are detected anew in each of its keyframes.
+"""Final bundle adjustment of a map on SIFT features re-detected in each keyframe: KLT corners drift and bend the scale.
 
-A corner that is tracked from frame to frame slides a little, and always the same way while the camera moves the same
-way: that bends the scale along the path, and no adjustment of the same corners can see it. Features that each keyframe
-detects for itself, matched to where the map has them, slide far less, the narrow ones least. The map's shape comes from
-these alone; wider ones and the corners' points follow, and all features become points of the map.
+A corner that is tracked from frame to frame drifts along the direction of motion. That bends the scale along the path,
+and no adjustment of the same corners shows it. Re-detected features, matched where the map predicts them, drift far
+less, narrow ones least. The map is adjusted to narrow features alone; wide features and KLT points are moved along, and
+all features become points of the map.
 """
 
 import numpy as np

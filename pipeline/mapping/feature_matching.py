@@ -1,4 +1,4 @@
-"""SIFT features of a map's keyframes, with depth from the map's points, and matched where the map expects them."""
+"""SIFT features of a map's keyframes, lifted to 3-D by the map's points and matched where the map predicts them."""
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +14,7 @@ from haustra.core.progress import ProgressCallback
 from haustra.core.se3 import Array, in_camera
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_features
-from pipeline.matching.guided_matching import likeness_elsewhere, match_near
+from pipeline.matching.guided_matching import match_near, self_similarity
 from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, lift_features
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import STATIC_PX
@@ -137,7 +137,7 @@ def _radius(local_map: LocalMap) -> float:
 
 
 def _elsewhere(radius: float, features: KeyframeFeatures) -> Array:
-    return likeness_elsewhere(features.pixels, features.rootsift, radius)
+    return self_similarity(features.pixels, features.rootsift, radius)
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: ProgressCallback) -> Iterator[T]:

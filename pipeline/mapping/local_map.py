@@ -35,7 +35,7 @@ FEATURES = (TrackKind.WIDE_FEATURE, TrackKind.FEATURE)
 
 @dataclass
 class Tracks:
-    """Arrays by track number: points (T,3); known (T,) whether there is one; barred (T,) whether it was found wrong;
+    """Arrays by track number: points (T,3); has_point (T,) whether there is one; rejected (T,) whether it was found wrong;
     kind (T,) a `TrackKind`."""
 
     points: Array = field(default_factory=lambda: np.zeros((ROOM, 3)))

@@ -1,4 +1,4 @@
-"""Maps on disk, as plain arrays: what a chunk's process hands over, and what a resumed run finds."""
+"""Local maps on disk as plain arrays: the result of a chunk's process, and the start of a resumed run."""
 
 from itertools import pairwise
 from pathlib import Path

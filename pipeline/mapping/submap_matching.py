@@ -1,4 +1,4 @@
-"""When two submaps saw the same place: verified matches of their keyframes that agree with one another.
+"""Matching of two submaps: verified keyframe matches that agree on one similarity and on the surface.
 
 A pair of keyframes that looks alike is matched for itself; such matches must agree on one similarity of the two
 worlds. It is then asked of the keyframes around them as it stands, and it must hold from different views. Every match

@@ -1,4 +1,4 @@
-"""Submaps that saw the same place become one, on strong evidence only: a false merge is far worse than a missed one.
+"""Merging of submaps that saw the same place; strict, since a false merge is far worse than a missed one.
 
 Strong means: two or more pairs of keyframes that look alike, each with many matched features that one similarity
 explains in both pictures, one and the same similarity for all of them, and borne out by pairs from different views on

@@ -1,4 +1,4 @@
-"""From a map of odometry to the `Submap` that any front end gives: poses of all frames, points, errors."""
+"""Conversion of a finished `LocalMap` to the `Submap` that every front end returns: poses, points, errors."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Which features of two pictures are the same, by their descriptors alone."""
+"""Descriptor matching of two pictures: mutual nearest neighbours that pass the ratio test."""
 
 import numpy as np
 from numpy.typing import NDArray

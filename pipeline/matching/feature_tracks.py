@@ -1,4 +1,4 @@
-"""Features of several pictures that are one point, from what looked alike in pairs of pictures."""
+"""Tracks of features over several pictures, joined from pairwise matches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

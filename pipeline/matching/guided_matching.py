@@ -1,9 +1,9 @@
-"""Features that look alike where a map says that they should be, rather than anywhere in the picture.
+"""Guided matching: each feature is compared with those near its predicted position in the other picture.
 
 Comparing all features of two pictures is a product of two large matrices for each pair of keyframes. Where the map is
-right to some pixels, each feature has one or two candidates. What is lost is the rest of the picture, against which a
-likeness must stand out (Lowe, IJCV 2004); a feature's own picture, which looks much the same, stands for it, and is
-asked once for all pairs. See docs/lab/front_end.md for what that is worth.
+right to some pixels, each feature has one or two candidates. The ratio test (Lowe, IJCV 2004) needs a second best match
+from elsewhere; it is taken from the feature's own picture, which looks much the same, once for all pairs. Measured in
+docs/lab/front_end.md.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ def match_near(
     expected: Array, pixels: Array, first: Descriptors, second: Descriptors, elsewhere: Array, radius: float
 ) -> NDArray[np.int64]:
     """(K,2) rows of features of two pictures that are each other's most alike within reach, and clearly more alike than
-    the second most there and than `elsewhere` (N,), what `likeness_elsewhere` gives of the first picture.
+    the second most there and than `elsewhere` (N,), from `self_similarity` of the first picture.
 
     expected: (N,2) where the first one's features should be in the second one, NaN = nowhere; its own are at `pixels`
     (M,2); `radius` px is the reach.
@@ -35,12 +35,12 @@ def match_near(
     return _match_near(expected, pixels, first, second, elsewhere, float(radius), RATIO**2)
 
 
-def likeness_elsewhere(pixels: Array, descriptors: Descriptors, radius: float) -> Array:
+def self_similarity(pixels: Array, descriptors: Descriptors, radius: float) -> Array:
     """(N,) cosine to the most alike feature of the same picture farther than `radius` px away; -1 if there is none."""
     if pixels.shape != (len(descriptors), 2):
         raise ValueError(f"{len(descriptors)} descriptors do not fit pixels of shape {pixels.shape}")
-    likeness = descriptors @ descriptors.T
-    return _most_elsewhere(np.ascontiguousarray(pixels, np.float64), likeness, float(radius))
+    similarity = descriptors @ descriptors.T
+    return _most_elsewhere(np.ascontiguousarray(pixels, np.float64), similarity, float(radius))
 
 
 @compiled
@@ -69,16 +69,16 @@ def _match_near(
             j = by_row[k]
             if (pixels[j, 0] - expected[i, 0]) ** 2 + (pixels[j, 1] - expected[i, 1]) ** 2 > radius**2:
                 continue
-            likeness = 0.0
+            similarity = 0.0
             for n in range(first.shape[1]):
-                likeness += first[i, n] * second[j, n]
-            if likeness > most[i]:
+                similarity += first[i, n] * second[j, n]
+            if similarity > most[i]:
                 next_most[i] = max(next_most[i], most[i])
-                nearest[i], most[i] = j, likeness
+                nearest[i], most[i] = j, similarity
             else:
-                next_most[i] = max(next_most[i], likeness)
-            if likeness > most_back[j]:
-                back[j], most_back[j] = i, likeness
+                next_most[i] = max(next_most[i], similarity)
+            if similarity > most_back[j]:
+                back[j], most_back[j] = i, similarity
     pairs = np.empty((count, 2), np.int64)
     found = 0
     for i in range(count):
@@ -90,11 +90,11 @@ def _match_near(
 
 
 @compiled
-def _most_elsewhere(pixels: Array, likeness: NDArray[np.float32], radius: float) -> Array:
+def _most_elsewhere(pixels: Array, similarity: NDArray[np.float32], radius: float) -> Array:
     most = np.full(len(pixels), -1.0)
     for i in range(len(pixels)):
         for j in range(len(pixels)):
             apart = (pixels[i, 0] - pixels[j, 0]) ** 2 + (pixels[i, 1] - pixels[j, 1]) ** 2
-            if likeness[i, j] > most[i] and apart > radius**2:
-                most[i] = likeness[i, j]
+            if similarity[i, j] > most[i] and apart > radius**2:
+                most[i] = similarity[i, j]
     return most

@@ -1,4 +1,4 @@
-"""Which pictures may show the same place: VLAD over the video's own descriptors.
+"""Place recognition: similarity of pictures by VLAD over visual words learned from the video itself.
 
 VLAD (Jegou et al., CVPR 2010) sums, for each visual word, how the picture's descriptors deviate from it. The words are
 learnt from the video itself, so no vocabulary file is needed. Only candidates: geometry must confirm each.
@@ -18,7 +18,7 @@ SAMPLE = 20_000  # descriptors from which the words are learnt
 Pair = tuple[int, int]
 
 
-def learn_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
+def learn_visual_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
     """(WORDS,128) k-means centres of a sample of descriptors (N,128)."""
     if len(descriptors) > SAMPLE:
         chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
@@ -28,13 +28,13 @@ def learn_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float
     return cv2.kmeans(descriptors, WORDS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]
 
 
-def vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
+def vlad(descriptors: NDArray[np.float32], visual_words: NDArray[np.float32]) -> NDArray[np.float32]:
     """Signature (WORDS*128,) of unit length, by signed square root; zero for a picture without features."""
-    signature = np.zeros_like(words)
+    signature = np.zeros_like(visual_words)
     if len(descriptors):
-        distance = (words * words).sum(1)[None] - 2 * descriptors @ words.T
+        distance = (visual_words * visual_words).sum(1)[None] - 2 * descriptors @ visual_words.T
         nearest = distance.argmin(axis=1)
-        np.add.at(signature, nearest, descriptors - words[nearest])
+        np.add.at(signature, nearest, descriptors - visual_words[nearest])
     flat = (np.sign(signature) * np.sqrt(np.abs(signature))).ravel()
     return (flat / max(float(np.linalg.norm(flat)), 1e-12)).astype(np.float32)
 
@@ -50,8 +50,8 @@ def similarities(
     stacked = np.concatenate(roots[0] + roots[1])
     if len(stacked) < WORDS:
         return nowhere
-    words = learn_words(stacked, seed)
-    one, other = (np.stack([vlad(root, words) for root in side]) for side in roots)
+    visual_words = learn_visual_words(stacked, seed)
+    one, other = (np.stack([vlad(root, visual_words) for root in side]) for side in roots)
     enough = [np.array([len(features) >= MIN_FEATURES for features in side]) for side in (first, second)]
     return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
 
@@ -78,8 +78,8 @@ def loop_pairs(descriptors: list[NDArray], stride: int, neighbours: int, min_gap
     stacked = [d.astype(np.float32) for d in descriptors]
     if sum(len(d) for d in stacked) < 2 * WORDS:
         return []
-    words = learn_words(np.concatenate(stacked), seed)
-    signatures = np.stack([vlad(d, words) for d in stacked])
+    visual_words = learn_visual_words(np.concatenate(stacked), seed)
+    signatures = np.stack([vlad(d, visual_words) for d in stacked])
     pairs = set()
     for row in range(0, len(signatures), stride):
         similarity = signatures @ signatures[row]

@@ -1,4 +1,4 @@
-"""SIFT features of keyframes, found once for all that asks for them: the last adjustment, joining, another lens.
+"""Cache of the keyframes' SIFT features, which the last adjustment, merging and self-calibration all read.
 
 Finding them takes as long as tracking a frame, and needs nothing of the map, so that a second processor does it while
 tracking goes on. 150 bytes a feature are kept, half of what a keyframe's tracks take.

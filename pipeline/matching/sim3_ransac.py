@@ -1,4 +1,4 @@
-"""Similarity between two maps from points that both know: sample consensus, judged in both cameras' images."""
+"""RANSAC of the similarity between two maps from matched 3-D points, with inliers counted in both images."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""The loops over observations, compiled: what NumPy would do in a dozen passes. Bundle adjustment's, and joining's.
+"""Compiled loops over observations, for bundle adjustment and for submap matching.
 
 C cameras (rotation (C,3,3), translation (C,3), camera_from_world), P points (P,3), M observations: `camera` and `point`
 (M,) rows, `xy` (M,2) on the plane z = 1, `jacobian` (M,2,2) pixels per unit there. The loss is Cauchy's, in pixels.

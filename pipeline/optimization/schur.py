@@ -1,4 +1,4 @@
-"""The cameras' part of a bundle adjustment's normal equations: put together from the points' part, and solved.
+"""Reduced camera system of bundle adjustment (Schur complement of the points), and its banded solve.
 
 A film's cameras share points with their neighbours and, where it comes back, with a few others. Set in the right order
 (reverse Cuthill-McKee), what couples them lies in a band beside the diagonal, so that solving for all of them together

@@ -1,4 +1,4 @@
-"""Stage 5: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
+"""Stage 7: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
 
 from dataclasses import asdict
 from typing import Any
@@ -13,7 +13,7 @@ from pipeline.frontend.base import COLMAP_WORKER
 from pipeline.frontend.structure_stage import camera_trust, front_end_of
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.close_loops import model_sources
-from pipeline.report.page import write_page
+from pipeline.report.page.page import write_page
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace, write_json
 from pipeline.surface.coverage_stage import CoverageResult

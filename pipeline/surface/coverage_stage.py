@@ -1,4 +1,4 @@
-"""What the endoscopist missed: coverage of every submap's lumen, its picture, and its figures."""
+"""Stage 6: coverage of every submap's lumen: what the endoscopist missed, its map and its figures."""
 
 from dataclasses import dataclass
 from pathlib import Path

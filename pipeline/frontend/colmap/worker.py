@@ -1,4 +1,4 @@
-"""COLMAP in a process of its own: `python -m pipeline.colmap_worker match|map|scale|calibrate JOB.json`.
+"""COLMAP in a process of its own: `python -m pipeline.frontend.colmap.worker match|map|scale|calibrate JOB.json`.
 
 A process of its own for three reasons: Ctrl-C stops it at once, where C++ inside our process would not listen; a crash
 in it is a sentence, not the end of the run; and importing pycolmap before OpenCV makes OpenCV's PNG writer abort

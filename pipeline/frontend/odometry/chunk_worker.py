@@ -1,4 +1,4 @@
-"""One chunk of a film, tracked in a process of its own: `python -m pipeline.odometry.chunk_worker track job.json`."""
+"""One chunk of a video, tracked in a process of its own: `... track JOB.json`."""
 
 import json
 import sys

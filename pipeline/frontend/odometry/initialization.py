@@ -1,4 +1,4 @@
-"""The beginning of a submap: follow tracks until two frames are far enough apart, then map what was seen since."""
+"""Initialization of a map: corners are tracked until two frames have enough parallax, then two views are solved."""
 
 from dataclasses import dataclass
 

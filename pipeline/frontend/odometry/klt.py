@@ -1,4 +1,4 @@
-"""What is followed from frame to frame: corners of the wall's own texture, in images freed of the lamp.
+"""KLT tracking of corners, in images whose illumination was normalised.
 
 Lucas-Kanade assumes that a patch keeps its grey values, but the lamp moves with the camera: a patch that comes twice as
 near becomes four times as bright. The logarithm turns that factor into an offset, the local mean takes the offset away,

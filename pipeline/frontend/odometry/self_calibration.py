@@ -1,4 +1,4 @@
-"""A guessed lens made better by the map itself: focal length and first radial term, with their standard deviations.
+"""Self-calibration of a guessed lens by bundle adjustment: focal length and radial terms, with standard deviations.
 
 Tracking needs no more than a guess: a focal length that is a sixth off bends the map smoothly. Once the map is there,
 one bundle adjustment with the lens free finds it, if the camera moved enough; where it did not, the guess stays.

@@ -1,7 +1,7 @@
-"""The state machine: start, track, lose, start again. Frames go in one by one; maps come out.
+"""Odometry as a state machine (starting, tracking, lost): frames go in one by one, local maps come out.
 
 A lost camera starts a new map at once, and the old one keeps looking for a few frames more: whichever first knows where
-the camera is goes on. No frame is needed twice and no image is kept but the anchors'.
+the camera is goes on. No frame is read twice; only the reference images are kept.
 """
 
 from typing import Literal
@@ -54,7 +54,7 @@ class Odometry:
         return self.tracker.map.keyframes[-1].frame if self.tracker is not None else None
 
     def view(self, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> TrackerImage:
-        """What `feed` asks of a frame that no other frame has a say in. rgb (H,W,3) uint8; mask (H,W), nonzero where
+        """The frame as the tracker needs it; depends on no other frame. rgb (H,W,3) uint8; mask (H,W), nonzero where
         features may lie."""
         return tracker_image(rgb, self.rays.masked(mask))
 
@@ -91,7 +91,7 @@ class Odometry:
         self.tracker, self.lost_frames = None, 0
 
     def _fails_lighting_check(self) -> bool:
-        """True while a map is young and its lamp says that near is dark."""
+        """Whether, in a map's first keyframes, near wall is not brighter than far wall."""
         assert self.tracker is not None
         correlations = self.tracker.lighting
         return len(correlations) == CHECKED_KEYFRAMES and float(np.median(correlations)) > MAX_LIGHTING_CORRELATION

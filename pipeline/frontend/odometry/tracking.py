@@ -1,4 +1,4 @@
-"""Following the camera in a map: predict, look, resect, and make a keyframe when the view has changed."""
+"""Tracking of the camera in a map: predict, track corners, resect, and make a keyframe when the view has changed."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""The start: relative pose of two views by several hypotheses, judged by evidence.
+"""Relative pose of two views: several hypotheses, ranked by inliers and by the lighting check.
 
 Five-point essential matrices and a homography each give a few poses. A plane, little parallax or one false sample can
 make a wrong one fit two views as well as the right one, so each is asked for more: depths in front of both cameras, a

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.matching.descriptor_matching import RATIO
-from pipeline.matching.guided_matching import likeness_elsewhere, match_near
+from pipeline.matching.guided_matching import match_near, self_similarity
 
 RADIUS = 6.0
 
@@ -24,14 +24,14 @@ def picture(count, rng, side=60.0):
 def matched_by_matrices(expected, pixels, first, second, elsewhere, radius):
     """Nearest both ways of those within reach, and nearer by the ratio than the second and than what is elsewhere."""
     apart = np.linalg.norm(expected[:, None] - pixels[None], axis=2)
-    likeness = np.where(apart <= radius, first.astype(float) @ second.T.astype(float), -np.inf)
+    similarity = np.where(apart <= radius, first.astype(float) @ second.T.astype(float), -np.inf)
     pairs = []
-    for i, row in enumerate(likeness):
+    for i, row in enumerate(similarity):
         if not np.isfinite(row).any():
             continue
         j = int(row.argmax())
         rest = max(np.delete(row, j).max(initial=-1.0), elsewhere[i])
-        if likeness[:, j].argmax() == i and max(1 - row[j], 0) < RATIO**2 * (1 - rest):
+        if similarity[:, j].argmax() == i and max(1 - row[j], 0) < RATIO**2 * (1 - rest):
             pairs.append((i, j))
     return np.array(pairs, np.int64).reshape(-1, 2)
 
@@ -62,7 +62,7 @@ def test_it_is_what_whole_matrices_say(seed, count, asks_elsewhere):
     expected[rng.random(count) < 0.1, rng.integers(0, 2)] = np.nan
     order = rng.permutation(sum(map(len, places)))
     pixels, second = np.concatenate(places)[order], np.concatenate(looks)[order]
-    known = likeness_elsewhere(picture(count, rng), first, RADIUS)
+    known = self_similarity(picture(count, rng), first, RADIUS)
     elsewhere = known if asks_elsewhere else np.full(count, -1.0)
     found = match_near(expected, pixels, first, second, elsewhere, RADIUS)
     np.testing.assert_array_equal(found, matched_by_matrices(expected, pixels, first, second, elsewhere, RADIUS))
@@ -93,7 +93,7 @@ def test_most_are_found_and_none_out_of_reach():
     rng = np.random.default_rng(0)
     first, expected = descriptors(200, rng), picture(200, rng, 320)
     moved = expected + rng.uniform(-9, 9, (200, 2))
-    elsewhere = likeness_elsewhere(expected, first, RADIUS)
+    elsewhere = self_similarity(expected, first, RADIUS)
     found = match_near(expected, moved, first, descriptors(200, rng, first), elsewhere, RADIUS)
     near = np.flatnonzero(np.linalg.norm(moved - expected, axis=1) < RADIUS)
     assert 50 < len(near) < 150
@@ -106,7 +106,7 @@ def test_a_texture_that_repeats_is_not_matched():
     once = descriptors(1, rng)
     twice = np.concatenate([once, descriptors(1, rng, once)])
     pixels = np.array([[10.0, 10.0], [50.0, 50.0]])
-    elsewhere = likeness_elsewhere(pixels, twice, RADIUS)
+    elsewhere = self_similarity(pixels, twice, RADIUS)
     assert elsewhere.min() > 0.95
     assert len(match_near(pixels, pixels[:1], twice, descriptors(1, rng, once), elsewhere, RADIUS)) == 0
     alone = match_near(pixels, pixels[:1], twice, descriptors(1, rng, once), np.full(2, -1.0), RADIUS)
@@ -118,8 +118,8 @@ def test_the_likeness_elsewhere_leaves_out_the_neighbourhood():
     pixels, looks = picture(50, rng), descriptors(50, rng)
     far = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) > RADIUS
     expected = np.where(far, looks @ looks.T, -1).max(axis=1)
-    np.testing.assert_allclose(likeness_elsewhere(pixels, looks, RADIUS), expected, atol=1e-6)
-    np.testing.assert_array_equal(likeness_elsewhere(pixels, looks, 1e3), -1.0)
+    np.testing.assert_allclose(self_similarity(pixels, looks, RADIUS), expected, atol=1e-6)
+    np.testing.assert_array_equal(self_similarity(pixels, looks, 1e3), -1.0)
 
 
 @pytest.mark.parametrize(("count", "others"), [(0, 0), (0, 3), (3, 0)])
@@ -127,7 +127,7 @@ def test_pictures_without_features(count, others):
     rng = np.random.default_rng(3)
     found = match_near(
         picture(count, rng), picture(others, rng), descriptors(count, rng), descriptors(others, rng),
-        likeness_elsewhere(picture(count, rng), descriptors(count, rng), RADIUS), RADIUS,
+        self_similarity(picture(count, rng), descriptors(count, rng), RADIUS), RADIUS,
     )  # fmt: skip
     assert found.shape == (0, 2)
 
@@ -145,4 +145,4 @@ def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="do not fit"):
         match_near(**(good | {"second": looks[:, :64]}), radius=RADIUS)
     with pytest.raises(ValueError, match="do not fit"):
-        likeness_elsewhere(places, looks[:3], RADIUS)
+        self_similarity(places, looks[:3], RADIUS)

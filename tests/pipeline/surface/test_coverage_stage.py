@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.finished_run import summary
-from pipeline.report.page import coverage_section
+from pipeline.report.page.summary import coverage_section
 from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage

@@ -6,7 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.report.page import coverage_section
+from pipeline.report.page.summary import coverage_section
 from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage import hole_closing as closed_wall
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.report.page import write_page
+from pipeline.report.page.page import write_page
 from tests.helpers.tiny_run import make_tiny_run
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
