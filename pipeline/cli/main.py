@@ -8,9 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperArgument, TyperCommand
 
 from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
@@ -34,12 +33,12 @@ app.command()(cli_runs.batch)
 class ExportCommand(TyperCommand):
     """Its help lists the formats of the tables, which are loaded for that alone."""
 
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_help(self, ctx: Any, formatter: Any) -> None:
         from pipeline.report.exporters import described_formats
 
         for parameter in self.params:
-            if isinstance(parameter, click.Argument) and parameter.name == "target":
-                parameter.help = f"file to write: {described_formats()}"  # type: ignore[attr-defined]
+            if isinstance(parameter, TyperArgument) and parameter.name == "target":
+                parameter.help = f"file to write: {described_formats()}"
         super().format_help(ctx, formatter)
 
 
