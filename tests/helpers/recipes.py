@@ -36,7 +36,7 @@ def add_row(table: dict[Any, Any], path: str, monkeypatch: pytest.MonkeyPatch, *
     known: dict[str, Any] = {}
     for more in names:
         known |= more
-    exec("\n".join(imports), known)
-    ((key, value),) = eval("{" + row + "}", known).items()
+    exec("\n".join([*imports, "row = {" + row + "}"]), known)
+    ((key, value),) = known["row"].items()
     monkeypatch.setitem(table, key, value)
     return str(key)
