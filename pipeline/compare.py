@@ -22,6 +22,7 @@ from reconstruction.evaluation.trajectory_metrics import (
     simcol3d_errors,
     trajectory_errors,
 )
+from reconstruction.mesh.formats import MESH_FORMATS
 from reconstruction.mesh.mesh_io import read_mesh
 
 
@@ -119,6 +120,6 @@ def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], 
         return *read_tum(trajectory), read_reference_surface(truth) if has_surface else None
     if truth.suffix in (".tum", ".txt") and truth.is_file():
         return *read_tum(truth), None
-    if truth.suffix in (".ply", ".obj", ".stl", ".glb") and truth.is_file():
+    if truth.suffix.lower() in MESH_FORMATS and truth.is_file():
         raise HaustraError(f"{truth} is a mesh without a path to align by; put trajectory.txt beside a mesh.ply")
     raise HaustraError(f"{truth} is neither an RGB-D folder nor a TUM trajectory")

@@ -10,16 +10,16 @@ back-projected), moved by the same Sim(3). A run is wrong if its median rotation
 import argparse
 import tempfile
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from benchmarks.common.encode_video import encode_video
 from benchmarks.common.record import shown, spread
 from benchmarks.common.runner import add_folder, add_seeds
 from pipeline.compare import compare_run
 from pipeline.config import Config
+from pipeline.frontend.registry import AUTO, FRONT_ENDS
 from pipeline.run import reconstruct
 
-FRONT_ENDS = get_args(Config.model_fields["front_end"].annotation)
 WRONG_DEG = 5.0
 
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(parser)
     add_seeds(parser, 10)
     parser.add_argument("--model", default="mscsa")
-    parser.add_argument("--front-end", default="auto", choices=FRONT_ENDS)
+    parser.add_argument("--front-end", default="auto", choices=(AUTO, *FRONT_ENDS))
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:

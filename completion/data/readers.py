@@ -1,5 +1,7 @@
 """Readers of the field's RGB-D data sets: one generator each, by the layout and encoding that each documents.
 
+A new one is a file with its generator and a row of `READERS` (docs/extending.md).
+
 rgbd        haustra's own folder: rgb/, depth/, camera.json
 simcol3d    SimCol3D: FrameBuffer_0000.png, Depth_0000.png
 c3vd        C3VD v1: 0000_color.png, 0000_depth.tiff, flat

@@ -1,4 +1,5 @@
-"""The one table of networks: every network that can be trained, saved, loaded and evaluated is a row of `REGISTRY`.
+"""The one table of networks: every network that can be trained, saved, loaded and evaluated is a row of `REGISTRY`
+(docs/extending.md).
 
 A metric network, as the paper compares them, is called `network(rgb, sparse_depth, intrinsics)`: rgb (B,3,H,W) in
 [0,1], sparse_depth (B,1,H,W) with 0 = none, intrinsics (B,4) = fx, fy, cx, cy px or None, any H and W -> depth

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperArgument, TyperCommand
 
 from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
+from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
 
 FILE_SYSTEM_SAYS_NO = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.ENOENT, errno.ENOTDIR)
@@ -28,24 +30,31 @@ app.command()(cli_runs.view)
 app.command()(cli_runs.batch)
 
 
-@app.command()
+class ExportCommand(TyperCommand):
+    """Its help lists the formats of the tables, which are loaded for that alone."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        from pipeline.report.exporters import described_formats
+
+        for parameter in self.params:
+            if isinstance(parameter, TyperArgument) and parameter.name == "target":
+                parameter.help = f"file to write: {described_formats()}"
+        super().format_help(ctx, formatter)
+
+
+@app.command(cls=ExportCommand)
 def export(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    target: Annotated[Path, typer.Argument(help="out.ply, .glb, .obj or .stl; .rrd: everything, for Rerun")],
+    target: Annotated[Path, typer.Argument(help="file to write")],
     max_error: Annotated[
         float | None, typer.Option(help="fewer triangles, none farther off than this, in the run's unit")
     ] = None,
     texture: Annotated[bool, typer.Option(help="colours as a picture laid over the mesh; .glb and .obj")] = False,
 ) -> None:
-    """Write a run's mesh in another format, or the whole run as a Rerun recording."""
-    if target.suffix.lower() == ".rrd":
-        from pipeline.report.rerun_export import export_rerun
+    """Write a run's mesh in another format, or the whole run for another program, as a Rerun recording."""
+    from pipeline.report.exporters import export_run
 
-        print(export_rerun(run, target))
-        return
-    from pipeline.report.mesh_export import export_mesh
-
-    print(export_mesh(run, target, max_error, texture))
+    print(export_run(run, target, max_error, texture))
 
 
 @app.command()
@@ -213,6 +222,7 @@ def run_cleanly(command: Callable[[], Any]) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     keep_freed_memory()
     try:
+        refuse_shadowed_names()
         command()
     except HaustraError as error:
         print(f"error: {error}", file=sys.stderr)

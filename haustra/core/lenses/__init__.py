@@ -1,4 +1,7 @@
-"""Lens models: how a camera's ray becomes a point of its picture. One file a model, one row in `LENS_MODELS`."""
+"""Lens models: how a camera's ray becomes a point of its picture.
+
+A model is a file and a row in `LENS_MODELS` (docs/extending.md).
+"""
 
 from haustra.core.lenses.brown import distort as _brown
 from haustra.core.lenses.brown import first_guess as _brown_guess

@@ -1,4 +1,4 @@
-"""The file formats of meshes by suffix. A new one is a file beside this and a row here."""
+"""The file formats of meshes by suffix. A new one is a file beside this and a row here (docs/extending.md)."""
 
 from __future__ import annotations
 
