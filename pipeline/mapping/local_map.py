@@ -35,8 +35,8 @@ FEATURES = (TrackKind.WIDE_FEATURE, TrackKind.FEATURE)
 
 @dataclass
 class Tracks:
-    """Arrays by track number: points (T,3); has_point (T,) whether there is one; rejected (T,) whether it was found wrong;
-    kind (T,) a `TrackKind`."""
+    """Arrays by track number: points (T,3); has_point (T,): whether there is one; rejected (T,): whether it was found
+    wrong; kind (T,): a `TrackKind`."""
 
     points: Array = field(default_factory=lambda: np.zeros((ROOM, 3)))
     has_point: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(ROOM, dtype=bool))

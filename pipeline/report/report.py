@@ -96,35 +96,7 @@ def collect_metrics(
     # What speaks for a submap that others were joined to is said of its first part.
     evidence = structure["evidence"][structure["mapper"]]
     evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
-    records = []
-    for completed, surface, result, check in zip(submaps, surfaces, coverage, evidence, strict=False):
-        mesh, submap = surface.mesh, completed.submap.scaled(surface.scale.factor)
-        steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
-        records.append(
-            {
-                "frames": len(submap.frames),
-                "keyframes": len(completed),
-                "points": len(submap.points),
-                "faces": len(mesh.faces),
-                "area": float(mesh.face_areas.sum()),
-                "path_length": float(steps.sum()),
-                "voxel_size": surface.voxel_size,
-                "dropped_area_share": surface.dropped_share,
-                "contradicted_keyframes": list(surface.left_out),
-                "lamp": None if surface.lamp is None else asdict(surface.lamp),
-                "unit": surface.scale.unit,
-                "coverage": result.record,
-                "scale": surface.scale.origin,
-                "evidence": check,
-                "camera": {
-                    "model": frames.camera.model,
-                    "params": list(submap.camera_params),
-                    "sigma": list(submap.camera_sigma),
-                    "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap),
-                },
-                "rectified_share": completed.rectifier.kept_share,
-            }
-        )
+    records = [_submap_metrics(frames, *parts) for parts in zip(submaps, surfaces, coverage, evidence, strict=False)]
     return {
         "source": workspace.record["source"]["path"],
         "frames": {
@@ -141,4 +113,35 @@ def collect_metrics(
         "model": workspace.record["config"]["model"],
         "submaps": records,
         "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],
+    }
+
+
+def _submap_metrics(
+    frames: Frames, completed: CompletedSubmap, surface: Surface, coverage: CoverageResult, check: dict[str, Any]
+) -> dict[str, Any]:
+    """Figures of one submap; `check` is what the structure stage recorded of it."""
+    mesh, submap = surface.mesh, completed.submap.scaled(surface.scale.factor)
+    steps = np.linalg.norm(np.diff(submap.centres, axis=0), axis=1)
+    return {
+        "frames": len(submap.frames),
+        "keyframes": len(completed),
+        "points": len(submap.points),
+        "faces": len(mesh.faces),
+        "area": float(mesh.face_areas.sum()),
+        "path_length": float(steps.sum()),
+        "voxel_size": surface.voxel_size,
+        "dropped_area_share": surface.dropped_share,
+        "contradicted_keyframes": list(surface.left_out),
+        "lamp": None if surface.lamp is None else asdict(surface.lamp),
+        "unit": surface.scale.unit,
+        "coverage": coverage.record,
+        "scale": surface.scale.origin,
+        "evidence": check,
+        "camera": {
+            "model": frames.camera.model,
+            "params": list(submap.camera_params),
+            "sigma": list(submap.camera_sigma),
+            "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap),
+        },
+        "rectified_share": completed.rectifier.kept_share,
     }
