@@ -1,7 +1,7 @@
 """Camera models by COLMAP's names and parameter order; pixel centre of the top-left pixel at (0.5, 0.5).
 
-Only what the pipeline needs: project, crop and scale, read and write. Distorted images are turned into a pinhole's by
-`pipeline.depth.rectification`, which needs the forward projection alone.
+Only what the pipeline needs: project, unproject, crop and scale, read and write. What asks for rays again and again
+reads them from a `haustra.core.ray_table.RayTable`.
 """
 
 import json
@@ -16,6 +16,14 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.lenses import LENS_MODELS
 from haustra.core.lenses.model import LensModel
+
+WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretches beyond use
+STEP = 1e-5  # of the finite differences, on the plane z = 1
+NEWTON_STEPS = 12
+CONVERGED_PX = 1e-9
+MAX_MISFIT_PX = 0.01  # a ray whose projection misses its pixel by more lies outside the lens model
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,33 @@ class Camera:
         uv = self.lens.distort(points, self.distortion)
         return uv * np.array(self.focal) + np.array(self.centre)
 
+    def unproject(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them within `WIDEST`.
+
+        Newton's method from the lens model's first guess.
+        """
+        plane = self.lens.first_guess((pixels - np.array(self.centre)) / np.array(self.focal))
+        left = np.arange(len(pixels))  # rows that have not converged
+        for _ in range(0 if self.is_pinhole else NEWTON_STEPS):
+            off = pixels[left] - self.project(_on_plane(plane[left]))
+            far = np.abs(off).max(axis=1) > CONVERGED_PX
+            left, off = left[far], off[far]
+            jacobian = self.pixel_jacobian(plane[left])
+            singular = np.abs(np.linalg.det(jacobian)) < 1e-6
+            jacobian[singular] = np.eye(2) * self.focal[0]
+            step = np.linalg.solve(jacobian, off[:, :, None])[:, :, 0]
+            plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
+        misfit = np.linalg.norm(pixels - self.project(_on_plane(plane)), axis=1)
+        return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < WIDEST)
+
+    def pixel_jacobian(self, plane: Array) -> Array:
+        """(N,2,2) d pixel / d point of the plane z = 1, at points (N,2), by central differences."""
+        columns = []
+        for offset in STEP * np.eye(2):
+            ahead, behind = self.project(_on_plane(plane + offset)), self.project(_on_plane(plane - offset))
+            columns.append((ahead - behind) / (2 * STEP))
+        return np.stack(columns, axis=2)
+
     def cropped_and_scaled(self, x0: int, y0: int, width: int, height: int, scale: float) -> "Camera":
         """The camera of the image after cutting out a box and resizing it."""
         (fx, fy), (cx, cy) = self.focal, self.centre
@@ -106,6 +141,10 @@ class Camera:
             "params": list(self.params),
             "trusted": self.trusted,
         }
+
+
+def _on_plane(plane: Array) -> Array:
+    return np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
 
 
 def read_camera(path: Path) -> Camera:

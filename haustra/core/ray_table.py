@@ -1,4 +1,4 @@
-"""Pixels of any lens model as points of the plane z = 1, so that the geometry behind it knows no lens.
+"""Table of a camera's rays: pixels of any lens model as points of the plane z = 1, so that what follows knows no lens.
 
 A residual is measured where the noise is, in pixels: to first order about an observation it is `jacobian @ (xy -
 xy_observed)` with `jacobian` = d pixel / d xy there. For a pinhole that is exact. Rays and jacobians are tabulated once
@@ -8,14 +8,10 @@ per camera, on the corners of the pixels, and read by bilinear interpolation; no
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.camera import Camera
+from haustra.core.camera import WIDEST, Camera
 
-WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretches beyond use
-STEP = 1e-5  # of the finite differences, on the plane z = 1
-NEWTON_STEPS = 12
-ROUND_TRIP = 0.05  # of the distance from the axis and one: where a ray may come out that went through the lens and back
-SETTLED_PX = 1e-9
-MAX_MISFIT_PX = 0.01  # a table entry whose projection misses its pixel by more lies outside the lens model
+# Largest error of unprojecting a projected point, relative to 1 + its distance from the axis on the plane z = 1.
+ROUND_TRIP = 0.05
 
 
 class RayTable:
@@ -25,8 +21,8 @@ class RayTable:
         self.camera = camera
         columns, rows = np.meshgrid(np.arange(camera.width + 1.0), np.arange(camera.height + 1.0))
         pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
-        plane, valid = unproject(camera, pixels)
-        table = np.concatenate([plane, _gain(camera, plane).reshape(-1, 4)], axis=1)
+        plane, valid = camera.unproject(pixels)
+        table = np.concatenate([plane, camera.pixel_jacobian(plane).reshape(-1, 4)], axis=1)
         self._table = table.reshape(camera.height + 1, camera.width + 1, 6)
         corners = valid.reshape(camera.height + 1, camera.width + 1)
         self.usable = (corners[1:, 1:] & corners[:-1, 1:] & corners[1:, :-1] & corners[:-1, :-1]).astype(np.uint8)
@@ -36,7 +32,7 @@ class RayTable:
         return np.where(self.usable > 0, mask, 0).astype(np.uint8)
 
     def unproject(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(N,2) pixels, COLMAP's convention -> (N,2) on the plane z = 1 and (N,2,2) gain, pixels per unit there."""
+        """(N,2) pixels, COLMAP's convention -> (N,2) on the plane z = 1 and (N,2,2) jacobian, pixels per unit there."""
         limit = np.array([self.camera.width, self.camera.height]) - 1e-6
         inside = np.clip(np.asarray(pixels, np.float64), 0, limit)
         x, y = np.floor(inside).astype(int).T
@@ -72,36 +68,3 @@ class RayTable:
     def focal_px(self) -> float:
         """Geometric mean of the focal lengths, for thresholds on angles."""
         return float(np.sqrt(self.camera.focal[0] * self.camera.focal[1]))
-
-
-def _on_plane(plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
-
-
-def _gain(camera: Camera, plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,2,2) d pixel / d plane by central differences."""
-    columns = []
-    for offset in STEP * np.eye(2):
-        ahead, behind = camera.project(_on_plane(plane + offset)), camera.project(_on_plane(plane - offset))
-        columns.append((ahead - behind) / (2 * STEP))
-    return np.stack(columns, axis=2)
-
-
-def unproject(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them within `WIDEST`.
-
-    Newton's method from the lens model's first guess.
-    """
-    plane = camera.lens.first_guess((pixels - np.array(camera.centre)) / np.array(camera.focal))
-    left = np.arange(len(pixels))  # those that are not there yet
-    for _ in range(0 if camera.is_pinhole else NEWTON_STEPS):
-        off = pixels[left] - camera.project(_on_plane(plane[left]))
-        far = np.abs(off).max(axis=1) > SETTLED_PX
-        left, off = left[far], off[far]
-        jacobian = _gain(camera, plane[left])
-        singular = np.abs(np.linalg.det(jacobian)) < 1e-6
-        jacobian[singular] = np.eye(2) * camera.focal[0]
-        step = np.linalg.solve(jacobian, off[:, :, None])[:, :, 0]
-        plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
-    misfit = np.linalg.norm(pixels - camera.project(_on_plane(plane)), axis=1)
-    return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < WIDEST)

@@ -72,7 +72,7 @@ class ProcessGroup:
 
     def run(self, command: list[str], log: int) -> int:
         """Start, wait, exit code. In a session of its own, so that Ctrl-C reaches it through `stop` alone; a
-        `tied_command` also dies with this process."""
+        `parent_bound_command` also dies with this process."""
         with self._lock:
             if self.stopping:
                 return -signal.SIGINT

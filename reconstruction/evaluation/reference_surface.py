@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera, read_camera
 from haustra.core.errors import ReconstructionError
-from haustra.core.ray_table import unproject
 from reconstruction.evaluation.surface_metrics import sample_surface
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
@@ -139,6 +138,6 @@ def _read_depth(path: Path, camera: Camera, unit_mm: float) -> Array:
 def _rays(camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
     """Rays (H,W,3) of z = 1 through the pixels' centres, and which pixels (H,W) the lens model covers."""
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    plane, valid = unproject(camera, np.stack([x.ravel(), y.ravel()], axis=1))
+    plane, valid = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1))
     shape = (camera.height, camera.width)
     return np.column_stack([plane, np.ones(len(plane))]).reshape(*shape, 3), valid.reshape(shape)

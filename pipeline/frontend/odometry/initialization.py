@@ -36,7 +36,7 @@ class BufferedFrame:
 
 
 class Initializer:
-    """Collects frames until `feed` gives a map with its first keyframes."""
+    """Collects frames until `process` gives a map with its first keyframes."""
 
     def __init__(self, rays: RayTable, rng: np.random.Generator) -> None:
         self.rays, self.rng = rays, rng
