@@ -29,7 +29,7 @@ from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.trajectory_io import read_tum
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
 VOXEL_MM = 0.7
@@ -45,7 +45,7 @@ def fuse_truth(folder: Path, every: int) -> tuple[SurfaceMesh, NDArray[np.uint8]
     lens = read_camera(folder / "camera.json")
     rectifier = make_rectifier(lens, WIDEST_DEG)
     _, poses = read_tum(folder / "trajectory.txt")
-    fusion = SurfaceFusion(FusionSettings(VOXEL_MM, truncation=TRUNCATION))
+    fusion = SurfaceFusion(TsdfSettings(VOXEL_MM, truncation=TRUNCATION))
     content = np.zeros((lens.height, lens.width), bool)
     for number in range(0, len(poses), every):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)

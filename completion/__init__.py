@@ -1,4 +1,4 @@
-"""LEG 2: dense depth and confidence from an image and sparse depth (torch). Imports only `haustra.core` besides itself.
+"""Dense depth and confidence from an image and sparse depth (torch). Imports only `haustra.core` besides itself.
 
 `DepthCompleter` completes frames with a trained network; `build_model` makes any network of the comparison;
 `evaluate_frames` measures errors on frames with true depth, under a `Protocol`. Each is loaded on its first use."""

@@ -1,4 +1,4 @@
-"""LEG 1 and the conductor: video to sparse depth, and the whole journey to a surface."""
+"""Video to sparse depth, and the whole reconstruction: stages, run folder, commands."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -34,8 +34,8 @@ RETIRED = {
     "depth.min_points": "pipeline.depth.completion_stage",
     "depth.max_fov_deg": "pipeline.depth.rectification",
     "pose_graph": "pipeline.loop_closing.detection",
-    "consistency.severity": "pipeline.surface.consistency",
-    "consistency.max_contradicted": "pipeline.surface.consistency",
+    "consistency.severity": "pipeline.surface.depth_filter",
+    "consistency.max_contradicted": "pipeline.surface.depth_filter",
     "fusion.truncation_voxels": "pipeline.surface.fusion_stage",
     "fusion.min_component": "pipeline.surface.fusion_stage",
 }

@@ -1,4 +1,4 @@
-"""LEG 3: dense depth and poses to a surface, its coverage, and errors against truth. Imports nothing heavy at once.
+"""Dense depth and poses to a surface, its coverage, and errors against truth. Imports nothing heavy at once.
 
 - `SurfaceFusion`: RGB-D frames into a TSDF; `extract()` gives a `SurfaceMesh`.
 - `read_mesh`, `write_mesh`: `SurfaceMesh` in and out of PLY, GLB, OBJ, STL.

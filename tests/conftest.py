@@ -15,7 +15,7 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # and what `nohup` starts
 LONGEST = (
     "test_reconstruct.py",
     "test_chunks.py",
-    "test_feature_adjustment.py",
+    "test_final_adjustment.py",
     "test_train.py",
     "test_submap_merging.py",
 )

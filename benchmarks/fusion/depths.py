@@ -17,7 +17,7 @@ from scipy.interpolate import LinearNDInterpolator
 from completion import DepthCompleter
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.protocol import DepthNetwork
-from pipeline.depth.completed_submap import Keyframe
+from pipeline.depth.completed_submap import CompletedKeyframe
 from pipeline.depth.rectification import Rectifier
 from pipeline.depth.sparse_depth import SparseDepth
 
@@ -29,7 +29,7 @@ Completed = tuple[Depth, Depth | None]
 class KeyframeView:
     """A keyframe as the depth stage left it, the sparse points it was completed from, and its picture's true depth."""
 
-    keyframe: Keyframe
+    keyframe: CompletedKeyframe
     sparse: SparseDepth
     rectifier: Rectifier
     mm_per_unit: float  # the true scale of its submap's path

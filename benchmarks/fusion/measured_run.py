@@ -22,13 +22,13 @@ from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.finished_run import open_run
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames
-from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses, associate
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
 TAU = 1.0  # mm
@@ -177,7 +177,7 @@ class FusedMap:
         frames = WeightedFrames(
             completed.camera, self.depths, weights, completed.submap.world_from_camera[completed.rows]
         )
-        check = ConsistencyCheck(frames, config.consistency, floor)  # type: ignore[arg-type]
+        check = DepthFilter(frames, config.consistency, floor)  # type: ignore[arg-type]
         fusion = SurfaceFusion(ranges(completed, config))
         for place, weight in enumerate(weights):
             kept = check.confidence(place, weight) if consistent else weight
@@ -200,7 +200,7 @@ class FusedMap:
         return weights
 
 
-def ranges(completed: CompletedSubmap, config: Config) -> FusionSettings:
+def ranges(completed: CompletedSubmap, config: Config) -> TsdfSettings:
     """Voxel size and greatest depth by the run's own depth, so that they are alike for every source."""
     settings = fusion_ranges(completed, config.fusion)
     assert settings is not None, "a finished run has depth"

@@ -42,10 +42,10 @@ from pipeline.loop_closing.detection import (
     merge_candidates,
     verify_loops,
 )
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.run_folder.workspace import create_workspace
-from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
@@ -119,7 +119,7 @@ def surface_figures(
     assert settings is not None
     fusion, check = (
         SurfaceFusion(settings),
-        ConsistencyCheck(completed, config.consistency, config.fusion.min_confidence),
+        DepthFilter(completed, config.consistency, config.fusion.min_confidence),
     )
     for place, keyframe in enumerate(completed):
         confidence = check.confidence(place, keyframe.confidence)
@@ -172,7 +172,7 @@ def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
     submap, scales = second.submap.scaled(HALF_UNIT), np.full(len(second.submap.frames), HALF_UNIT)
     parts = (first, replace(second, submap=submap, depth_scale=scales))
     places, links, tried = links_of(parts, config)
-    joined = merge(places, links)
+    joined = merge_by_loops(places, links)
     figures: dict[str, Any] = {"tried": tried, "links": len(links), "joined": joined is not None}
     if joined is None:
         return figures

@@ -23,7 +23,7 @@ from benchmarks.common.record import spread
 from benchmarks.common.runner import add_folder
 from haustra.core.camera import read_camera
 from reconstruction.evaluation.trajectory_io import read_tum
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
 from reconstruction.mesh.open3d_import import import_open3d
 
 LUMEN_MM = 46.0
@@ -33,7 +33,7 @@ GRID, VOLUME = "Open3D VoxelBlockGrid", "Open3D ScalableTSDFVolume"
 Integrate = Callable[[np.ndarray, np.ndarray, np.ndarray], object]  # rgb, depth mm, world_from_camera
 
 
-def ours(settings: FusionSettings, intrinsics: np.ndarray) -> tuple[SurfaceFusion, Integrate]:
+def ours(settings: TsdfSettings, intrinsics: np.ndarray) -> tuple[SurfaceFusion, Integrate]:
     fusion = SurfaceFusion(settings)
     sure: dict[str, np.ndarray] = {}
 
@@ -44,7 +44,7 @@ def ours(settings: FusionSettings, intrinsics: np.ndarray) -> tuple[SurfaceFusio
     return fusion, integrate
 
 
-def tensor_peer(settings: FusionSettings, intrinsics: np.ndarray) -> tuple[Callable[[], int], Integrate]:
+def tensor_peer(settings: TsdfSettings, intrinsics: np.ndarray) -> tuple[Callable[[], int], Integrate]:
     o3d = import_open3d()
     core, voxel = o3d.core, settings.voxel_size
     grid = o3d.t.geometry.VoxelBlockGrid(
@@ -67,7 +67,7 @@ def tensor_peer(settings: FusionSettings, intrinsics: np.ndarray) -> tuple[Calla
 
 
 def legacy_peer(
-    settings: FusionSettings, intrinsics: np.ndarray, width: int, height: int
+    settings: TsdfSettings, intrinsics: np.ndarray, width: int, height: int
 ) -> tuple[Callable[[], int], Integrate]:
     o3d = import_open3d()
     volume = o3d.pipelines.integration.ScalableTSDFVolume(
@@ -134,7 +134,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """All three on each frame in turn."""
     camera = read_camera(arguments.folder / "camera.json")
-    settings = FusionSettings(arguments.voxel_mm, arguments.truncation, arguments.max_depth_mm)
+    settings = TsdfSettings(arguments.voxel_mm, arguments.truncation, arguments.max_depth_mm)
     fusion, mine = ours(settings, camera.matrix)
     grid_faces, grid = tensor_peer(settings, camera.matrix)
     volume_faces, volume = legacy_peer(settings, camera.matrix, camera.width, camera.height)

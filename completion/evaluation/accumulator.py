@@ -10,7 +10,7 @@ import numpy as np
 from completion.confidence import error_from_confidence
 from completion.evaluation.evaluate import Array, FrameResult, Score
 from completion.evaluation.metrics import SimCol3DDepthErrors, simcol3d_errors
-from completion.evaluation.uncertainty import DECILES, Calibration, PixelErrors, calibrate, pixel_errors
+from completion.evaluation.uncertainty import DECILES, ErrorCalibration, PixelErrors, calibrate, pixel_errors
 
 SAMPLES = 6  # full frames that are plotted
 
@@ -61,7 +61,7 @@ class Accumulator:
         )
         return [self._sample_frames[place] for place in places]
 
-    def calibration(self) -> Calibration | None:
+    def calibration(self) -> ErrorCalibration | None:
         """Calibration of the predicted error; None for a model without one, or for too few pixels."""
         return calibrate(self._pixels) if sum(len(p.depth) for p in self._pixels) >= DECILES else None
 

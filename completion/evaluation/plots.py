@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from completion.evaluation.evaluate import FrameResult
-from completion.evaluation.uncertainty import Calibration
+from completion.evaluation.uncertainty import ErrorCalibration
 
 Features = NDArray[np.floating]  # (C,h,w)
 ERROR_SHOWN = 0.15  # relative error at which the colour saturates
@@ -109,7 +109,7 @@ def sweep_plot(path: Path, curves: Mapping[str, Mapping[int, float]], title: str
     return _saved(figure, path)
 
 
-def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Path:
+def calibration_plot(path: Path, calibrations: Mapping[str, ErrorCalibration]) -> Path:
     """Median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal."""
     plt = _pyplot()
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -131,7 +131,7 @@ def calibration_plot(path: Path, calibrations: Mapping[str, Calibration]) -> Pat
     return _saved(figure, path)
 
 
-def _calibration_label(name: str, found: Calibration) -> str:
+def _calibration_label(name: str, found: ErrorCalibration) -> str:
     relative = f"Spearman {found.spearman:.2f} (exact Laplace scales: {found.spearman_if_exact:.2f})"
     baseline = f"exact: {found.spearman_absolute_if_exact:.2f}, depth alone: {found.spearman_depth_alone:.2f}"
     return f"{name}: {relative}\nin depth's unit {found.spearman_absolute:.2f} ({baseline}); {found.pixels} px"

@@ -35,7 +35,7 @@ from completion.evaluation.plots import (
     sweep_plot,
 )
 from completion.evaluation.predictors import Predictor, load_predictor
-from completion.evaluation.uncertainty import Calibration
+from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 from haustra.core.progress import Progress, ProgressCallback
 
@@ -155,7 +155,7 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
         averaging = records[0]["protocol"]["averaging"]
         sweep_plot(outputs.sweep, _curves(records), f"{len(records[0]['frames'])} frames; {averaging} mean")
     if outputs.calibration:
-        found = {_label(r): Calibration(**r["calibration"]) for r in records if r["calibration"]}
+        found = {_label(r): ErrorCalibration(**r["calibration"]) for r in records if r["calibration"]}
         if not found:
             raise CompletionError("none of these models predicts its own error: nothing to calibrate")
         calibration_plot(outputs.calibration, found)

@@ -18,7 +18,7 @@ PIXELS_PER_FRAME = 2000  # keeps an evaluation of ten thousand frames in memory
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ErrorCalibration:
     """Deciles of pixels from the most to the least trusted."""
 
     predicted: list[float]  # median predicted relative error in each decile
@@ -56,7 +56,7 @@ def pixel_errors(prediction: Array, truth: Array, predicted_error: Array) -> Pix
     return PixelErrors(*(array.ravel()[valid].astype(float) for array in (predicted_error, prediction, truth)))
 
 
-def calibrate(frames: Iterable[PixelErrors]) -> Calibration:
+def calibrate(frames: Iterable[PixelErrors]) -> ErrorCalibration:
     """Calibration over the pixels of all frames."""
     pixels = PixelErrors(*(np.concatenate(part) for part in zip(*frames, strict=True)))
     predicted, actual = pixels.predicted, pixels.actual
@@ -66,7 +66,7 @@ def calibrate(frames: Iterable[PixelErrors]) -> Calibration:
     ideal = predicted * np.random.default_rng(0).exponential(size=len(predicted))
     groups = np.array_split(order, DECILES)
     absolute = np.abs(pixels.depth - pixels.truth)
-    return Calibration(
+    return ErrorCalibration(
         predicted=[float(np.median(predicted[group])) for group in groups],
         actual=[float(np.median(actual[group])) for group in groups],
         spearman=float(spearmanr(predicted, actual).statistic),

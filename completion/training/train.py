@@ -45,7 +45,7 @@ LOG_EVERY, VALIDATE_EVERY = 100, 1000
 ProgressCallback = Callable[[int, int | None], None]
 
 
-class Run:
+class TrainingState:
     """The state of a training run that a checkpoint holds."""
 
     def __init__(self, config: TrainConfig) -> None:
@@ -122,7 +122,7 @@ def update_average(average: nn.Module, network: nn.Module, decay: float) -> None
                 old.copy_(new)
 
 
-def validate(run: Run, shards: list[Shard], frames: int = 64) -> float:
+def validate(run: TrainingState, shards: list[Shard], frames: int = 64) -> float:
     """Mean relative depth error of the averaged weights on held-out meshes, `frames` of each shard folder."""
     generator = torch.Generator().manual_seed(1)
     errors = []
@@ -156,7 +156,7 @@ def draw_batch(
     return (augment(batch, generator) if config.augmentation else batch), generator
 
 
-def train_step(run: Run, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
+def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
     """One step of the optimizer; returns the loss."""
     batch, generator = draw_batch(run.config, run.step, shards, splits, run.processes)
     torch.manual_seed(generator.initial_seed())  # for dropout: resumed, a run must drop what an unbroken one would
@@ -179,7 +179,7 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
     """Run to the end (or on from the last checkpoint) and write the averaged weights."""
     torch.set_num_threads(config.threads)
     shards = [Shard.open(folder) for folder in config.shards]
-    run = Run(config)
+    run = TrainingState(config)
     _check(shards, config, run.processes.size)
     run.resume()
     splits = [shard.split()[0] for shard in shards]

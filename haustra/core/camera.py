@@ -79,9 +79,9 @@ class Camera:
         return uv * np.array(self.focal) + np.array(self.centre)
 
     def unproject(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them within `WIDEST`.
+        """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them.
 
-        Newton's method from the lens model's first guess.
+        Newton's method from the lens model's first guess; not farther off the axis than `WIDEST`.
         """
         plane = self.lens.first_guess((pixels - np.array(self.centre)) / np.array(self.focal))
         left = np.arange(len(pixels))  # rows that have not converged

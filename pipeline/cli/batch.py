@@ -23,7 +23,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.cli.batch_table import KEPT, Outcome, finished_outcome, write_table
 from pipeline.config import Config
-from pipeline.run_folder.subprocesses import ProcessGroup, parent_bound_command
+from pipeline.run_folder.subprocesses import ChildProcesses, parent_bound_command
 from pipeline.run_folder.workspace import Workspace, is_same_run, open_workspace
 
 MODULE = "pipeline"  # that reconstructs one video
@@ -187,17 +187,17 @@ def kept_outcome(job: Job, config: Config) -> Outcome | None:
     return outcome if outcome.status == KEPT else None
 
 
-def run_job(job: Job, arguments: list[str], processes: ProcessGroup | None = None) -> Outcome:
+def run_job(job: Job, arguments: list[str], processes: ChildProcesses | None = None) -> Outcome:
     """Reconstruct one video in a process of its own; goes on where an earlier one stopped. Whatever fails is a row."""
     begin = time.monotonic()
     try:
-        return _run_job(job, arguments, processes or ProcessGroup(), begin)
+        return _run_job(job, arguments, processes or ChildProcesses(), begin)
     except Exception as error:  # noqa: BLE001 # the other videos go on
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         return Outcome(str(job.video), str(job.folder), "failed", (time.monotonic() - begin) / 60, message=reason)
 
 
-def _run_job(job: Job, arguments: list[str], processes: ProcessGroup, begin: float) -> Outcome:
+def _run_job(job: Job, arguments: list[str], processes: ChildProcesses, begin: float) -> Outcome:
     how = ["--overwrite"] if job.overwrite else ["--resume"] if has_run(job) else []
     with job.log.open("w") as log:
         code = processes.run(
@@ -226,7 +226,7 @@ def process_pool(workers: int) -> Pool:
     """So many reconstructions at a time on this machine."""
 
     def pool(jobs: list[Job], arguments: list[str]) -> Iterator[Outcome]:
-        processes = ProcessGroup()
+        processes = ChildProcesses()
         with ThreadPoolExecutor(workers) as threads:
             futures = [threads.submit(run_job, job, arguments, processes) for job in jobs]
             try:

@@ -13,7 +13,7 @@ from pipeline.mapping.submap import Submap
 
 
 @dataclass(frozen=True)
-class Keyframe:
+class CompletedKeyframe:
     """A completed frame as fusion takes it: pinhole image, z-depth in scene units (0 = none), confidence, pose."""
 
     index: int
@@ -40,12 +40,12 @@ class CompletedSubmap:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __iter__(self) -> Iterator[Keyframe]:
+    def __iter__(self) -> Iterator[CompletedKeyframe]:
         for row in self.rows:
             yield self.keyframe(int(row))
 
-    def keyframe(self, row: int) -> Keyframe:
-        return Keyframe(int(self.submap.frames[row]), self.rgb(row), *self.depth(row))
+    def keyframe(self, row: int) -> CompletedKeyframe:
+        return CompletedKeyframe(int(self.submap.frames[row]), self.rgb(row), *self.depth(row))
 
     def rgb(self, row: int) -> NDArray[np.uint8]:
         """The rectified picture (H,W,3) of a frame."""

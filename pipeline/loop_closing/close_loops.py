@@ -23,7 +23,7 @@ from pipeline.loop_closing.detection import (
     merge_candidates,
     verify_loops,
 )
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import read_submap, refined_camera
@@ -133,7 +133,7 @@ def _merge(base: _Piece, other: _Piece, settings: LoopClosingSettings, seed: int
         return None
     try:
         pairs = merge_candidates(*seen, seed)
-        completed = merge(seen, verify_loops(*seen, pairs, seed))
+        completed = merge_by_loops(seen, verify_loops(*seen, pairs, seed))
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not merged: {error}")
         return None

@@ -72,7 +72,7 @@ def _frames_of(seen: SubmapFeatures, loops: Iterable[LoopClosure]) -> tuple[tupl
     return tuple((int(number[loop.match.first]), int(number[loop.match.second])) for loop in loops)
 
 
-def merge(seen: tuple[SubmapFeatures, SubmapFeatures], loops: list[LoopClosure]) -> CompletedSubmap | None:
+def merge_by_loops(seen: tuple[SubmapFeatures, SubmapFeatures], loops: list[LoopClosure]) -> CompletedSubmap | None:
     """The second submap in the frame and scale of the first, both bent to agree; None without enough evidence."""
     submaps = first, second = seen[0].completed, seen[1].completed
     if first.camera != second.camera or first.submap.camera_params != second.submap.camera_params:

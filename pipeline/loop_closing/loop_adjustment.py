@@ -17,7 +17,7 @@ from haustra.core.sim3 import scale_of
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.loop_closing.detection import SubmapFeatures, features_of_all
 from pipeline.loop_closing.keyframe_pose_graph import LoopClosingResult, deform, nodes_of
-from pipeline.mapping.feature_adjustment import widest_narrow
+from pipeline.mapping.final_adjustment import widest_narrow
 from pipeline.mapping.map_adjustment import FINAL_DAMPING, FINAL_TOLERANCE
 from pipeline.matching.descriptor_matching import match_descriptors
 from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_features

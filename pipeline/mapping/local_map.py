@@ -34,7 +34,7 @@ FEATURES = (TrackKind.WIDE_FEATURE, TrackKind.FEATURE)
 
 
 @dataclass
-class Tracks:
+class MapTracks:
     """Arrays by track number: points (T,3); has_point (T,): whether there is one; rejected (T,): whether it was found
     wrong; kind (T,): a `TrackKind`."""
 
@@ -57,7 +57,7 @@ class Tracks:
         for name, array in vars(self).items():
             setattr(self, name, array[:count])
 
-    def place(self, first: int, other: "Tracks") -> None:
+    def place(self, first: int, other: "MapTracks") -> None:
         """The other's tracks as numbers `first` and on."""
         self.reserve(first + len(other))
         for name, array in vars(self).items():
@@ -104,7 +104,7 @@ class LocalMap:
 
     def __init__(self, rays: RayTable) -> None:
         self.rays = rays
-        self.tracks = Tracks()
+        self.tracks = MapTracks()
         self.keyframes: list[Keyframe] = []
         self.tracked_frames: list[TrackedFrame] = []
 

@@ -11,7 +11,7 @@ from haustra.core.se3 import Array, compose, in_camera
 from pipeline.mapping.local_map import WINDOW, Keyframe, LocalMap
 from pipeline.optimization.bundle_adjustment import DAMPING, TOLERANCE, Bundle, adjust
 
-ANCHORS = 6  # other keyframes that saw the same points and stay
+MOST_FIXED = 6  # other keyframes that saw the same points and stay
 MIN_SHARED = 10  # points that such a one must share; fewer do not hold a scene
 WINDOW_ITERATIONS = 2  # each keyframe is in several windows; six iterations gave no better a path in the end
 LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
@@ -40,21 +40,21 @@ def adjust_window(
     end: int | None = None,
     loss_px: float = LOSS_PX,
     max_error_px: float = MAX_ERROR_PX,
-    anchors: int = ANCHORS,
+    most_fixed: int = MOST_FIXED,
     tolerance: float = TOLERANCE,
     damping: float = DAMPING,
     among: Mask | None = None,
 ) -> None:
     """Adjust the `window` keyframes before number `end` (the latest ones) and their points; forget what does not fit.
 
-    The `anchors` older ones that share most points with them hold the scene; without any, the first of the window does.
-    among (T,): tracks that take part; None: all.
+    At most `most_fixed` older keyframes, those that share most points with them, are held fixed; without any, the first
+    of the window is. among (T,): tracks that take part; None: all.
     """
     keyframes = local_map.keyframes
     end = len(keyframes) if end is None else end
     first = max(0, end - window)
     free = keyframes[first:end]
-    fixed_keyframes = sharing(local_map, free, keyframes[:first], anchors, among)
+    fixed_keyframes = sharing(local_map, free, keyframes[:first], most_fixed, among)
     bundle, tracks = _bundle(local_map, fixed_keyframes, free, among)
     if len(tracks) == 0:
         return
@@ -119,7 +119,7 @@ def _final(
     end: int,
     loss_px: float,
     max_error_px: float,
-    anchors: int,
+    most_fixed: int,
     among: Mask | None,
 ) -> None:
     adjust_window(
@@ -129,7 +129,7 @@ def _final(
         end,
         loss_px,
         max_error_px,
-        anchors,
+        most_fixed,
         FINAL_TOLERANCE,
         FINAL_DAMPING,
         among,

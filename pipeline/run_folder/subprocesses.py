@@ -63,7 +63,7 @@ def parent_bound_environment() -> dict[str, str]:
     return os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
 
 
-class ProcessGroup:
+class ChildProcesses:
     """The processes that run now, so that all of them can be stopped."""
 
     def __init__(self) -> None:

@@ -1,5 +1,5 @@
 """Dense depth to one surface per submap, in millimetres where a scale is known, and what of the wall was missed.
 
 Public: `fusion_stage.fuse_depth` and `load_surfaces`, `coverage_stage.coverage_stage`, `scale.ScaleSource`.
-`consistency` decides which depth is fused.
+`depth_filter` decides which depth is fused.
 """

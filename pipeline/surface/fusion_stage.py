@@ -8,15 +8,14 @@ import numpy as np
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
-from pipeline.config import ConsistencySettings
-from pipeline.config import FusionSettings as FusionConfig
+from pipeline.config import ConsistencySettings, FusionSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
-from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.scale import SCENE, Scale, ScaleSource, find_scale
 from reconstruction.fusion.photometry import Illumination, fit_illumination
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_voxel_size
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
@@ -43,7 +42,7 @@ class Surface:
 class SurfaceSettings:
     """Settings of the stage's parts, the source of its scale, and the seed of the lamp's fit."""
 
-    fusion: FusionConfig
+    fusion: FusionSettings
     consistency: ConsistencySettings
     scale: ScaleSource
     seed: int
@@ -117,7 +116,7 @@ def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, pro
     if ranges is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
     fusion, left_out = SurfaceFusion(ranges), []
-    check = ConsistencyCheck(completed, settings.consistency, settings.fusion.min_confidence)
+    check = DepthFilter(completed, settings.consistency, settings.fusion.min_confidence)
     lamp = _lamp(completed, settings.seed) if settings.fusion.delight else None
     with progress.bar(label, len(completed)) as advance:
         for place, keyframe in enumerate(completed):
@@ -148,14 +147,14 @@ def _lamp(completed: CompletedSubmap, seed: int) -> Illumination | None:
     return fit_illumination(((k.rgb, k.depth) for k in keyframes), completed.camera.matrix, seed)
 
 
-def fusion_ranges(completed: CompletedSubmap, settings: FusionConfig) -> FusionSettings | None:
+def fusion_ranges(completed: CompletedSubmap, settings: FusionSettings) -> TsdfSettings | None:
     """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
     step = max(1, len(completed) // VOXEL_SAMPLES)
     depths = [completed.depth(int(row))[0] for row in completed.rows[::step]]
     if not any((depth > 0).any() for depth in depths):
         return None
     median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
-    return FusionSettings(
+    return TsdfSettings(
         voxel_size=settings.voxel_size or choose_voxel_size(depths, completed.camera.matrix),
         truncation=TRUNCATION_VOXELS,
         max_depth=settings.max_depth_ratio * median,

@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from reconstruction.fusion.depth_consistency import agreement as agreement
     from reconstruction.fusion.photometry import Illumination as Illumination
     from reconstruction.fusion.photometry import fit_illumination as fit_illumination
-    from reconstruction.fusion.tsdf import FusionSettings as FusionSettings
     from reconstruction.fusion.tsdf import SurfaceFusion as SurfaceFusion
+    from reconstruction.fusion.tsdf import TsdfSettings as TsdfSettings
     from reconstruction.fusion.tsdf import choose_voxel_size as choose_voxel_size
 
 _MODULE_OF = {
     "Agreement": "depth_consistency",
     "DepthView": "depth_consistency",
-    "FusionSettings": "tsdf",
+    "TsdfSettings": "tsdf",
     "Illumination": "photometry",
     "SurfaceFusion": "tsdf",
     "agreement": "depth_consistency",
@@ -29,9 +29,9 @@ _MODULE_OF = {
 __all__ = [
     "Agreement",
     "DepthView",
-    "FusionSettings",
     "Illumination",
     "SurfaceFusion",
+    "TsdfSettings",
     "agreement",
     "choose_voxel_size",
     "fit_illumination",

@@ -31,7 +31,7 @@ TYPICAL_DEPTH_VOXELS = 100  # depth in voxels at which a pixel seen head-on weig
 
 
 @dataclass(frozen=True)
-class FusionSettings:
+class TsdfSettings:
     """Parameters of TSDF fusion; lengths in the unit of the depth (mm, or scene units)."""
 
     voxel_size: float
@@ -77,7 +77,7 @@ def choose_voxel_size(depths: Iterable[NDArray[np.float32]], intrinsics: NDArray
 class SurfaceFusion:
     """Integrate frames in any order, then extract the surface; more frames may follow an extraction."""
 
-    def __init__(self, settings: FusionSettings) -> None:
+    def __init__(self, settings: TsdfSettings) -> None:
         self.settings = settings
         self._grid = VoxelGrid(settings.voxel_size)
 

@@ -16,7 +16,7 @@ from benchmarks.fusion.measured_run import UNMOVED, MeasuredRun
 from completion.evaluation.predictors import Predictor
 from haustra.core.camera import Camera
 from pipeline.config import Config
-from pipeline.depth.completed_submap import Keyframe
+from pipeline.depth.completed_submap import CompletedKeyframe
 from pipeline.depth.depth_io import write_confidence, write_depth
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sparse_depth import SparseDepth
@@ -213,7 +213,7 @@ def test_a_metric_network_is_given_millimetres_and_its_answer_is_divided_again(m
 
     monkeypatch.setattr(depths, "load_predictor", lambda model: Predictor(predict))
     ones = np.ones((SIDE, SIDE), np.float32)
-    keyframe = Keyframe(0, np.zeros((SIDE, SIDE, 3), np.uint8), ones, ones, np.eye(4))
+    keyframe = CompletedKeyframe(0, np.zeros((SIDE, SIDE, 3), np.uint8), ones, ones, np.eye(4))
     sparse = SparseDepth(np.array([[10.5, 21.0], [63.9, 63.9]]), np.array([2.0, 1.5]), np.full(2, 0.01))
     view = KeyframeView(keyframe, sparse, make_rectifier(PINHOLE, 120), MM, None, 0.01)
     depth, confidence = model_depth("paper.safetensors", SIDE // 2)(view)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
 
 SIZE = 120
 INTRINSICS = np.array([[60.0, 0, 60.0], [0, 60.0, 60.0], [0, 0, 1]])  # COLMAP's pixel centres: symmetric
@@ -36,7 +36,7 @@ def views(count=10, seed=0):
 
 
 def fuse(poses, depths, confidences=None, rgb=RED, intrinsics=INTRINSICS, **settings):
-    fusion = SurfaceFusion(FusionSettings(**{"voxel_size": VOXEL, "truncation": 5.0, **settings}))
+    fusion = SurfaceFusion(TsdfSettings(**{"voxel_size": VOXEL, "truncation": 5.0, **settings}))
     for number, (pose, depth) in enumerate(zip(poses, depths, strict=True)):
         fusion.integrate(rgb, depth, None if confidences is None else confidences[number], intrinsics, pose)
     return fusion.extract()

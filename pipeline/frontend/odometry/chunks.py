@@ -27,7 +27,7 @@ from pipeline.frontend.odometry.chunk_stitching import first_from_second, stitch
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_io import load_maps
 from pipeline.run_folder import ray_cluster
-from pipeline.run_folder.subprocesses import ProcessGroup, parent_bound_command
+from pipeline.run_folder.subprocesses import ChildProcesses, parent_bound_command
 from pipeline.run_folder.workspace import Workspace, write_json
 
 OVERLAP = 60  # frames worth tracking: a start takes some twenty of them, and ten must be posed by both sides
@@ -35,7 +35,7 @@ POLL_S = 0.5
 WORKER = "pipeline.frontend.odometry.chunk_worker"
 
 Job = dict[str, Any]
-Run = Callable[[list[Job]], Iterator[int]]  # runs the jobs; yields now and then how many of their frames are done
+JobRunner = Callable[[list[Job]], Iterator[int]]  # runs the jobs; yields now and then how many of their frames are done
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,9 @@ def temp_dir(workspace: Workspace) -> Path:
     return workspace.log / "chunks"
 
 
-def track_chunks(jobs: list[Job], rays: RayTable, run: Run, progress: Progress) -> tuple[list[LocalMap], Stitching]:
+def track_chunks(
+    jobs: list[Job], rays: RayTable, run: JobRunner, progress: Progress
+) -> tuple[list[LocalMap], Stitching]:
     """Maps of all chunks in the order of their beginning, sewn where the frames that two have in common agree."""
     for job in jobs:
         Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
@@ -148,11 +150,11 @@ def _done(job: Job, rays: RayTable) -> list[LocalMap] | None:
         return None
 
 
-def local_run(workers: int) -> Run:
+def local_run(workers: int) -> JobRunner:
     """So many chunks at a time on this machine."""
 
     def run(jobs: list[Job]) -> Iterator[int]:
-        processes, failures = ProcessGroup(), list[str]()
+        processes, failures = ChildProcesses(), list[str]()
         threads = ThreadPoolExecutor(max(1, workers))
         for job in jobs:
             _log_of(job).unlink(missing_ok=True)
@@ -176,7 +178,7 @@ def _raise(failures: list[str]) -> None:
         raise HaustraError("; ".join(sorted(failures)))
 
 
-def _track_apart(job: Job, processes: ProcessGroup) -> str | None:
+def _track_apart(job: Job, processes: ChildProcesses) -> str | None:
     """In a process of its own; what went wrong, if anything did."""
     task, log = Path(job["output"]).with_suffix(".job.json"), _log_of(job)
     write_json(task, job)
@@ -196,7 +198,7 @@ def _reached(job: Job) -> int:
     return int(words[-2]) if len(words) > 1 and words[-2].isdigit() else 0
 
 
-def ray_run(address: str) -> Run:
+def ray_run(address: str) -> JobRunner:
     """One task a chunk on the Ray cluster at `address`, whose nodes see the run folder."""
     ray_cluster.import_ray()
 

@@ -1,7 +1,7 @@
-"""Tracks: corners followed from the last anchor frame, each with a number that never comes back.
+"""Tracks: corners tracked from a reference frame, each with a number that never comes back.
 
-Each frame is compared with the anchor's image, not with the frame before it, so that errors of tracking add up per
-anchor and a single bad frame costs nothing. The anchor moves on when the view has changed.
+Each frame is compared with the reference image, not with the frame before it, so that errors of tracking add up per
+reference frame and a single bad frame costs nothing. The reference moves on when the view has changed.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ CELL_SHARE = 0.045  # of the width: one track for each cell of this side
 
 
 class CornerTracks:
-    """ids (N,); places (N,2) in the anchor; now (N,2) last known; found (N,) in the latest frame."""
+    """ids (N,); reference_pixels (N,2); now (N,2) last known; found (N,) in the latest frame."""
 
     def __init__(self) -> None:
         self.ids: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
@@ -40,7 +40,7 @@ class CornerTracks:
         self.found = self.found[mask]
 
     def set_reference(self, view: TrackerImage) -> None:
-        """Make `view`, which `follow` was just given, the anchor; fill empty places with new tracks."""
+        """Make `view`, which `follow` was just given, the reference frame; fill empty places with new tracks."""
         self.keep(self.found)
         added = detect(view, self.now, max(6, round(CELL_SHARE * view.image.shape[1])))
         fresh = np.arange(self.count, self.count + len(added))
@@ -51,11 +51,11 @@ class CornerTracks:
         self.reference = view
 
     def motion_px(self) -> float:
-        """Median way from the anchor of the tracks that were found."""
+        """Median way from the reference frame of the tracks that were found."""
         if not self.found.any():
             return 0.0
         return float(np.median(np.linalg.norm((self.now - self.reference_pixels)[self.found], axis=1)))
 
     def found_share(self) -> float:
-        """Share of the anchor's tracks that were found."""
+        """Share of the reference's tracks that were found."""
         return float(self.found.mean()) if len(self.found) else 0.0

@@ -4,7 +4,7 @@ import copy
 
 from haustra.core.progress import Progress
 from pipeline.frontend.base import MIN_FRAMES
-from pipeline.mapping.feature_adjustment import adjust_to_features
+from pipeline.mapping.final_adjustment import adjust_to_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.submap import Submap

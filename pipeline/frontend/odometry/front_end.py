@@ -57,8 +57,8 @@ class OdometryFrontEnd:
 @dataclass(frozen=True)
 class Tracked:
     """submaps: most frames first. frames_per_second: wall time of tracking and local mapping, images read from disk.
-    maps: how many were begun and kept; joins: how many of them were merged into another. seams: of a film that was
-    tracked in chunks."""
+    maps: how many were begun and kept; joins: how many of them were merged into another. stitching: of a video
+    that was tracked in chunks."""
 
     submaps: list[Submap]
     frames_per_second: float

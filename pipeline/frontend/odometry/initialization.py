@@ -18,8 +18,8 @@ from pipeline.optimization.resection import refine_pose, reprojection_errors, ro
 MIN_COMMON = 60  # tracks between the two frames,
 MIN_COMMON_SHARE = 0.4  # and their share of those in the second
 MIN_PARALLAX_PX = 6.4  # some twenty times the error of a track, which does not grow with the image
-ANCHOR_MOTION_SHARE = 0.03  # of the width, after which the anchor follows
-MIN_FOUND_SHARE = 0.6  # of the anchor's tracks; fewer, and the anchor follows
+REFERENCE_MOTION_SHARE = 0.03  # of the width, after which the reference frame follows
+MIN_FOUND_SHARE = 0.6  # of the reference's tracks; fewer, and the reference frame follows
 MIN_TRACKS = 40  # fewer than this in a frame: what was followed so far is lost
 BUFFER = 240  # frames kept; beyond it every other one is dropped
 MIN_POSED = 12  # points that pose a frame of the buffer
@@ -56,7 +56,7 @@ class Initializer:
         self._remember(frame)
         new_map = self._try(rgb)
         if new_map is None and (
-            tracks.motion_px() > ANCHOR_MOTION_SHARE * width or tracks.found_share() < MIN_FOUND_SHARE
+            tracks.motion_px() > REFERENCE_MOTION_SHARE * width or tracks.found_share() < MIN_FOUND_SHARE
         ):
             tracks.set_reference(view)
         return new_map

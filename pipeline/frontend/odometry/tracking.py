@@ -24,7 +24,7 @@ MIN_FOUND_SHARE = 0.15  # of the points that should be in view
 MAX_STEP = 0.5  # median depths between two frames
 MAX_TURN = np.radians(25.0)  # between two frames
 MAX_GAP = 3  # frames over which the motion is carried on
-KEYFRAME_FOUND_SHARE = 0.7  # of the anchor's tracks; fewer, and the view has changed
+KEYFRAME_FOUND_SHARE = 0.7  # of the reference's tracks; fewer, and the view has changed
 ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
 ADJUST_AFTER_GUESS = 1  # with a guessed lens, which bends the map: what is left bent longer is lost more often
 MIN_CHECKED_POINTS = 15
@@ -159,7 +159,7 @@ class Tracker:
         self._set_reference(view)
 
     def _set_reference(self, view: TrackerImage) -> None:
-        """Move the anchor to the last keyframe's image; its new corners belong to that keyframe too."""
+        """Move the reference frame to the last keyframe's image; its new corners belong to that keyframe too."""
         tracks = self.tracks
         tracks.found &= ~self._barred()
         begun = tracks.count

@@ -19,7 +19,7 @@ from completion.training.config import TrainConfig, make_config
 from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import TrainLog
-from completion.training.train import Run, draw_batch, learning_rate, train
+from completion.training.train import TrainingState, draw_batch, learning_rate, train
 from haustra.core.errors import CompletionError
 
 
@@ -80,7 +80,9 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
         f"train(make_config(None, width=4, batch=2, threads=1, **{given!r}))\n"
     )
     subprocess.run([*torchrun, str(script)], check=True, capture_output=True, timeout=300)
-    alone = Run(make_config(None, width=4, batch=2, threads=1, shards=(shards,), out=tmp_path / "one", **values))
+    alone = TrainingState(
+        make_config(None, width=4, batch=2, threads=1, shards=(shards,), out=tmp_path / "one", **values)
+    )
     fresh = {name: b.clone() for name, b in alone.task.network.named_buffers() if b.is_floating_point()}
     gradients, statistics = [], {name: torch.zeros_like(b) for name, b in fresh.items()}
     for rank in (0, 1):

@@ -13,7 +13,7 @@ from haustra.core.progress import SilentProgress, TerminalProgress
 from pipeline.cli import batch
 from pipeline.cli import main as cli
 from pipeline.cli import run_commands as cli_runs
-from pipeline.cli.batch import Job, ProcessGroup, kept_outcome, plan_jobs, process_pool, resume_hint, run_batch
+from pipeline.cli.batch import ChildProcesses, Job, kept_outcome, plan_jobs, process_pool, resume_hint, run_batch
 from pipeline.cli.batch_table import Outcome, finished_outcome, print_table, write_table
 from pipeline.config import load_config
 from pipeline.run_folder import inputs as run_inputs
@@ -165,7 +165,7 @@ def test_whatever_is_wrong_with_one_video_is_a_row_and_the_others_go_on(videos, 
         finish(video, folder)
         return 0
 
-    monkeypatch.setattr(ProcessGroup, "run", refuse_b)
+    monkeypatch.setattr(ChildProcesses, "run", refuse_b)
     outcomes = run_batch([videos[2], videos[0]], out, [], load_config(None), process_pool(1), SilentProgress())
     assert [outcome.status for outcome in outcomes] == ["failed", "done"]
     assert [row["status"] for row in csv.DictReader((out / "batch.csv").open())] == ["failed", "done"]
@@ -223,7 +223,7 @@ def test_overwrite_replaces_what_is_of_other_settings_or_another_video_alone(vid
             asked[Path(command[7]).name] = next((word for word in command if word in ("--resume", "--overwrite")), "")
             return 1
 
-        monkeypatch.setattr(ProcessGroup, "run", run)
+        monkeypatch.setattr(ChildProcesses, "run", run)
         run_batch(given, out, ["--seed", "0"], config, process_pool(1), SilentProgress(), overwrite)
         return asked
 

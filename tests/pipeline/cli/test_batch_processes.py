@@ -12,7 +12,7 @@ import pytest
 from pipeline.cli import batch
 from pipeline.cli.batch import Job, process_pool, run_job
 from pipeline.cli.batch_table import Outcome
-from pipeline.run_folder.subprocesses import ProcessGroup
+from pipeline.run_folder.subprocesses import ChildProcesses
 from tests.helpers.processes import alive, wait_for
 
 
@@ -27,7 +27,9 @@ from tests.helpers.processes import alive, wait_for
 )
 def test_however_a_process_ends_there_is_one_sentence(tmp_path, monkeypatch, program, arguments):
     monkeypatch.setattr(
-        ProcessGroup, "run", lambda self, _, log: subprocess.run([sys.executable, "-c", program], stderr=log).returncode
+        ChildProcesses,
+        "run",
+        lambda self, _, log: subprocess.run([sys.executable, "-c", program], stderr=log).returncode,
     )
     outcome = run_job(Job(tmp_path / "a.mp4", tmp_path / "a"), [])
     assert outcome.status == "failed"
@@ -41,7 +43,7 @@ def test_stopping_ends_every_child_as_ctrl_c_would(tmp_path):
         " time.sleep(600)\n"
         "except KeyboardInterrupt:\n raise SystemExit(130)"
     )
-    processes, codes = ProcessGroup(), []
+    processes, codes = ChildProcesses(), []
     asleep = tmp_path / "asleep"
     asleep.mkdir()
 

@@ -20,7 +20,13 @@ from pipeline.input.frames import Frames
 from pipeline.loop_closing import close_loops as stage
 from pipeline.loop_closing.close_loops import close_loops_stage, load_refined, model_sources
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
-from pipeline.loop_closing.keyframe_pose_graph import close_loops, concatenate, covisibility_factors, deform, merge
+from pipeline.loop_closing.keyframe_pose_graph import (
+    close_loops,
+    concatenate,
+    covisibility_factors,
+    deform,
+    merge_by_loops,
+)
 from pipeline.mapping.submap import Submap
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sim3_match import Sim3Match
@@ -204,16 +210,16 @@ def test_halves_of_different_scale_are_joined(workspace):
     for k, m in ((10, 0), (12, 2), (13, 3)):
         relation = np.diag([1 / 1.7] * 3 + [1.0])
         links.append(closure(k, m, relation, np.full(7, 0.01)))
-    joined = merge((seen(first), seen(second)), links)
+    joined = merge_by_loops((seen(first), seen(second)), links)
     assert joined is not None
     assert len(joined.submap.frames) == len(first.submap.frames) + len(second.submap.frames)
     assert (np.diff(joined.submap.frames) >= 0).all()
     latest = np.flatnonzero(joined.submap.frames >= 28)
     np.testing.assert_allclose(joined.submap.centres[latest], whole.centres[28:], atol=0.01)
     np.testing.assert_allclose(joined.depth_scale[latest], 1 / 1.7, rtol=0.01)
-    assert merge((seen(first), seen(second)), links[:1]) is None
+    assert merge_by_loops((seen(first), seen(second)), links[:1]) is None
     lens = replace(second, submap=replace(second.submap, camera_params=(41.0, *CAMERA.params[1:])))
-    assert merge((seen(first), seen(lens)), links) is None
+    assert merge_by_loops((seen(first), seen(lens)), links) is None
 
 
 def cut(submap: Submap, begin: int, end: int) -> Submap:

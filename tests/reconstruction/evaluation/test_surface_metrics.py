@@ -17,7 +17,7 @@ from reconstruction.evaluation.reference_surface import (
 )
 from reconstruction.evaluation.surface_metrics import point_errors, sample_surface, surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum, write_tum
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 from tests.helpers.real_data import shared
 
@@ -156,7 +156,7 @@ def test_true_depth_of_a_colon_fuses_to_its_surface():
     camera = json.loads((folder / "camera.json").read_text())
     fx, fy, cx, cy = camera["params"]
     _, world_from_camera = read_tum(folder / "trajectory.txt")
-    fusion = SurfaceFusion(FusionSettings(voxel_size=0.7))
+    fusion = SurfaceFusion(TsdfSettings(voxel_size=0.7))
     for number in range(0, 80, 4):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
         depth = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / 100

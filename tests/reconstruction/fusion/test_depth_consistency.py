@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import ConsistencySettings
-from pipeline.surface.consistency import ConsistencyCheck
+from pipeline.surface.depth_filter import DepthFilter
 from reconstruction.fusion.depth_consistency import DepthView, agreement
 
 SIZE = 96
@@ -175,7 +175,7 @@ def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> No
     wild = frames[6].world_from_camera.copy()
     wild[:3, 3] += [4, 3, -6]
     frames[6] = DepthView(frames[6].depth, INTRINSICS, wild)
-    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    check = DepthFilter(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     sure = np.full((SIZE, SIZE), 0.8, np.float32)
     assert check.confidence(6, sure) is None
     for place in (0, 1, 4, 8, 11):
@@ -186,7 +186,7 @@ def test_a_keyframe_with_a_wild_pose_is_left_out_and_its_neighbours_stay() -> No
 
 
 def test_a_keyframe_without_company_keeps_its_confidence() -> None:
-    check = ConsistencyCheck(Keyframes(views(2)), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    check = DepthFilter(Keyframes(views(2)), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     sure = np.full((SIZE, SIZE), 0.8, np.float32)
     np.testing.assert_array_equal(check.confidence(0, sure), sure)
 
@@ -195,7 +195,7 @@ def test_a_keyframe_without_company_keeps_its_confidence() -> None:
 def test_one_wild_keyframe_throws_no_good_one_out(count: int) -> None:
     frames = views(count)
     frames[-1] = DepthView(0.6 * frames[-1].depth, INTRINSICS, frames[-1].world_from_camera)
-    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    check = DepthFilter(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     sure = np.full((SIZE, SIZE), 0.8, np.float32)
     assert all(check.confidence(place, sure) is not None for place in range(count - 1))
 
@@ -209,7 +209,7 @@ def test_depth_that_is_not_believed_anyway_throws_no_keyframe_out() -> None:
     frames[6] = DepthView(wrong, INTRINSICS, frames[6].world_from_camera)
     completed = Keyframes(frames)
     completed.confidences[6] = doubted
-    check = ConsistencyCheck(completed, ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    check = DepthFilter(completed, ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     kept = check.confidence(6, doubted)
     assert kept is not None
     assert np.median(kept[64:]) == pytest.approx(0.8, abs=0.01)
@@ -220,7 +220,7 @@ def test_what_is_voted_down_below_the_least_confidence_is_not_fused_at_all() -> 
     patched = frames[5].depth.copy()
     patched[30:50, 30:50] *= 1.3
     frames[5] = DepthView(patched, INTRINSICS, frames[5].world_from_camera)
-    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
+    check = DepthFilter(Keyframes(frames), ConsistencySettings(), 0.1)  # type: ignore[arg-type]
     kept = check.confidence(5, np.full((SIZE, SIZE), 0.8, np.float32))
     assert kept is not None
     inner = kept[35:45, 35:45]  # at the patch's rim the others' own edge windows abstain
@@ -231,7 +231,7 @@ def test_what_one_frame_alone_speaks_against_is_fused_though_the_frame_is_but_ha
     """One vote against and none for leave a seventh, which is enough; a pixel that is itself too unsure is not."""
     frames = views(3)
     frames[2] = DepthView(0.6 * frames[2].depth, INTRINSICS, frames[2].world_from_camera)
-    check = ConsistencyCheck(Keyframes(frames), ConsistencySettings(steps=(2,)), 0.1)  # type: ignore[arg-type]
+    check = DepthFilter(Keyframes(frames), ConsistencySettings(steps=(2,)), 0.1)  # type: ignore[arg-type]
     votes, unsure = check(0), np.full((SIZE, SIZE), 0.5, np.float32)
     unsure[:48] = 0.09
     against = (votes.contradictions == 1) & (votes.supports == 0)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import ReconstructionError
 from reconstruction.fusion.depth_frame import prepare_frame, view_cosine
-from reconstruction.fusion.tsdf import FusionSettings, SurfaceFusion, choose_voxel_size
+from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
 from reconstruction.mesh.rendering import render_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 from tests.helpers.sphere_views import INTRINSICS, RADIUS, RED, SIZE, VOXEL, fuse, pixel_rays, sphere_depth, views
@@ -146,7 +146,7 @@ def test_what_is_no_depth_makes_no_surface(nothing):
     mesh = fuse([np.eye(4)], [depth], max_depth=max_depth)
     assert len(mesh.vertices)
     assert mesh.vertices[:, 0].min() > -VOXEL
-    fusion = SurfaceFusion(FusionSettings(voxel_size=VOXEL, max_depth=max_depth))
+    fusion = SurfaceFusion(TsdfSettings(voxel_size=VOXEL, max_depth=max_depth))
     assert fusion.integrate(RED, wall(nothing), None, INTRINSICS, np.eye(4)) == 0
     assert not len(fusion.extract().faces)
 
@@ -229,11 +229,11 @@ def test_more_observations_can_be_asked_for():
 )
 def test_settings_that_cannot_work_are_refused(settings, message):
     with pytest.raises(ReconstructionError, match=message):
-        FusionSettings(**{"voxel_size": 1.0, **settings})
+        TsdfSettings(**{"voxel_size": 1.0, **settings})
 
 
 def test_frames_that_do_not_fit_are_refused():
-    fusion = SurfaceFusion(FusionSettings(voxel_size=VOXEL))
+    fusion = SurfaceFusion(TsdfSettings(voxel_size=VOXEL))
     with pytest.raises(ReconstructionError, match="rgb must be"):
         fusion.integrate(RED[:10], wall(20), None, INTRINSICS, np.eye(4))
     with pytest.raises(ReconstructionError, match="confidence must be"):

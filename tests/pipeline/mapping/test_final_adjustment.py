@@ -9,8 +9,8 @@ import pytest
 
 from haustra.core.se3 import in_camera, inverse
 from haustra.core.sim3 import umeyama
-from pipeline.mapping import feature_adjustment
-from pipeline.mapping.feature_adjustment import adjust_to_features
+from pipeline.mapping import final_adjustment
+from pipeline.mapping.final_adjustment import adjust_to_features
 from pipeline.mapping.local_map import TrackKind
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching import sift_cache
@@ -138,12 +138,12 @@ def test_wide_features_follow_and_do_not_move_the_map(finished, monkeypatch):
     limit = 5.0
     found = sift_cache.detect_sift
     monkeypatch.setattr(sift_cache, "detect_sift", lambda *a: sliding(found(*a), limit))
-    monkeypatch.setattr(feature_adjustment, "WIDEST", limit)
+    monkeypatch.setattr(final_adjustment, "WIDEST", limit)
     following, moving = copy.deepcopy(finished), copy.deepcopy(finished)
     assert adjust_to_features(following, SiftCache(read))
     wide = following.tracks.is_kind(TrackKind.WIDE_FEATURE)
     assert following.tracks.has_point[wide].sum() > 50, "wide features have points"
-    monkeypatch.setattr(feature_adjustment, "WIDEST", np.inf)
+    monkeypatch.setattr(final_adjustment, "WIDEST", np.inf)
     assert adjust_to_features(moving, SiftCache(read))
     off = [trajectory_errors(poses_of(m), TRUE[frames_of(m)]).ate_rmse for m in (following, moving)]
     assert off[0] < 0.6 * off[1]

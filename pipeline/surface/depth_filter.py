@@ -14,7 +14,7 @@ MAX_CONTRADICTED = 0.5  # share of pixels beyond which a keyframe is left out
 CACHED = 64  # depth maps kept while the check moves along the keyframes; more than its reach on both sides
 
 
-class ConsistencyCheck:
+class DepthFilter:
     """Agreement of each keyframe of a submap with keyframes before and after it."""
 
     def __init__(self, completed: CompletedSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
