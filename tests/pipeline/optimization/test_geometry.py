@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -240,16 +238,11 @@ def test_the_lamp_speaks_against_a_world_turned_inside_out():
     assert start_pose(views[0], views[1], views[2], distance**2.0, FOCAL, rng) is None
 
 
-@settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(
-    scale=st.floats(0.2, 5.0),
-    turn=st.tuples(*[st.floats(-3, 3)] * 3),
-    shift=st.tuples(*[st.floats(-20, 20)] * 3),
-    seed=st.integers(0, 100),
-    outliers=st.floats(0, 0.5),
-)
-def test_similarity_is_found_whatever_it_is(scale, turn, shift, seed, outliers):
+@pytest.mark.parametrize("seed", range(6))
+def test_similarity_is_found_whatever_it_is(seed):
     rng = np.random.default_rng(seed)
+    scale, turn, shift = rng.uniform(0.2, 5.0), rng.uniform(-3, 3, 3), rng.uniform(-20, 20, 3)
+    outliers = rng.uniform(0, 0.5)
     points = tube(60, rng)
     similarity = np.eye(4)
     similarity[:3, :3] = scale * Rotation.from_rotvec(turn).as_matrix()
