@@ -4,6 +4,7 @@ Nothing here must be set to run. A YAML file given with `--config` overrides wha
 Lengths in the image are shares of the working width, so that they hold at any resolution.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,22 +23,45 @@ RENAMED = {
     "pose_graph.join": "loop_closing.merge_submaps",
     "pose_graph.max_places": "loop_closing.max_keyframes",
 }
-# Settings of version 0.1 that nobody set, and the module in which they are constants now.
+
+
+@dataclass(frozen=True)
+class Retired:
+    """A setting of version 0.1 that nobody set: the constant's value, and the module that holds it."""
+
+    value: float
+    module: str
+
+
+_QUALITY, _COLMAP = "pipeline.input.frame_quality", "pipeline.frontend.colmap.front_end"
+_SPARSE, _FUSION = "pipeline.depth.sparse_depth", "pipeline.surface.fusion_stage"
 RETIRED = {
-    **dict.fromkeys(
-        ("frames.min_brightness", "frames.max_burnt", "frames.min_texture", "frames.min_relative_sharpness"),
-        "pipeline.input.frame_quality",
-    ),
-    "frames.min_change": "pipeline.input.frame_quality",
-    "structure": "pipeline.frontend",
-    "sparse": "pipeline.depth.sparse_depth",
-    "depth.min_points": "pipeline.depth.completion_stage",
-    "depth.max_fov_deg": "pipeline.depth.rectification",
-    "pose_graph": "pipeline.loop_closing.detection",
-    "consistency.severity": "pipeline.surface.depth_filter",
-    "consistency.max_contradicted": "pipeline.surface.depth_filter",
-    "fusion.truncation_voxels": "pipeline.surface.fusion_stage",
-    "fusion.min_component": "pipeline.surface.fusion_stage",
+    "frames.min_brightness": Retired(8.0, _QUALITY),
+    "frames.max_burnt": Retired(0.6, _QUALITY),
+    "frames.min_texture": Retired(1.2, _QUALITY),
+    "frames.min_relative_sharpness": Retired(0.3, _QUALITY),
+    "frames.min_change": Retired(0.35, _QUALITY),
+    "structure.peak_threshold": Retired(0.002, _COLMAP),
+    "structure.max_features": Retired(2048, _COLMAP),
+    "structure.overlap": Retired(8, _COLMAP),
+    "structure.loop_neighbours": Retired(2, _COLMAP),
+    "structure.loop_stride": Retired(10, _COLMAP),
+    "structure.threads": Retired(2, _COLMAP),
+    "structure.min_registered": Retired(0.8, "pipeline.frontend.scoring"),
+    "structure.max_dark_near": Retired(0.05, "pipeline.frontend.scoring"),
+    "sparse.max_reprojection_px": Retired(1.5, _SPARSE),
+    "sparse.min_track_length": Retired(3, _SPARSE),
+    "sparse.min_angle_deg": Retired(1.0, _SPARSE),
+    "sparse.pixel_noise": Retired(0.5, _SPARSE),
+    "sparse.neighbours": Retired(4, _SPARSE),
+    "sparse.outlier_ratio": Retired(0.25, _SPARSE),
+    "depth.min_points": Retired(12, "pipeline.depth.completion_stage"),
+    "depth.max_fov_deg": Retired(120.0, "pipeline.depth.rectification"),
+    "pose_graph.per_place": Retired(3, "pipeline.loop_closing.detection"),
+    "consistency.severity": Retired(6.0, "pipeline.surface.depth_filter"),
+    "consistency.max_contradicted": Retired(0.5, "pipeline.surface.depth_filter"),
+    "fusion.truncation_voxels": Retired(12.0, _FUSION),
+    "fusion.min_component": Retired(0.02, _FUSION),
 }
 
 
@@ -188,13 +212,17 @@ def load_config(path: Path | None, **overrides: object) -> Config:
 
 def validate_config(values: dict[str, object]) -> Config:
     """A `Config`, or one sentence that names the first wrong setting."""
+    for name in _flat(values):
+        if name in RETIRED:
+            gone = RETIRED[name]
+            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {gone.value:g}; remove it")
     try:
         return Config.model_validate(_with_new_names(values))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
-            raise HaustraError(f"there is no setting '{where}'{_why_gone(where)}") from error
+            raise HaustraError(f"there is no setting '{where}'") from error
         said = first["msg"].removeprefix("Value error, ")
         raise HaustraError(f"setting '{where}': {said}" if where else said) from error
 
@@ -214,21 +242,24 @@ def _with_new_names(values: dict[str, object]) -> dict[str, object]:
     return found
 
 
-def _why_gone(name: str) -> str:
-    """What became of a setting of version 0.1 that nobody changed."""
-    section = name.split(".")[0]
-    where = RETIRED.get(name) or RETIRED.get(section)
-    return f" any more; it is a constant in {where}" if where else ""
-
-
 def read_recorded(values: dict[str, object]) -> Config:
-    """The configuration of a run's record, which may be of an earlier version: settings that became constants are left
-    out."""
+    """The configuration of a run's record, which may be of an earlier version, without retired settings."""
     known: dict[str, object] = {}
     for name, value in _with_new_names(values).items():
-        if name in RETIRED:
-            continue
         if isinstance(value, dict):
-            value = {key: kept for key, kept in value.items() if f"{name}.{key}" not in RETIRED}
+            kept = {key: given for key, given in value.items() if f"{name}.{key}" not in RETIRED}
+            if value and not kept and name not in Config.model_fields:
+                continue  # a section of which every setting was retired
+            value = kept
         known[name] = value
     return validate_config(known)
+
+
+def retired_differences(values: dict[str, Any]) -> list[str]:
+    """Retired settings in a run's record that are not the constants of today, as `Config.differences` has them."""
+    recorded = _flat(values)
+    return [
+        f"{name}: {recorded[name]}, now fixed at {gone.value:g}"
+        for name, gone in RETIRED.items()
+        if name in recorded and recorded[name] != gone.value
+    ]

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from completion.inference.completer import DepthCompleter
+from haustra.core.camera import read_camera
+from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -47,7 +49,19 @@ def load_completed(frames: Frames, submaps: list[Submap], workspace: Workspace) 
     """The submaps of a finished stage, with the rows of their completed keyframes."""
     rows = workspace.result(STAGE)["keyframe_rows"]
     planned = [_plan(frames, submap, workspace.config.depth, workspace) for submap in submaps]
+    for number, one in enumerate(planned):
+        _check_pinhole(one, camera_path(workspace, number))
     return [replace(one, rows=np.array(mine, dtype=np.int64)) for one, mine in zip(planned, rows, strict=True)]
+
+
+def _check_pinhole(completed: CompletedSubmap, recorded: Path) -> None:
+    """Refuse depth maps of another pinhole than is derived today, as runs of earlier versions could ask for."""
+    made = read_camera(recorded)
+    if not np.allclose(made.params, completed.camera.params, rtol=1e-6):
+        raise HaustraError(
+            f"the depth maps were made for a pinhole of focal length {made.focal[0]:.1f} px ({recorded}), and this "
+            f"version takes {completed.camera.focal[0]:.1f} px; make the run anew with --overwrite"
+        )
 
 
 def camera_path(workspace: Workspace, number: int) -> Path:

@@ -81,7 +81,7 @@ def camera_trust(guess: Camera, submap: Submap) -> str:
 def _solve(
     frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
 ) -> None:
-    results = _run(frames, front_end, settings, workspace, progress)
+    results, failure = _run(frames, front_end, settings, workspace, progress)
     by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
     total = len(frames.index)
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
@@ -89,10 +89,10 @@ def _solve(
     if not kept:
         raise HaustraError(
             f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
-            f"by {', '.join(results)})"
+            f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
     _keep(kept, workspace)
-    warnings = _warnings(kept)
+    warnings = _warnings(kept, [other for other in (FIRST, SECOND) if other not in results])
     name = next(name for name, result in results.items() if mapper in result.candidates)
     workspace.finish(
         STAGE,
@@ -119,8 +119,9 @@ class _Result:
 
 def _run(
     frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
-) -> dict[str, _Result]:
-    """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful."""
+) -> tuple[dict[str, _Result], str | None]:
+    """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
+    failed."""
 
     def run(name: str) -> _Result:
         result = FRONT_ENDS[name].run(frames, settings, workspace, progress)
@@ -128,16 +129,17 @@ def _run(
         return _Result(found, result.stats)
 
     if front_end != AUTO:
-        return {front_end: run(front_end)}
+        return {front_end: run(front_end)}, None
     results, total = {FIRST: run(FIRST)}, len(frames.index)
     found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
     if total <= MOST_SFM_FRAMES and needs_second_opinion(found, total):
-        progress.log(f"{_why(found, total)}; running COLMAP for comparison")
+        progress.log(f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison")
         try:
             results[SECOND] = run(SECOND)
         except HaustraError as error:
             progress.log(str(error))
-    return results
+            return results, str(error)
+    return results, None
 
 
 def _why(candidates: list[Candidate], total: int) -> str:
@@ -145,10 +147,10 @@ def _why(candidates: list[Candidate], total: int) -> str:
     posed = sum(c.check.frames for c in candidates)
     checked = sum(c.check.n_checked for c in candidates)
     failed = sum(c.check.inconsistent_share * c.check.n_checked for c in candidates)
-    return (
-        f"odometry posed {posed} of {total} frames in {len(candidates)} submap(s), and in {failed:.0f} of {checked} "
-        "checked frames brightness grows with distance"
-    )
+    light = f"in {failed:.0f} of {checked} checked frames brightness grows with distance"
+    if checked == 0:
+        light = "no frame has enough points for the lighting check"
+    return f"{FIRST} posed {posed} of {total} frames in {len(candidates)} submap(s), and {light}"
 
 
 def _keep(candidates: list[Candidate], workspace: Workspace) -> None:
@@ -164,9 +166,11 @@ def _unit(submap: Submap) -> float:
     return float(np.median(positive)) if len(positive) else 1.0
 
 
-def _warnings(candidates: list[Candidate]) -> list[str]:
-    """Sentences on submaps that are kept although the lighting check does not speak for them."""
+def _warnings(candidates: list[Candidate], untried: list[str]) -> list[str]:
+    """Sentences on submaps that are kept although the lighting check does not speak for them; `untried`: front ends
+    that have not been run."""
     found = []
+    advice = f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames"
     for number, check in enumerate(c.check for c in candidates):
         if check.n_checked == 0:
             found.append(f"submap {number} has too few points in each frame for the lighting check")
@@ -174,8 +178,7 @@ def _warnings(candidates: list[Candidate]) -> list[str]:
             share = 100 * check.inconsistent_share
             found.append(
                 f"submap {number} is not to be trusted: the endoscope's lamp makes near wall bright, but in "
-                f"{share:.0f} % of {check.n_checked} frames nearer points are darker; compare with --front-end sfm, or "
-                "use other frames"
+                f"{share:.0f} % of {check.n_checked} frames nearer points are darker; {advice}"
             )
     return found
 

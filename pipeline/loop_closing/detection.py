@@ -115,7 +115,7 @@ def _verified(
     first: SubmapFeatures, second: SubmapFeatures, pair: Pair, rng: np.random.Generator
 ) -> LoopClosure | None:
     here, there = first.features[pair[0]], second.features[pair[1]]
-    match = verify_match(pair, here, there, (first.rays, second.rays), rng)
+    match = verify_match(pair, here, there, (first.rays, second.rays), rng, drop_static=False)
     submaps, rows = (first.completed, second.completed), (here.keyframe, there.keyframe)
     if match is None or _contradict(submaps, rows, np.asarray(match.first_from_second, np.float64)):
         return None

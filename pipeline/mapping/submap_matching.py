@@ -120,7 +120,7 @@ def best_matches(matches: list[Sim3Match]) -> list[Sim3Match]:
 
 def _verified(maps: Maps, i: int, j: int, rng: np.random.Generator) -> Sim3Match | None:
     pair = maps[0].features[i], maps[1].features[j]
-    match = verify_match((i, j), *pair, (maps[0].map.rays, maps[1].map.rays), rng)
+    match = verify_match((i, j), *pair, (maps[0].map.rays, maps[1].map.rays), rng, drop_static=True)
     return match if match is not None and _surfaces_agree(second_from_first(match, maps), i, j, maps) else None
 
 
@@ -175,7 +175,7 @@ def _pairs_around(matches: list[Sim3Match], maps: Maps) -> list[_Candidate]:
 
 
 def _candidate(i: int, j: int, maps: Maps) -> _Candidate:
-    rows = candidate_rows(maps[0].features[i], maps[1].features[j])
+    rows = candidate_rows(maps[0].features[i], maps[1].features[j], drop_static=True)
     return _Candidate(i, j, rows, (maps[0].correspondences(i, rows[:, 0]), maps[1].correspondences(j, rows[:, 1])))
 
 

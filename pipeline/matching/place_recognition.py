@@ -5,12 +5,14 @@ learnt from the video itself, so no vocabulary file is needed. Only candidates: 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures
+from pipeline.matching.sift import rootsift
 
 WORDS = 32
 SAMPLE = 20_000  # descriptors from which the words are learnt
@@ -20,12 +22,17 @@ Pair = tuple[int, int]
 
 def learn_visual_words(descriptors: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
     """(WORDS,128) k-means centres of a sample of descriptors (N,128)."""
-    if len(descriptors) > SAMPLE:
-        chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
-        descriptors = descriptors[np.sort(chosen)]
+    descriptors = _sample(descriptors, seed)
     cv2.setRNGSeed(seed + 1)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
     return cv2.kmeans(descriptors, WORDS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]
+
+
+def _sample(descriptors: NDArray[Any], seed: int) -> NDArray[Any]:
+    if len(descriptors) <= SAMPLE:
+        return descriptors
+    chosen = np.random.default_rng(seed).choice(len(descriptors), SAMPLE, replace=False)
+    return descriptors[np.sort(chosen)]
 
 
 def vlad(descriptors: NDArray[np.float32], visual_words: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -46,12 +53,13 @@ def similarities(
     nowhere = np.full((len(first), len(second)), -np.inf, np.float32)
     if not first or not second:
         return nowhere
-    roots = [[features.rootsift for features in side] for side in (first, second)]
-    stacked = np.concatenate(roots[0] + roots[1])
+    stacked = np.concatenate([features.descriptors for features in (*first, *second)])
     if len(stacked) < WORDS:
         return nowhere
-    visual_words = learn_visual_words(stacked, seed)
-    one, other = (np.stack([vlad(root, visual_words) for root in side]) for side in roots)
+    # RootSIFT takes four times the bytes: of the sample, then of one keyframe at a time.
+    visual_words = learn_visual_words(rootsift(_sample(stacked, seed)), seed)
+    one = np.stack([vlad(features.rootsift, visual_words) for features in first])
+    other = one if second is first else np.stack([vlad(features.rootsift, visual_words) for features in second])
     enough = [np.array([len(features) >= MIN_FEATURES for features in side]) for side in (first, second)]
     return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
 

@@ -38,9 +38,14 @@ class Sim3Match:
         return len(self.rows)
 
 
-def candidate_rows(first: KeyframeFeatures, second: KeyframeFeatures) -> Rows:
-    """(K,2) features that look alike; not those at the same pixel of both pictures."""
+def candidate_rows(first: KeyframeFeatures, second: KeyframeFeatures, drop_static: bool) -> Rows:
+    """(K,2) features that look alike; with `drop_static` not those at the same pixel of both pictures.
+
+    Where the camera may have come back to the very view, what is at the same pixel may be wall, and must stay.
+    """
     rows = match_descriptors(first.rootsift, second.rootsift)
+    if not drop_static:
+        return rows
     way = np.linalg.norm(first.pixels[rows[:, 0]] - second.pixels[rows[:, 1]], axis=1)
     return rows[way > STATIC_PX]
 
@@ -61,12 +66,13 @@ def verify_match(
     second: KeyframeFeatures,
     rays: tuple[RayTable, RayTable],
     rng: np.random.Generator,
+    drop_static: bool,
 ) -> Sim3Match | None:
     """The match of two keyframes, numbers `numbers` of their lists; None where too few features agree on one
-    similarity, or where they lie too close together to determine it."""
+    similarity, or where they lie too close together to determine it. drop_static: see `candidate_rows`."""
     if min(len(first), len(second)) < MIN_FEATURES:
         return None
-    rows = candidate_rows(first, second)
+    rows = candidate_rows(first, second, drop_static)
     here, there = (correspondences(f, r, table) for f, r, table in zip((first, second), rows.T, rays, strict=True))
     pixels = second.pixels[rows[:, 1]], first.pixels[rows[:, 0]]
     found = verified_similarity(there, here, pixels, rays[0].camera.width, rng, MIN_INLIER_SHARE, MAX_ROUNDS)

@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from haustra.core.errors import HaustraError
-from pipeline.config import Config, read_recorded
+from pipeline.config import Config, read_recorded, retired_differences
 from pipeline.run_folder.inputs import changed_inputs, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
 from pipeline.run_folder.lock import RunLock
@@ -95,6 +95,11 @@ class Workspace:
     @property
     def config(self) -> Config:
         return read_recorded(self.record["config"])
+
+    @property
+    def retired_settings(self) -> list[str]:
+        """Settings of an earlier version by which the run differs from what is fixed today."""
+        return retired_differences(self.record["config"])
 
 
 def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:
@@ -181,6 +186,9 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
     if "source" in changed:
         raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
+    fixed = workspace.retired_settings
+    if fixed:
+        raise HaustraError(f"{root} was run with another setting ({fixed[0]}); use --overwrite")
     other = workspace.config.differences(config)
     if other:
         raise HaustraError(f"{root} was run with other settings ({other[0]}); repeat them, or use --overwrite")
@@ -190,9 +198,9 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
 
 def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
     """Whether a run is of this source, these settings and these files; those that look untouched are not read."""
-    return workspace.config.is_same_work(config) and not changed_inputs(
-        source, config, workspace.record["source"], True
-    )
+    if workspace.retired_settings or not workspace.config.is_same_work(config):
+        return False
+    return not changed_inputs(source, config, workspace.record["source"], True)
 
 
 def _clear_if_begun(workspace: Workspace) -> None:

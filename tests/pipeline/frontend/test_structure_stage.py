@@ -41,7 +41,8 @@ def asked(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
         many = SimpleNamespace(index=np.arange(frames), camera=None)
         workspace = SimpleNamespace(log=tmp_path)
-        results = structure_stage._run(many, front_end, SETTINGS, workspace, SilentProgress())
+        results, failure = structure_stage._run(many, front_end, SETTINGS, workspace, SilentProgress())
+        assert failure is None
         mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
         assert list(mapped) == ran
         return ran, best_mapper(mapped, frames)
@@ -93,7 +94,9 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         workspace = SimpleNamespace(log=tmp_path)
         return structure_stage._run(few, front_end, SETTINGS, workspace, SilentProgress())
 
-    assert list(call("auto")) == ["odometry"]
+    results, failure = call("auto")
+    assert list(results) == ["odometry"]
+    assert "failed" in failure
     with pytest.raises(HaustraError, match="failed"):
         call("sfm")
 
@@ -108,6 +111,19 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
     frames, workspace = SimpleNamespace(index=np.arange(9), camera=None), SimpleNamespace(log=tmp_path)
     with pytest.raises(HaustraError, match=f"logs are in {tmp_path}"):
         FRONT_ENDS["sfm"].run(frames, SETTINGS, workspace, SilentProgress())
+    found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))
+    monkeypatch.setitem(FRONT_ENDS, "odometry", found)
+    with pytest.raises(
+        HaustraError, match=f"9 frames tried by odometry.*; sfm failed as well: .*logs are in {tmp_path}"
+    ):
+        structure_stage._solve(frames, "auto", SETTINGS, workspace, SilentProgress())
+
+
+def test_warnings_advise_what_was_not_tried():
+    assert "compare with --front-end sfm" in structure_stage._warnings([DARK], ["sfm"])[0]
+    (sentence,) = structure_stage._warnings([DARK], [])
+    assert "--front-end" not in sentence
+    assert sentence.endswith("in 40 % of 90 frames nearer points are darker; use other frames")
 
 
 def test_choices_that_cannot_work_are_refused_at_once():

@@ -1,0 +1,59 @@
+"""Settings by their old names: what version 0.1 wrote is read, what it could do and we cannot is said."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from haustra.core.errors import HaustraError
+from pipeline.config import RETIRED, Config, load_config, read_recorded, retired_differences
+
+OLD = yaml.safe_load((Path(__file__).parent / "old_run_settings.yaml").read_text())
+
+
+def test_the_record_of_an_old_run_is_read():
+    assert read_recorded(OLD) == Config()
+    assert retired_differences(OLD) == []
+
+
+def test_retired_values_are_those_of_version_0_1():
+    assert {name: OLD[section][key] for name in RETIRED for section, key in [name.split(".")]} == {
+        name: gone.value for name, gone in RETIRED.items()
+    }
+
+
+def test_old_names_keep_their_values():
+    old = OLD | {
+        "pose_graph": OLD["pose_graph"] | {"max_places": 7, "join": False},
+        "depth": OLD["depth"] | {"looks": 1},
+    }
+    config = read_recorded(old)
+    assert (config.loop_closing.max_keyframes, config.loop_closing.merge_submaps) == (7, False)
+    assert config.depth.iterations == 1
+
+
+def test_a_retired_setting_that_was_changed_is_another_run():
+    changed = OLD | {"depth": OLD["depth"] | {"max_fov_deg": 90.0}}
+    assert retired_differences(changed) == ["depth.max_fov_deg: 90.0, now fixed at 120"]
+    assert read_recorded(changed) == Config()
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("pose_graph: {per_place: 3}", "no setting 'pose_graph.per_place' any more, it is fixed at 3; remove it"),
+        ("structure: {max_features: 4096}", "'structure.max_features' any more, it is fixed at 2048; remove it"),
+        ("pose_graph: {typo: 1}", "no setting 'pose_graph'"),
+        ("depth: {typo: 1}", "no setting 'depth.typo'"),
+    ],
+)
+def test_a_settings_file_with_a_retired_name_is_refused(tmp_path, text, sentence):
+    (tmp_path / "settings.yaml").write_text(text)
+    with pytest.raises(HaustraError, match=sentence):
+        load_config(tmp_path / "settings.yaml")
+
+
+def test_a_settings_file_may_use_renamed_settings(tmp_path):
+    (tmp_path / "settings.yaml").write_text("pose_graph: {enabled: false}\ndepth: {looks: 2}\n")
+    config = load_config(tmp_path / "settings.yaml")
+    assert (config.loop_closing.enabled, config.depth.iterations) == (False, 2)
