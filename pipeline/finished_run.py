@@ -83,9 +83,13 @@ class Run:
         return load_frames(self.workspace)
 
     @cached_property
+    def submaps_before_loops(self) -> list[CompletedSubmap]:
+        """As the depth stage left them: not merged, and with their loops open."""
+        return load_completed(self.frames, load_structure(self.workspace), self.workspace)
+
+    @cached_property
     def completed_submaps(self) -> list[CompletedSubmap]:
-        planned = load_completed(self.frames, load_structure(self.workspace), self.workspace)
-        return load_refined(planned, self.workspace)
+        return load_refined(self.submaps_before_loops, self.workspace)
 
     @property
     def submaps(self) -> list[Submap]:

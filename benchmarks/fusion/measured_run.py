@@ -17,10 +17,8 @@ from benchmarks.fusion.depths import Completed, DepthSource, KeyframeView, compl
 from haustra.core.camera import Camera
 from pipeline.config import Config
 from pipeline.depth.completed_submap import CompletedSubmap
-from pipeline.depth.completion_stage import load_completed
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.finished_run import open_run
-from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames
 from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
@@ -74,7 +72,7 @@ class MeasuredRun:
         workspace, refined = run.workspace, run.completed_submaps[0]
         self.name, self.folder, self.config = folder.name, film, workspace.config
         self.frames, self.film = run.frames, read_film(film)
-        self.planned = load_completed(run.frames, load_structure(workspace), workspace)  # before loop closing
+        self.planned = run.submaps_before_loops
         self.refinement_ran, self.moved = workspace.is_done("refinement"), refined.depth_scale is not None
         self.before = self._posed(self.planned[0])
         self.after = self._posed(refined) if self.moved else self.before

@@ -59,7 +59,7 @@ def run_batch(
     progress: Progress,
     overwrite: bool = False,
 ) -> list[Outcome]:
-    """Reconstruct every video into `output`; `words` are the options of `reconstruct`, which give `config`.
+    """Reconstruct every video into `output`; `arguments` are the options of `reconstruct`, which give `config`.
 
     `batch.csv` and `batch.json` are whole after each video. Finished runs of the same video with the same settings are
     kept as they are, others of them are gone on with, and with `overwrite` what is neither is replaced. Ctrl-C, SIGTERM

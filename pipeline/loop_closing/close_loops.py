@@ -197,5 +197,5 @@ def _sentence(piece: _Piece) -> str:
     scale = np.asarray(piece.completed.depth_scale)
     name = f"submap {piece.members[0]}"
     if len(piece.members) > 1:
-        name = "submaps " + ", ".join(str(member) for member in piece.members) + " joined"
+        name = "submaps " + ", ".join(str(member) for member in piece.members) + " merged"
     return f"{name}: {len(piece.loops)} loops closed, scale from {scale.min():.3f} to {scale.max():.3f}"

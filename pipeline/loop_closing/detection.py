@@ -60,13 +60,13 @@ class SubmapFeatures:
 def find_features(completed: CompletedSubmap, max_keyframes: int) -> SubmapFeatures:
     """Features of evenly spaced keyframes of a submap: `max_keyframes`, or more where they would lie too far apart."""
     step = max(1, min(-(-len(completed) // max_keyframes), MAX_STEP))
-    return _features(completed, completed.rows[::step], {})
+    return _features(completed, completed.rows[::step], {}, RayTable(completed.camera))
 
 
 def features_of_all(known: SubmapFeatures) -> SubmapFeatures:
     """Features of all keyframes of the submap; those that are known already are not detected again."""
     found = {features.keyframe: features for features in known.features}
-    return _features(known.completed, known.completed.rows, found)
+    return _features(known.completed, known.completed.rows, found, known.rays)
 
 
 def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
@@ -95,13 +95,11 @@ def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair
 
 
 def _features(
-    completed: CompletedSubmap, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures]
+    completed: CompletedSubmap, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures], rays: RayTable
 ) -> SubmapFeatures:
     maker = SparseDepthMaker(completed.submap, completed.camera)
-    rays = RayTable(completed.camera)
-    return SubmapFeatures(
-        completed, [known.get(row) or _lifted(completed, maker, rays, row) for row in map(int, rows)], rays
-    )
+    features = [known.get(row) or _lifted(completed, maker, rays, row) for row in map(int, rows)]
+    return SubmapFeatures(completed, features, rays)
 
 
 def _lifted(completed: CompletedSubmap, maker: SparseDepthMaker, rays: RayTable, row: int) -> KeyframeFeatures:

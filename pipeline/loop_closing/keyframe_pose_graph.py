@@ -135,7 +135,7 @@ def covisibility_factors(completed: CompletedSubmap) -> list[Edge]:
 
 
 def _covisible_pairs(seen: list[NDArray[np.int64]], points: int) -> list[tuple[int, int]]:
-    """Pairs of keyframes that share `MIN_TIE` points, and all that follow each other; `seen`: the points of each."""
+    """Pairs of keyframes that share `MIN_COVISIBLE` points, and all that follow each other; `seen`: the points of each."""
     starts = np.concatenate([[0], np.cumsum([len(s) for s in seen])])
     table = csr_array((np.ones(starts[-1], np.int64), np.concatenate(seen), starts), shape=(len(seen), points))
     shared = coo_array(table @ table.T)
@@ -172,7 +172,7 @@ def deform(completed: CompletedSubmap, rows: NDArray[np.int64], world_from_node:
 
 
 def nodes_of(before: CompletedSubmap, after: CompletedSubmap) -> Array:
-    """(K,4,4) Sim(3) nodes at which `moved` put the keyframes of `after`."""
+    """(K,4,4) Sim(3) nodes at which `deform` put the keyframes of `after`."""
     nodes = after.submap.world_from_camera[before.rows].copy()
     if after.depth_scale is not None:
         was = 1.0 if before.depth_scale is None else before.depth_scale[before.rows]

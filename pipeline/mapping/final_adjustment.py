@@ -31,7 +31,7 @@ def adjust_to_features(
     local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress
 ) -> float | None:
     """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
-    None if they do not hold it, which leaves it as it was.
+    None if too few do, which leaves poses and KLT points as they were.
 
     Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
     The features of an earlier call are forgotten first.

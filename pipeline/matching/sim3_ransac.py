@@ -21,7 +21,8 @@ BATCH = 64  # samples judged at once
 
 @dataclass(frozen=True)
 class Correspondences:
-    """One map's view of the shared points: points (N,3) in its world, camera_from_world pose, xy (N,2), gain."""
+    """One map's view of the shared points: points (N,3) in its world, camera_from_world (4,4), xy (N,2) on
+    the plane z = 1, jacobian (N,2,2) pixels per unit there."""
 
     points: Array
     camera_from_world: Array

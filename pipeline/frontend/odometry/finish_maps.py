@@ -52,7 +52,7 @@ def join_maps(
     if len(maps) < 2:
         return maps, 0
     apart = copy.deepcopy(maps)
-    with progress.bar("joining submaps", None):
+    with progress.bar("merging submaps", None):
         merged = merge_maps(maps, find, seed)
     result: list[LocalMap] = []
     for whole in merged:
@@ -65,7 +65,9 @@ def join_maps(
             if by is None:
                 adjust_all(whole.map, changed=True)
         elif by is None or by > max(before):
-            progress.log(f"{len(before)} submaps look alike, but their features do not hold together; they stay apart")
+            progress.log(
+                f"{len(before)} submaps matched, but too few of their features agree after merging; they stay separate"
+            )
             result += [apart[number] for number in whole.members]
             continue
         result.append(whole.map)

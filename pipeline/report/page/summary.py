@@ -120,7 +120,7 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
 def _loops(record: dict[str, Any]) -> str:
     """What loop closing did, by the numbers of the frames that show the same place."""
     pairs = ", ".join(f"{first} and {second}" for first, second in record["loops"])
-    joined = f"joined from {len(record['members'])} submaps; " if len(record["members"]) > 1 else ""
+    joined = f"merged from {len(record['members'])} submaps; " if len(record["members"]) > 1 else ""
     if pairs:
         return joined + f"closed between frames {pairs}"
     if record["supported"]:

@@ -140,7 +140,12 @@ def test_wide_features_follow_and_do_not_move_the_map(finished, monkeypatch):
     monkeypatch.setattr(sift_cache, "detect_sift", lambda *a: sliding(found(*a), limit))
     monkeypatch.setattr(final_adjustment, "WIDEST", limit)
     following, moving = copy.deepcopy(finished), copy.deepcopy(finished)
+    asked, adjust = [], final_adjustment.adjust_all
+    monkeypatch.setattr(final_adjustment, "adjust_all", lambda *a: asked.append(a[3]) or adjust(*a))
     assert adjust_to_features(following, SiftCache(read))
+    (took_part,) = asked
+    assert took_part.sum() > 100
+    assert (following.tracks.kind[took_part] == TrackKind.FEATURE).all(), "neither wide features nor corners"
     wide = following.tracks.is_kind(TrackKind.WIDE_FEATURE)
     assert following.tracks.has_point[wide].sum() > 50, "wide features have points"
     monkeypatch.setattr(final_adjustment, "WIDEST", np.inf)

@@ -56,6 +56,23 @@ def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
     assert max(shared) > 50, "features across the seam"
 
 
+def test_a_merged_map_knows_how_its_tracks_were_found(there_and_back):
+    maps, _, find, _ = there_and_back
+    corners = [{id(k): set(k.ids[m.tracks.is_kind(TrackKind.KLT)[k.ids]]) for k in m.keyframes} for m in maps]
+    (merged,) = merge_maps(copy.deepcopy(maps), find, 0)
+    tracks, of_map = merged.map.tracks, [len(m.keyframes) for m in maps]
+    seen = [tracks.kind[keyframe.ids] for keyframe in merged.map.keyframes]
+    assert not np.isin(np.concatenate(seen), (TrackKind.FEATURE, TrackKind.WIDE_FEATURE)).any(), "matched again later"
+    counts = [
+        sum(int((kind == TrackKind.KLT).sum()) for kind in part) for part in (seen[: of_map[0]], seen[of_map[0] :])
+    ]
+    assert counts == [sum(map(len, by.values())) for by in corners], "corners of both maps stay what they were"
+    for part in (seen[: of_map[0]], seen[of_map[0] :]):
+        assert sum(int((kind == TrackKind.MERGE).sum()) for kind in part) > 50, "matches across the seam"
+    merged.map.forget_features()
+    assert not merged.map.tracks.is_kind(TrackKind.FEATURE, TrackKind.WIDE_FEATURE).any()
+
+
 def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch):
     maps, held, find, _ = there_and_back
     poses = [[k.camera_from_world.copy() for k in m.keyframes] for m in maps]

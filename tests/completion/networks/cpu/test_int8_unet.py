@@ -17,7 +17,6 @@ from torch import nn
 
 from completion import DepthCompleter
 from completion.inference.completer import load_depth_network
-from completion.networks import precision as formats
 from completion.networks.cpu.int8_resize import beside_doubled
 from completion.networks.cpu.int8_unet import (
     RESIDUAL_STEPS,
@@ -28,9 +27,7 @@ from completion.networks.cpu.int8_unet import (
 )
 from completion.networks.mscsa import UNet
 from completion.networks.mscsa_sfm_kernels import INPUT_RANGES, NCONV_DEPTH_CHANNEL
-from completion.networks.precision import choose_precision
 from completion.networks.recurrent_norm import fold_batch_norm
-from haustra.core.errors import CompletionError
 
 needs_vnni = pytest.mark.skipif(not can_use_int8(), reason="this processor or PyTorch has no fast 8-bit integers")
 # Of depth in 8 bits against float32, shipped weights: median of a rendered-like frame's relative differences.
@@ -294,15 +291,3 @@ def test_making_it_draws_no_random_number():
     network, before = load_depth_network("mscsa"), torch.get_rng_state()
     DepthCompleter(network, precision="int8")
     assert torch.equal(torch.get_rng_state(), before)
-
-
-def test_without_such_a_processor_the_next_best_is_taken(monkeypatch):
-    cpu = torch.device("cpu")
-    monkeypatch.setattr(formats, "can_use_int8", lambda: True)
-    assert [choose_precision(p, cpu) for p in ("auto", "int8", "bf16", "fp32")] == ["int8", "int8", "bf16", "fp32"]
-    assert choose_precision("auto", torch.device("cuda")) == "bf16"
-    monkeypatch.setattr(formats, "can_use_int8", lambda: False)
-    monkeypatch.setattr(formats, "has_fast_bfloat16", lambda device: False)
-    assert choose_precision("auto", cpu) == "fp32"
-    with pytest.raises(CompletionError, match="VNNI"):
-        choose_precision("int8", cpu)
