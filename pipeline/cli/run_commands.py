@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from pipeline.config import Config
 
 Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")]
-FrontEnd = Annotated[
-    str | None, typer.Option(help="auto: odometry, and sfm where its result is doubtful; or one by name")
-]
+FrontEnd = Annotated[str | None, typer.Option(help="auto: odometry, and sfm if that is doubtful; or one by name")]
 Model = Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")]
 LumenMm = Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")]
 Start = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes before")]

@@ -56,6 +56,8 @@ def load_completed(frames: Frames, submaps: list[Submap], workspace: Workspace) 
 
 def _check_pinhole(completed: CompletedSubmap, recorded: Path) -> None:
     """Refuse depth maps of another pinhole than is derived today, as runs of earlier versions could ask for."""
+    if not recorded.exists():  # absent in runs of early versions
+        return
     made = read_camera(recorded)
     if not np.allclose(made.params, completed.camera.params, rtol=1e-6):
         raise HaustraError(

@@ -135,7 +135,7 @@ def covisibility_factors(completed: CompletedSubmap) -> list[Edge]:
 
 
 def _covisible_pairs(seen: list[NDArray[np.int64]], points: int) -> list[tuple[int, int]]:
-    """Pairs of keyframes that share `MIN_COVISIBLE` points, and all that follow each other; `seen`: the points of each."""
+    """Pairs of keyframes that share `MIN_COVISIBLE` points, and all consecutive ones; `seen`: the points of each."""
     starts = np.concatenate([[0], np.cumsum([len(s) for s in seen])])
     table = csr_array((np.ones(starts[-1], np.int64), np.concatenate(seen), starts), shape=(len(seen), points))
     shared = coo_array(table @ table.T)

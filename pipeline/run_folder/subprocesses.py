@@ -53,7 +53,8 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
 
 
 def parent_bound_command(module: str, *words: str) -> list[str]:
-    """`python -m module words` that, started with `parent_bound_environment`, on Linux dies with the thread that starts it."""
+    """`python -m module words`; started with `parent_bound_environment`, it dies on Linux with the thread that starts
+    it."""
     # -P: the working directory must not shadow installed packages.
     return [sys.executable, "-P", "-m", __name__, module, *words]
 

@@ -65,9 +65,7 @@ def join_maps(
             if by is None:
                 adjust_all(whole.map, changed=True)
         elif by is None or by > max(before):
-            progress.log(
-                f"{len(before)} submaps matched, but too few of their features agree after merging; they stay separate"
-            )
+            progress.log(f"{len(before)} submaps stay separate: they match, but too few features agree after merging")
             result += [apart[number] for number in whole.members]
             continue
         result.append(whole.map)
