@@ -209,8 +209,8 @@ class LocalMap:
         self, first: int, reference: int, old: Array, scale: float, among: NDArray[np.bool_] | None = None
     ) -> None:
         """Move keyframes from number `first` on, the points that they alone see, and the frames between them, as
-        keyframe `reference` before them was moved: from `old` (4,4), its camera_from_world then, with its points `scale`
-        times as far from it.
+        keyframe `reference` before them was moved: from camera_from_world `old` (4,4), with its points `scale` times as
+        far from it.
 
         among (T,): tracks that are moved; frames between keyframes then stay, since they saw others.
         """
