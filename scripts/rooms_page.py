@@ -32,7 +32,7 @@ def suite(rows: list[dict[str, Any]]) -> list[str]:
     lines = [
         "\n## Whole runs\n",
         "`reconstruct FILM --front-end odometry --seed 0`, then `haustra compare`; one seed. F-score at 1 mm.\n",
-        "| film | frames posed | ATE before, after (mm) | F-score before, after (%) | bytes of mesh and path | commit after |",
+        "| film | frames posed | ATE before, after (mm) | F-score before, after (%) | bytes | commit after |",
         "|---|---|---|---|---|---|",
     ]
     for row in rows:
@@ -82,7 +82,7 @@ def joins(rows: list[dict[str, Any]], strangers: dict[str, Any]) -> list[str]:
             f"| {before['ate_mm']:.4f}, {after['ate_mm']:.4f} |"
         )
     lines.append(
-        f"\nOf {strangers['pairs']} pairs of parts of different films, falsely merged: {strangers['false_before']} before, "
+        f"\nOf {strangers['pairs']} pairs of parts of different films, merged: {strangers['false_before']} before, "
         f"{strangers['false_after']} after."
     )
     return lines

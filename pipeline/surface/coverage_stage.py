@@ -1,5 +1,6 @@
 """Stage 6: coverage of every submap's lumen: what the endoscopist missed, its map and its figures."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from haustra.core.ray_table import RayTable
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import refined_camera
-from pipeline.run_folder.workspace import Workspace
+from pipeline.run_folder.stage import load_or_make
+from pipeline.run_folder.workspace import Workspace, report_corruption
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
 from reconstruction.coverage.centreline import NotATube
@@ -24,6 +26,7 @@ from reconstruction.coverage.unrolled_map import unroll
 from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
+STAGE = "coverage"
 # Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
 # depth is unsure, and not fused, within some pixels of every rim. Chosen on benchmarks/coverage_films.yaml.
 EDGE_VOXELS = 3.0
@@ -68,10 +71,42 @@ def coverage_stage(
     frames: Frames, submaps: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace
 ) -> list[CoverageResult]:
     """Measure, draw and list; a submap that is no tube gets one sentence instead of a number."""
-    return [
-        _judge(frames, completed, surface, coverage_image_path(workspace, number))
-        for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True))
-    ]
+    return load_or_make(
+        workspace, STAGE, lambda: load_coverage(workspace), lambda: _judge_all(frames, submaps, surfaces, workspace)
+    )
+
+
+def load_coverage(workspace: Workspace) -> list[CoverageResult]:
+    """What a finished stage found of each submap."""
+    results = []
+    for number, record in enumerate(workspace.result(STAGE)["submaps"]):
+        picture = coverage_image_path(workspace, number) if record["judged"] else None
+        results.append(CoverageResult(record, picture, _load_missed(workspace, number) if picture else ()))
+    return results
+
+
+def _judge_all(frames: Frames, submaps: list[CompletedSubmap], surfaces: list[Surface], workspace: Workspace) -> None:
+    records = []
+    for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True)):
+        result = _judge(frames, completed, surface, coverage_image_path(workspace, number))
+        arrays = {
+            f"{name}_{k}": getattr(m, name) for k, m in enumerate(result.missed) for name in ("vertices", "faces")
+        }
+        np.savez_compressed(_missed_path(workspace, number), count=len(result.missed), **arrays)
+        records.append(json.loads(json.dumps(result.record)))  # plain numbers: YAML knows no NumPy
+    workspace.finish(STAGE, submaps=records)
+
+
+def _load_missed(workspace: Workspace, number: int) -> tuple[SurfaceMesh, ...]:
+    path = _missed_path(workspace, number)
+    with report_corruption(path), np.load(path, allow_pickle=False) as arrays:
+        return tuple(
+            SurfaceMesh.from_triangles(arrays[f"vertices_{k}"], arrays[f"faces_{k}"]) for k in range(arrays["count"])
+        )
+
+
+def _missed_path(workspace: Workspace, number: int) -> Path:
+    return workspace.log / f"missed_{number}.npz"
 
 
 def coverage_image_path(workspace: Workspace, number: int) -> Path:

@@ -7,12 +7,15 @@ import pytest
 
 from pipeline.finished_run import summary
 from pipeline.report.page.summary import coverage_section
+from pipeline.run_folder.workspace import Workspace
+from pipeline.surface import coverage_stage as stage
 from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, SEEN, unroll
+from reconstruction.mesh.surface_mesh import SurfaceMesh
 from tests.helpers.holed_tube import RADIUS, cameras, patch, straight, tube
 
 
@@ -129,3 +132,27 @@ def test_the_headline_names_the_submap_that_it_speaks_of(tmp_path):
     assert "of 1 submaps" not in summary(metrics, tmp_path)
     metrics["submaps"] = [one, one, one]
     assert "90 % of the wall seen over 80 mm in the largest of 3 submaps" in summary(metrics, tmp_path)
+
+
+def test_a_finished_stage_is_loaded_and_not_measured_again(tmp_path, monkeypatch):
+    workspace = Workspace(tmp_path)
+    workspace.log.mkdir()
+    patch = SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]])
+    record = {"judged": True, "covered_percent": np.float64(81.25), "visited": [(0.0, np.float64(2.5))]}
+    results = [
+        CoverageResult(record, tmp_path / "coverage.png", (patch, patch)),
+        CoverageResult({"judged": False}, None),
+    ]
+    monkeypatch.setattr(stage, "_judge", lambda *_: results.pop(0))
+    made = stage.coverage_stage(None, [None, None], [None, None], workspace)
+    again = stage.coverage_stage(None, [None, None], [None, None], workspace)  # `results` is empty now
+    for found in (made, again):
+        assert [result.record for result in found] == [
+            {"judged": True, "covered_percent": 81.25, "visited": [[0.0, 2.5]]},
+            {"judged": False},
+        ]
+        assert [result.picture for result in found] == [tmp_path / "coverage.png", None]
+        assert [len(result.missed) for result in found] == [2, 0]
+        np.testing.assert_array_equal(found[0].missed[1].vertices, patch.vertices)
+        np.testing.assert_array_equal(found[0].missed[1].faces, patch.faces)
+    assert Workspace(tmp_path).record_path.exists()
