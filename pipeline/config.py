@@ -63,6 +63,7 @@ RETIRED = {
     "fusion.truncation_voxels": Retired(12.0, _FUSION),
     "fusion.min_component": Retired(0.02, _FUSION),
 }
+OLD_SECTIONS = ("structure", "sparse", "pose_graph")
 
 
 class Settings(BaseModel):
@@ -216,6 +217,8 @@ def validate_config(values: dict[str, object]) -> Config:
         if name in RETIRED:
             gone = RETIRED[name]
             raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {gone.value:g}; remove it")
+        if name.split(".")[0] in OLD_SECTIONS and name not in RENAMED:
+            raise HaustraError(f"there is no setting '{name}'")
     try:
         return Config.model_validate(_with_new_names(values))
     except ValidationError as error:

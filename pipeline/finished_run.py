@@ -68,7 +68,7 @@ class Run:
 
     def unit(self, submap: int = 0) -> str:
         """'mm', or 'scene' where nothing gave a scale."""
-        return self.surfaces[submap].scale.unit
+        return self.surfaces[self._checked(submap)].scale.unit
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
@@ -106,6 +106,7 @@ class Run:
 
     def trajectory(self, submap: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Seconds (N,) and world_from_camera (N,4,4) of all posed frames, in the output unit."""
+        self._checked(submap)
         path = self.workspace.trajectory
         path = path if submap == 0 else path.with_name(f"{path.stem}_{submap}{path.suffix}")
         with report_corruption(path):
@@ -113,7 +114,7 @@ class Run:
 
     def keyframes(self, submap: int = 0) -> Iterator[RunKeyframe]:
         """The completed keyframes in their order, read from disk one at a time."""
-        completed, factor = self.completed_submaps[submap], self.surfaces[submap].scale.factor
+        completed, factor = self.completed_submaps[self._checked(submap)], self.surfaces[submap].scale.factor
         maker = SparseDepthMaker(completed.submap, completed.camera)
         for row in map(int, completed.rows):
             keyframe = completed.keyframe(row)
@@ -132,7 +133,17 @@ class Run:
 
     def measure_coverage(self, submap: int = 0) -> Coverage:
         """Measured anew, with every face's flag. Raises `NotATube` where it cannot be judged."""
-        return measure_submap(self.frames, self.completed_submaps[submap], self.surfaces[submap])
+        return measure_submap(self.frames, self.completed_submaps[self._checked(submap)], self.surfaces[submap])
+
+    def _checked(self, submap: int) -> int:
+        """The number of a submap that there is. Raises `HaustraError` for another one."""
+        count = len(self.surfaces)
+        if not 0 <= submap < count:
+            raise HaustraError(f"the run {self.folder} has {count} submap(s), numbered from 0; there is no {submap}")
+        return submap
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.folder)!r})"
 
     def __str__(self) -> str:
         return summary(self.metrics, self.mesh)

@@ -21,6 +21,7 @@ from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
 from pipeline.depth.completion_stage import load_completed
+from pipeline.finished_run import open_run
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import load_frames
 from pipeline.run import reconstruct
@@ -55,12 +56,41 @@ def test_every_artefact_of_the_contract_is_there(finished):
     assert len(list((folder / "depth").glob("*.png"))) == keyframes >= 5
     assert len(list((folder / "confidence").glob("*.png"))) == keyframes
     record = yaml.safe_load((folder / "run.yaml").read_text())
-    assert set(record["stages"]) == {"frames", "structure", "depth", "surface", "report"}  # COLMAP's map is not refined
+    assert set(record["stages"]) == {
+        "frames",
+        "structure",
+        "depth",
+        "surface",
+        "coverage",
+        "report",
+    }  # COLMAP's map is not refined
     entry = record["submaps"][0]
     assert entry["unit"] == "mm"
     first = entry["keyframes"][0]
     steps = cv2.imread(str(folder / "depth" / f"{first:06d}.png"), cv2.IMREAD_UNCHANGED)
     assert 5 < np.median(steps * entry["depth_png_step"]) < 80
+
+
+def test_a_run_reads_back_as_it_was_returned(finished):
+    folder, result = finished
+    run = open_run(folder)
+    assert run.metrics == result.metrics
+    assert run.unit() == "mm"
+    seconds, world_from_camera = run.trajectory()
+    assert len(seconds) == len(world_from_camera) == run.metrics["frames"]["posed"]
+    keyframes = list(run.keyframes())
+    assert len(keyframes) == run.metrics["submaps"][0]["keyframes"]
+    for keyframe in keyframes:
+        nearest = int(np.abs(seconds - keyframe.seconds).argmin())
+        np.testing.assert_allclose(keyframe.world_from_camera, world_from_camera[nearest], atol=1e-5)
+        sparse, error = keyframe.sparse.maps(*keyframe.depth.shape)
+        both = (sparse > 0) & (keyframe.depth > 0)
+        assert np.median(np.abs(np.log(sparse[both] / keyframe.depth[both]))) < 0.1
+        assert (error[both] > 0).all()
+    with pytest.raises(HaustraError, match=r"has 1 submap\(s\), numbered from 0; there is no 3"):
+        run.trajectory(3)
+    with pytest.raises(HaustraError, match="no 3"):
+        next(run.keyframes(3))
 
 
 def test_error_against_the_clips_truth(finished):

@@ -43,7 +43,7 @@ def test_a_retired_setting_that_was_changed_is_another_run():
     [
         ("pose_graph: {per_place: 3}", "no setting 'pose_graph.per_place' any more, it is fixed at 3; remove it"),
         ("structure: {max_features: 4096}", "'structure.max_features' any more, it is fixed at 2048; remove it"),
-        ("pose_graph: {typo: 1}", "no setting 'pose_graph'"),
+        ("pose_graph: {typo: 1}", "no setting 'pose_graph.typo'"),
         ("depth: {typo: 1}", "no setting 'depth.typo'"),
     ],
 )
