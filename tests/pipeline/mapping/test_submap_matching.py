@@ -207,9 +207,9 @@ def test_a_pair_of_places_is_compared_once(monkeypatch):
     shown = {id(m): [features_of(m, k, np.arange(60), c) for k in (0, 1)] for m, c in zip(maps, codes, strict=True)}
     seen, real = [], submap_matching.verify_match
 
-    def verify(numbers, first, second, *rest):
+    def verify(numbers, first, second, *rest, **options):
         seen.append((id(first.descriptors), first.keyframe, id(second.descriptors), second.keyframe))
-        return real(numbers, first, second, *rest)
+        return real(numbers, first, second, *rest, **options)
 
     monkeypatch.setattr(submap_merging, "features_of_map", lambda m, find: shown[id(m)])
     monkeypatch.setattr(submap_matching, "verify_match", verify)
