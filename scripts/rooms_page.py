@@ -15,8 +15,7 @@ HEAD = """# Before and after the redesign
 **Question.** Did the new folders, and the one kind of feature, retrieval and verified match that submap merging and
 loop closing share now, change any result?
 
-**Answer.** Not for the worse beyond the spread of seeds. Runs in which nothing is merged and no loop is closed have the
-same bytes. What is merged or closed differs as the tables say.
+**Answer.** {answer}
 
 **Measured** on one machine ({machine[processor]}, {machine[cores]} cores), before: commit {before}, after: {after};
 loop closing, and the runs that say so: {loops}, since a review found between the two that
@@ -24,6 +23,26 @@ loops which end in the very view where they began were left out. Rendered from `
 `python scripts/rooms_page.py`. All films had been in sight of earlier choices: these are figures of a comparison, not
 of accuracy.
 """
+
+
+def answer(record: dict[str, Any]) -> str:
+    """The largest changes, in words."""
+    pairs = [
+        p for row in record["seeds"] for p in zip(row["before_common_ate_mm"], row["after_common_ate_mm"], strict=True)
+    ]
+    ate = max(abs(after - before) for before, after in pairs)
+    score = max(abs(row["after"]["f_score_percent"] - row["before"]["f_score_percent"]) for row in record["suite"])
+    ratios = [row["after"]["ate_mm"] / row["before"]["ate_mm"] - 1 for row in record["joins"]]
+    moved = ", ".join(f"{100 * ratio:+.0f} %" for ratio in ratios if abs(ratio) > 0.01) or "none"
+    merged = sum(row["after"]["left"] != row["before"]["left"] for row in record["joins"])
+    runs, films = len(record["suite"]), len(record["joins"])
+    return "\n".join(
+        [
+            f"Hardly. In {len(pairs)} runs of the front end the ATE changes by at most {ate:.2g} mm, in {runs} whole runs",
+            f"the F-score by at most {score:.2f} points. Of {films} cut films {merged} are merged otherwise; the ATE changes",
+            f"by more than 1 % in these: {moved} (one seed, whose spread was not measured).",
+        ]
+    )
 
 
 def guard(rows: list[dict[str, Any]]) -> list[str]:
@@ -125,7 +144,11 @@ def main() -> None:
     record = json.loads(RECORD.read_text())
     commits = record["commits"]
     head = HEAD.format(
-        machine=record["machine"], before=commits["before"], after=commits["after"], loops=commits["after (loops)"]
+        answer=answer(record),
+        machine=record["machine"],
+        before=commits["before"],
+        after=commits["after"],
+        loops=commits["after (loops)"],
     )
     lines = (
         guard(record["bytes"])
