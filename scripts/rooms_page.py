@@ -38,9 +38,9 @@ def answer(record: dict[str, Any]) -> str:
     runs, films = len(record["suite"]), len(record["joins"])
     return "\n".join(
         [
-            f"Hardly. In {len(pairs)} runs of the front end the ATE changes by at most {ate:.2g} mm, in {runs} whole runs",
-            f"the F-score by at most {score:.2f} points. Of {films} cut films {merged} are merged otherwise; the ATE changes",
-            f"by more than 1 % in these: {moved} (one seed, whose spread was not measured).",
+            f"Hardly. In {len(pairs)} runs of the front end the ATE changes by at most {ate:.2g} mm, in {runs} whole",
+            f"runs the F-score by at most {score:.2f} points. Of {films} cut films {merged} are merged otherwise; their",
+            f"ATE changes by more than 1 % in these: {moved} (one seed, whose spread was not measured).",
         ]
     )
 
