@@ -39,8 +39,8 @@ def answer(record: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"Hardly. In {len(pairs)} runs of the front end the ATE changes by at most {ate:.2g} mm, in {runs} whole",
-            f"runs the F-score by at most {score:.2f} points. Of {films} cut films {merged} are merged otherwise; their",
-            f"ATE changes by more than 1 % in these: {moved} (one seed, whose spread was not measured).",
+            f"runs the F-score by at most {score:.2f} points. Of {films} cut films {merged} are merged otherwise;",
+            f"their ATE changes by more than 1 % in these: {moved} (one seed, whose spread was not measured).",
         ]
     )
 
