@@ -83,8 +83,8 @@ class DepthCompleter:
         deviation of each point, or None. Returns depth (H,W) float32 and confidence (H,W) float32 in [0,1]. Without
         a single point there is no scale: depth and confidence are zero everywhere.
         """
-        errors = None if sparse_error is None else sparse_error[None]
-        depth, confidence = self.batch(rgb[None], sparse_depth[None], errors)
+        errors = None if sparse_error is None else np.asarray(sparse_error)[None]
+        depth, confidence = self.batch(np.asarray(rgb)[None], np.asarray(sparse_depth)[None], errors)
         return depth[0], confidence[0]
 
     def batch(

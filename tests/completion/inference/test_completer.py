@@ -227,3 +227,10 @@ def test_without_fused_convolutions_the_completer_does_without(monkeypatch, fram
     rgb, sparse, _ = (array[0] for array in frames)
     difference = np.abs(plain(rgb, sparse)[0] / DepthCompleter.load("mscsa", precision="bf16")(rgb, sparse)[0] - 1)
     assert np.median(difference) < BFLOAT16_TOLERANCE
+
+
+@pytest.mark.parametrize("sparse", [object(), None, [[1.0]]])
+def test_what_is_no_depth_map_is_refused(sparse):
+    completer = DepthCompleter(load_depth_network("mscsa"), device="cpu", precision="fp32")
+    with pytest.raises(CompletionError, match=r"sparse depth must have the image's size \(64, 64\), not \("):
+        completer(np.zeros((64, 64, 3), np.uint8), sparse)
