@@ -3,8 +3,9 @@
 `DepthCompleter` completes frames with a trained network; `build_model` makes any network of the comparison;
 `evaluate_frames` measures errors on frames with true depth, under a `Protocol`. Each is loaded on its first use."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from completion.evaluation.evaluate import Protocol as Protocol
@@ -19,10 +20,4 @@ _MODULE_OF = {
     "evaluate_frames": "completion.evaluation.evaluate",
 }
 __all__ = ["DepthCompleter", "Protocol", "build_model", "evaluate_frames"]
-
-
-def __getattr__(name: str) -> Any:
-    """A public name on its first use, so that importing the package does not import torch."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

@@ -9,8 +9,9 @@ The public names, each loaded at its first use, so that importing this package t
 - `HaustraError`: every known failure, with one sentence that says what to do.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from completion.inference.completer import DepthCompleter as DepthCompleter
@@ -31,9 +32,4 @@ _MODULE_OF = {
     "reconstruct": "pipeline.run",
 }
 __all__ = ["Camera", "Config", "DepthCompleter", "HaustraError", "Run", "open_run", "reconstruct"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'haustra' has no attribute '{name}'")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

@@ -6,8 +6,9 @@
 - `trajectory_errors`: ATE and rotation errors after alignment.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from reconstruction.coverage.coverage import measure_coverage as measure_coverage
@@ -26,9 +27,4 @@ _MODULE_OF = {
     "write_mesh": "reconstruction.mesh.mesh_io",
 }
 __all__ = ["SurfaceFusion", "SurfaceMesh", "measure_coverage", "read_mesh", "trajectory_errors", "write_mesh"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'reconstruction' has no attribute '{name}'")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

@@ -2,8 +2,9 @@
 independent samplers (`sampling_benchmark` in NumPy, the reference; `sampling_training` in torch, in batches), and
 dequantization of coarsely stored depth."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from completion.data.evaluation_frame import EvaluationFrame as EvaluationFrame
@@ -20,10 +21,4 @@ _MODULE_OF = {
     "read_evaluation_frames": "completion.data.readers",
 }
 __all__ = ["EvaluationFrame", "Shard", "dequantize", "get_sampler", "read_evaluation_frames"]
-
-
-def __getattr__(name: str) -> Any:
-    """A public name on its first use, so that importing the package does not import torch."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

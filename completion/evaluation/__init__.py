@@ -1,8 +1,9 @@
 """Errors of depth completion against true depth, per frame and in mean, under a stated protocol; calibration of the
 predicted error; plots. The command `haustra evaluate` is `run.evaluate`."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from completion.evaluation.accumulator import Accumulator as Accumulator
@@ -23,10 +24,4 @@ _MODULE_OF = {
     "mean_errors": "completion.evaluation.evaluate",
 }
 __all__ = ["Accumulator", "Predictor", "Protocol", "depth_errors", "evaluate_frames", "load_predictor", "mean_errors"]
-
-
-def __getattr__(name: str) -> Any:
-    """A public name on its first use, so that importing the package does not import torch."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

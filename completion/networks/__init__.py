@@ -4,8 +4,9 @@ A metric network maps image, sparse depth and intrinsics to depth in the same un
 `DepthNetwork` maps image and log sparse depth without a unit to an `Estimate`, and `reconstruct` can use it. `rivals/`
 has the networks that the paper compares with, `cpu/` faster equivalents of parts for inference on a CPU."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from completion.networks.checkpoint import load_network as load_network
@@ -26,10 +27,4 @@ _MODULE_OF = {
     "save_network": "completion.networks.checkpoint",
 }
 __all__ = ["REGISTRY", "DepthNetwork", "Entry", "Estimate", "build_model", "load_network", "save_network"]
-
-
-def __getattr__(name: str) -> Any:
-    """A public name on its first use, so that importing the package does not import torch."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(_MODULE_OF[name]), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

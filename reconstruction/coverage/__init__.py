@@ -2,8 +2,9 @@
 support and visibility to tell seen from missed, missed regions, unrolled map and figure.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from reconstruction.coverage.centreline import NotATube as NotATube
@@ -16,14 +17,14 @@ if TYPE_CHECKING:
     from reconstruction.coverage.visibility import FieldOfView as FieldOfView
 
 _MODULE_OF = {
-    "Coverage": "coverage",
-    "DepthSupport": "depth_support",
-    "FieldOfView": "visibility",
-    "NotATube": "centreline",
-    "draw_coverage": "coverage_figure",
-    "measure_coverage": "coverage",
-    "measure_lumen": "lumen_diameter",
-    "unroll": "unrolled_map",
+    "Coverage": "reconstruction.coverage.coverage",
+    "DepthSupport": "reconstruction.coverage.depth_support",
+    "FieldOfView": "reconstruction.coverage.visibility",
+    "NotATube": "reconstruction.coverage.centreline",
+    "draw_coverage": "reconstruction.coverage.coverage_figure",
+    "measure_coverage": "reconstruction.coverage.coverage",
+    "measure_lumen": "reconstruction.coverage.lumen_diameter",
+    "unroll": "reconstruction.coverage.unrolled_map",
 }
 __all__ = [
     "Coverage",
@@ -35,9 +36,4 @@ __all__ = [
     "measure_lumen",
     "unroll",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'reconstruction.coverage' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

@@ -2,8 +2,9 @@
 surface) and coverage (points, found and false regions).
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from reconstruction.evaluation.coverage_metrics import coverage_errors as coverage_errors
@@ -16,14 +17,14 @@ if TYPE_CHECKING:
     from reconstruction.evaluation.trajectory_metrics import trajectory_errors as trajectory_errors
 
 _MODULE_OF = {
-    "align_poses": "trajectory_metrics",
-    "coverage_errors": "coverage_metrics",
-    "read_true_wall": "coverage_metrics",
-    "read_tum": "trajectory_io",
-    "read_reference_surface": "reference_surface",
-    "surface_errors": "surface_metrics",
-    "trajectory_errors": "trajectory_metrics",
-    "write_tum": "trajectory_io",
+    "align_poses": "reconstruction.evaluation.trajectory_metrics",
+    "coverage_errors": "reconstruction.evaluation.coverage_metrics",
+    "read_true_wall": "reconstruction.evaluation.coverage_metrics",
+    "read_tum": "reconstruction.evaluation.trajectory_io",
+    "read_reference_surface": "reconstruction.evaluation.reference_surface",
+    "surface_errors": "reconstruction.evaluation.surface_metrics",
+    "trajectory_errors": "reconstruction.evaluation.trajectory_metrics",
+    "write_tum": "reconstruction.evaluation.trajectory_io",
 }
 __all__ = [
     "align_poses",
@@ -35,9 +36,4 @@ __all__ = [
     "trajectory_errors",
     "write_tum",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'reconstruction.evaluation' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

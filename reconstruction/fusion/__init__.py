@@ -3,8 +3,9 @@ corrected for illumination, and all integrated into a TSDF in sparse voxel block
 the mesh.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from reconstruction.fusion.depth_consistency import Agreement as Agreement
@@ -17,14 +18,14 @@ if TYPE_CHECKING:
     from reconstruction.fusion.tsdf import choose_voxel_size as choose_voxel_size
 
 _MODULE_OF = {
-    "Agreement": "depth_consistency",
-    "DepthView": "depth_consistency",
-    "TsdfSettings": "tsdf",
-    "Illumination": "photometry",
-    "SurfaceFusion": "tsdf",
-    "agreement": "depth_consistency",
-    "choose_voxel_size": "tsdf",
-    "fit_illumination": "photometry",
+    "Agreement": "reconstruction.fusion.depth_consistency",
+    "DepthView": "reconstruction.fusion.depth_consistency",
+    "TsdfSettings": "reconstruction.fusion.tsdf",
+    "Illumination": "reconstruction.fusion.photometry",
+    "SurfaceFusion": "reconstruction.fusion.tsdf",
+    "agreement": "reconstruction.fusion.depth_consistency",
+    "choose_voxel_size": "reconstruction.fusion.tsdf",
+    "fit_illumination": "reconstruction.fusion.photometry",
 }
 __all__ = [
     "Agreement",
@@ -36,9 +37,4 @@ __all__ = [
     "choose_voxel_size",
     "fit_illumination",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'reconstruction.fusion' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)

@@ -2,8 +2,9 @@
 casting.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from haustra.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from reconstruction.mesh.decimation import decimated as decimated
@@ -16,14 +17,14 @@ if TYPE_CHECKING:
     from reconstruction.mesh.textured_mesh import TexturedMesh as TexturedMesh
 
 _MODULE_OF = {
-    "SurfaceMesh": "surface_mesh",
-    "TexturedMesh": "textured_mesh",
-    "decimated": "decimation",
-    "drop_small_components": "surface_mesh",
-    "read_mesh": "mesh_io",
-    "render_mesh": "rendering",
-    "write_mesh": "mesh_io",
-    "write_textured": "mesh_io",
+    "SurfaceMesh": "reconstruction.mesh.surface_mesh",
+    "TexturedMesh": "reconstruction.mesh.textured_mesh",
+    "decimated": "reconstruction.mesh.decimation",
+    "drop_small_components": "reconstruction.mesh.surface_mesh",
+    "read_mesh": "reconstruction.mesh.mesh_io",
+    "render_mesh": "reconstruction.mesh.rendering",
+    "write_mesh": "reconstruction.mesh.mesh_io",
+    "write_textured": "reconstruction.mesh.mesh_io",
 }
 __all__ = [
     "SurfaceMesh",
@@ -35,9 +36,4 @@ __all__ = [
     "write_mesh",
     "write_textured",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'reconstruction.mesh' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_names(__name__, _MODULE_OF)
