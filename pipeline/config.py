@@ -4,7 +4,6 @@ Nothing here must be set to run. A YAML file given with `--config` overrides wha
 Lengths in the image are shares of the working width, so that they hold at any resolution.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,45 +22,34 @@ RENAMED = {
     "pose_graph.join": "loop_closing.merge_submaps",
     "pose_graph.max_places": "loop_closing.max_keyframes",
 }
-
-
-@dataclass(frozen=True)
-class Retired:
-    """A setting of version 0.1 that nobody set: the constant's value, and the module that holds it."""
-
-    value: float
-    module: str
-
-
-_QUALITY, _COLMAP = "pipeline.input.frame_quality", "pipeline.frontend.colmap.front_end"
-_SPARSE, _FUSION = "pipeline.depth.sparse_depth", "pipeline.surface.fusion_stage"
-RETIRED = {
-    "frames.min_brightness": Retired(8.0, _QUALITY),
-    "frames.max_burnt": Retired(0.6, _QUALITY),
-    "frames.min_texture": Retired(1.2, _QUALITY),
-    "frames.min_relative_sharpness": Retired(0.3, _QUALITY),
-    "frames.min_change": Retired(0.35, _QUALITY),
-    "structure.peak_threshold": Retired(0.002, _COLMAP),
-    "structure.max_features": Retired(2048, _COLMAP),
-    "structure.overlap": Retired(8, _COLMAP),
-    "structure.loop_neighbours": Retired(2, _COLMAP),
-    "structure.loop_stride": Retired(10, _COLMAP),
-    "structure.threads": Retired(2, _COLMAP),
-    "structure.min_registered": Retired(0.8, "pipeline.frontend.scoring"),
-    "structure.max_dark_near": Retired(0.05, "pipeline.frontend.scoring"),
-    "sparse.max_reprojection_px": Retired(1.5, _SPARSE),
-    "sparse.min_track_length": Retired(3, _SPARSE),
-    "sparse.min_angle_deg": Retired(1.0, _SPARSE),
-    "sparse.pixel_noise": Retired(0.5, _SPARSE),
-    "sparse.neighbours": Retired(4, _SPARSE),
-    "sparse.outlier_ratio": Retired(0.25, _SPARSE),
-    "depth.min_points": Retired(12, "pipeline.depth.completion_stage"),
-    "depth.max_fov_deg": Retired(120.0, "pipeline.depth.rectification"),
-    "pose_graph.per_place": Retired(3, "pipeline.loop_closing.detection"),
-    "consistency.severity": Retired(6.0, "pipeline.surface.depth_filter"),
-    "consistency.max_contradicted": Retired(0.5, "pipeline.surface.depth_filter"),
-    "fusion.truncation_voxels": Retired(12.0, _FUSION),
-    "fusion.min_component": Retired(0.02, _FUSION),
+# Settings of version 0.1 that nobody set, and the values at which they are fixed now.
+RETIRED: dict[str, float] = {
+    "frames.min_brightness": 8.0,
+    "frames.max_burnt": 0.6,
+    "frames.min_texture": 1.2,
+    "frames.min_relative_sharpness": 0.3,
+    "frames.min_change": 0.35,
+    "structure.peak_threshold": 0.002,
+    "structure.max_features": 2048,
+    "structure.overlap": 8,
+    "structure.loop_neighbours": 2,
+    "structure.loop_stride": 10,
+    "structure.threads": 2,
+    "structure.min_registered": 0.8,
+    "structure.max_dark_near": 0.05,
+    "sparse.max_reprojection_px": 1.5,
+    "sparse.min_track_length": 3,
+    "sparse.min_angle_deg": 1.0,
+    "sparse.pixel_noise": 0.5,
+    "sparse.neighbours": 4,
+    "sparse.outlier_ratio": 0.25,
+    "depth.min_points": 12,
+    "depth.max_fov_deg": 120.0,
+    "pose_graph.per_place": 3,
+    "consistency.severity": 6.0,
+    "consistency.max_contradicted": 0.5,
+    "fusion.truncation_voxels": 12.0,
+    "fusion.min_component": 0.02,
 }
 OLD_SECTIONS = ("structure", "sparse", "pose_graph")
 
@@ -215,8 +203,7 @@ def validate_config(values: dict[str, object]) -> Config:
     """A `Config`, or one sentence that names the first wrong setting."""
     for name in _flat(values):
         if name in RETIRED:
-            gone = RETIRED[name]
-            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {gone.value:g}; remove it")
+            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {RETIRED[name]:g}; remove it")
         if name.split(".")[0] in OLD_SECTIONS and name not in RENAMED:
             raise HaustraError(f"there is no setting '{name}'")
     try:
@@ -262,7 +249,7 @@ def retired_differences(values: dict[str, Any]) -> list[str]:
     """Retired settings in a run's record that are not the constants of today, as `Config.differences` has them."""
     recorded = _flat(values)
     return [
-        f"{name}: {recorded[name]}, now fixed at {gone.value:g}"
-        for name, gone in RETIRED.items()
-        if name in recorded and recorded[name] != gone.value
+        f"{name}: {recorded[name]}, now fixed at {value:g}"
+        for name, value in RETIRED.items()
+        if name in recorded and recorded[name] != value
     ]
