@@ -82,7 +82,9 @@ class ImagingConfig:
     lights: int = 2  # light guides at the tip
     light_offset_mm: float = 3.5  # from the optical axis; a scope's tip is about 12 mm wide
     light_roll_deg: float = 20.0  # where around the tip they sit
-    light_lobe: float = 0.2  # exponent of the cosine emission lobe; wide diffusers make it nearly even
+    light_lobe: float = 0.2  # exponent of the cosine emission lobe; of 18 measured colonoscopes 1.9 to 3.3
+    lobe_tilt_deg: float = 0.0  # angle between the lobe's axis and the optical axis; of those up to 8
+    lobe_roll_deg: float = 0.0  # where around the optical axis the lobe leans to; 0 is right, 90 down
     light_colour: Colour = (1.0, 0.96, 0.90)  # xenon, slightly warm after the lens
     ambient: float = 0.16  # light arriving by other walls, relative to direct light at 25 mm: a mere tint
     bounce: float = 0.0  # light that visible walls send each other; 1 as physics has it, further reflections included
@@ -92,6 +94,9 @@ class ImagingConfig:
     shininess: float = 90.0  # Blinn-Phong exponent of the mucus film
     exposure: float = 0.17  # mean brightness (linear, clipped) the automatic gain aims at
     exposure_smoothing: float = 0.8  # part of the old gain kept each frame (0.8: about 0.2 s at 30 fps)
+    fixed_gain: float = 0.0  # factor on radiance without automatic gain, as at a fixed ISO number; 0: automatic
+    gain_error: float = 1.0  # factor by which a single shot's automatic gain is late: above 1 it burns
+    crosstalk: float = 0.0  # how far colour filters overlap: at 1 all channels saturate together, to white
     gamma: float = 2.2  # display encoding
     vignette: float = 0.12  # loss of brightness in the corners
     border: str = "none"  # "none", "circle" or "octagon": what the endoscope's processor masks off

@@ -52,7 +52,7 @@ class Sensor:
             light = defocus(light, depth, imaging.focus_mm, imaging.defocus_px * self._scale)
         self._gain = self._adapt(light)
         light *= np.float32(self._gain)
-        encoded = np.clip(light, 0.0, 1.0, out=light) ** (1.0 / imaging.gamma)
+        encoded = saturated(light, imaging.crosstalk) ** (1.0 / imaging.gamma)
         if imaging.noise:
             encoded += imaging.noise * rng.standard_normal(encoded.shape, dtype=np.float32)
         return self._process(encoded)
@@ -75,15 +75,39 @@ class Sensor:
         return jpeg(image, imaging.jpeg_quality, imaging.chroma_px) if imaging.jpeg_quality else image
 
     def _adapt(self, light: Floats) -> float:
-        """Gain that brings the clipped mean brightness to the target, smoothed over frames."""
+        """Fixed gain, or the one that brings the clipped mean brightness to the target, smoothed over frames.
+
+        A first frame has no gain before it: `gain_error` says how far that was off, and wears off like any lag.
+        """
         imaging = self._imaging
+        if imaging.fixed_gain:
+            return imaging.fixed_gain
         brightness = (light[::2, ::2] @ LUMA)[self.window[::2, ::2]]
         gain = imaging.exposure / max(float(brightness.mean()), 1e-9)
         for _ in range(GAIN_STEPS):
             gain *= imaging.exposure / max(float(np.minimum(brightness * gain, 1.0).mean()), 1e-9)
-        if self._gain is None or not imaging.exposure_smoothing:
+        if self._gain is None:
+            return gain * imaging.gain_error
+        if not imaging.exposure_smoothing:
             return gain
         return self._gain**imaging.exposure_smoothing * gain ** (1 - imaging.exposure_smoothing)
+
+
+def saturated(light: Floats, crosstalk: float) -> Floats:
+    """Light (H,W,3), overwritten, as a sensor clips it to [0,1].
+
+    A pixel's filter lets some of the other colours pass; the processor subtracts that again, after the pixel has
+    clipped. So what is far too bright turns white, where channels that clip each for itself would leave it red.
+    """
+    if crosstalk:
+        white = (light @ LUMA)[..., None]
+        # Channels through overlapping filters, c = light + crosstalk (white - light), clipped, and taken apart again:
+        # the sum that clips at 1 is restored by its own white, which the clipped channels have too.
+        mixed = np.minimum(light + np.float32(crosstalk) * (white - light), np.float32(1))
+        rest = np.float32(max(1 - crosstalk, 0.05))
+        own_white = (mixed @ LUMA)[..., None]
+        light = own_white + (mixed - own_white) / rest
+    return np.clip(light, 0.0, 1.0, out=light)
 
 
 def defocus_sigma(depth: Floats, focus_mm: float, defocus_px: float) -> Floats:

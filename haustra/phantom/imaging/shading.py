@@ -31,6 +31,12 @@ def light_positions(imaging: ImagingConfig) -> Floats:
     return (imaging.light_offset_mm * ring).astype(np.float32)
 
 
+def lobe_axis(imaging: ImagingConfig) -> Floats:
+    """Unit axis (3,) of the lights' emission lobe in camera axes."""
+    tilt, roll = np.radians(imaging.lobe_tilt_deg), np.radians(imaging.lobe_roll_deg)
+    return np.array([np.sin(tilt) * np.cos(roll), np.sin(tilt) * np.sin(roll), np.cos(tilt)], np.float32)
+
+
 def shade(
     points: Floats, normals: Floats, albedo: Floats, gloss: Floats, lit: Floats, imaging: ImagingConfig
 ) -> Floats:
@@ -81,7 +87,8 @@ def _one_light(
         axis /= distance
     arriving = (REFERENCE_MM / distance) ** 2
     if imaging.light_lobe:
-        arriving = arriving * np.maximum(-towards[2], 0.0) ** imaging.light_lobe
+        along = -_dot(list(lobe_axis(imaging)), towards) if imaging.lobe_tilt_deg else -towards[2]
+        arriving = arriving * np.maximum(along, 0.0) ** imaging.light_lobe
     cosine = _dot(normal, towards)
     lambert = arriving * np.maximum((cosine + imaging.wrap) / (1 + imaging.wrap), 0.0)
     if not imaging.specular:

@@ -15,19 +15,36 @@ Array = NDArray[np.float64]
 
 # Share of frames, range of the angle between view and lumen (deg), range of the distance to the wall (mm).
 KINDS = {
-    "lumen": (0.50, (0.0, 35.0), (4.0, 100.0)),
-    "oblique": (0.22, (35.0, 75.0), (4.0, 100.0)),
-    "en face": (0.12, (70.0, 110.0), (6.0, 100.0)),
-    "close": (0.16, (0.0, 80.0), (2.5, 7.0)),
+    "lumen": (0.46, (0.0, 35.0), (4.0, 100.0)),
+    "oblique": (0.20, (35.0, 75.0), (4.0, 100.0)),
+    "en face": (0.11, (70.0, 110.0), (6.0, 100.0)),
+    "close": (0.15, (0.0, 80.0), (2.5, 7.0)),
+    "touching": (0.08, (0.0, 60.0), (0.5, 2.5)),
 }
 TRIES = 200  # draws before the best viewpoint so far is taken
 MAX_MISSES = 0.006  # share of the image that may look out of the open ends
 
 
 def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator) -> Array:
-    """Random `world_from_camera` (4,4) inside the lumen; at most MAX_MISSES of `rays` (H,W,3) leave by open ends."""
+    """Random `world_from_camera` (4,4) inside the lumen; at most MAX_MISSES of `rays` (H,W,3) leave by open ends.
+
+    A kind that this colon has no room for, as touching a wall that no draw came near, gives way to a look down the
+    lumen. PhantomError if it has no room for that either.
+    """
     names = list(KINDS)
     kind = names[rng.choice(len(names), p=[KINDS[name][0] for name in names])]
+    found = _view_of_kind(kind, colon, caster, rays, rng)
+    if found is None:
+        found = _view_of_kind("lumen", colon, caster, rays, rng)
+    if found is None:
+        raise PhantomError(f"no view of kind {kind!r} in {TRIES} tries: the lumen is too narrow")
+    return found
+
+
+def _view_of_kind(
+    kind: str, colon: Colon, caster: RayCaster, rays: NDArray[np.float32], rng: np.random.Generator
+) -> Array | None:
+    """The first draw of that kind with few enough misses, or the one with fewest; None if none was of that kind."""
     _, tilts, distances = KINDS[kind]
     probe = rays[:: max(1, rays.shape[0] // 24), :: max(1, rays.shape[1] // 24)].reshape(-1, 3)
     best, fewest = None, np.inf
@@ -41,8 +58,6 @@ def random_viewpoint(colon: Colon, caster: RayCaster, rays: NDArray[np.float32],
             return world_from_camera
         if misses < fewest:
             best, fewest = world_from_camera, misses
-    if best is None:
-        raise PhantomError(f"no view of kind {kind!r} in {TRIES} tries: the lumen is too narrow")
     return best
 
 

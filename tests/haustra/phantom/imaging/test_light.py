@@ -9,6 +9,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from haustra.phantom.config import AnatomyConfig, CameraConfig, ImagingConfig, PhantomConfig
 from haustra.phantom.imaging.render import Phantom
@@ -85,6 +86,18 @@ def test_the_lobe_is_a_power_of_the_cosine_to_the_lights_axis(lobe: float) -> No
     even, shaped = (radiance_at(SPOTS, replace(BARE, light_offset_mm=4.0, light_lobe=e))[:, 0] for e in (0.0, lobe))
     cosine = [np.cos(np.arctan2(np.hypot(x - 4.0, y), z)) for x, y, z in SPOTS]
     np.testing.assert_allclose(shaped / even, np.power(cosine, lobe), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("tilt", "roll"), [(8.0, 0.0), (8.0, 90.0), (25.0, 200.0)])
+def test_a_tilted_lobe_is_brightest_along_its_own_axis(tilt: float, roll: float) -> None:
+    """The axis as two rotations make it: of the optical axis about y, then about z."""
+    even, shaped = (
+        radiance_at(SPOTS, replace(BARE, light_lobe=e, lobe_tilt_deg=tilt, lobe_roll_deg=roll))[:, 0]
+        for e in (0.0, 2.5)
+    )
+    axis = Rotation.from_euler("yz", (tilt, roll), degrees=True).apply([0, 0, 1])
+    cosine = [np.dot(axis, spot) / np.linalg.norm(spot) for spot in SPOTS]
+    np.testing.assert_allclose(shaped / even, np.maximum(cosine, 0) ** 2.5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("turn", [0.0, 60.0, 90.0, 100.0, 130.0])

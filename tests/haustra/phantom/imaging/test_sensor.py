@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from haustra.phantom.config import ImagingConfig
-from haustra.phantom.imaging.sensor import Sensor
+from haustra.phantom.imaging.sensor import Sensor, saturated
 
 PLAIN = ImagingConfig(
     exposure=0.2, exposure_smoothing=0.0, gamma=1.0, vignette=0.0, noise=0.0, blur_px=0.0, lights=1, specular=0.0
@@ -100,3 +100,33 @@ def test_the_lens_blurs_a_line_to_a_bell_of_the_stated_width(blur: float) -> Non
     place = np.arange(61) - 30.0
     assert (shown * place).sum() / shown.sum() == pytest.approx(0, abs=0.02)
     assert np.sqrt((shown * place**2).sum() / shown.sum()) == pytest.approx(blur, rel=0.08)
+
+
+@pytest.mark.parametrize("crosstalk", [0.2, 0.6, 0.9])
+def test_overlapping_filters_change_nothing_that_does_not_clip_and_turn_what_is_far_too_bright_white(
+    crosstalk: float,
+) -> None:
+    red = np.array([[[0.7, 0.2, 0.1]]], np.float32)
+    np.testing.assert_allclose(saturated(red.copy(), crosstalk), red, atol=1e-6)
+    np.testing.assert_allclose(saturated(40 * red, crosstalk), 1.0, atol=1e-6)
+
+
+def test_channels_that_clip_each_for_itself_stay_red_where_overlapping_ones_are_paler() -> None:
+    bright = np.array([[[3.0, 0.9, 0.5]]], np.float32)
+    alone, overlapping = (saturated(bright.copy(), crosstalk)[0, 0] for crosstalk in (0.0, 0.6))
+    np.testing.assert_allclose(alone, [1.0, 0.9, 0.5], atol=1e-6)
+    assert (overlapping >= alone - 1e-6).all()
+    assert overlapping[2] > 0.9
+
+
+def test_a_fixed_gain_ignores_the_picture() -> None:
+    sensor = Sensor(replace(PLAIN, fixed_gain=2.0), 60, 40)
+    for level in (0.1, 0.3, 0.05):
+        assert sensor.expose(uniform(level), rng()).mean() == pytest.approx(2 * level * 255, abs=0.51)
+
+
+def test_the_error_of_the_first_gain_wears_off_as_any_lag_does() -> None:
+    sensor = Sensor(replace(PLAIN, gain_error=3.0, exposure_smoothing=0.8), 60, 40)
+    for k in range(12):
+        shown = sensor.expose(uniform(5.0), rng()).mean() / 255
+        assert shown == pytest.approx(0.2 * 3 ** (0.8**k), abs=0.51 / 255), k
