@@ -10,6 +10,7 @@ import numpy as np
 from completion.confidence import error_from_confidence
 from completion.evaluation.evaluate import Array, FrameResult, Score
 from completion.evaluation.metrics import SimCol3DDepthErrors, simcol3d_errors
+from completion.evaluation.strata import FrameStratum, Stratum, frame_strata, merged_strata
 from completion.evaluation.uncertainty import DECILES, ErrorCalibration, PixelErrors, calibrate, pixel_errors
 
 SAMPLES = 6  # full frames that are plotted
@@ -24,6 +25,7 @@ class Accumulator:
     def __init__(self, trajectory: bool = False) -> None:
         self.scores: list[Score] = []
         self._pixels: list[PixelErrors] = []
+        self._strata: list[dict[str, FrameStratum]] = []
         self._sample_frames: list[FrameResult] = []
         self._every = 1
         self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
@@ -45,6 +47,8 @@ class Accumulator:
         if result.confidence is not None:
             error = error_from_confidence(result.confidence)
             self._pixels.append(pixel_errors(result.prediction, result.truth, error))
+            images = (result.rgb, result.truth, result.sparse, result.prediction)
+            self._strata.append(frame_strata(*images, error, result.confidence))
         if self._maps:
             np.save(self._maps, result.prediction, allow_pickle=False)
             np.save(self._maps, result.truth, allow_pickle=False)
@@ -64,6 +68,10 @@ class Accumulator:
     def calibration(self) -> ErrorCalibration | None:
         """Calibration of the predicted error; None for a model without one, or for too few pixels."""
         return calibrate(self._pixels) if sum(len(p.depth) for p in self._pixels) >= DECILES else None
+
+    def strata(self) -> dict[str, Stratum]:
+        """Predicted and actual error by stratum; empty for a model that predicts none."""
+        return merged_strata(self._strata)
 
     def simcol3d(self) -> SimCol3DDepthErrors | None:
         """SimCol3D's metrics of all frames as one trajectory; None without `trajectory`."""

@@ -109,12 +109,16 @@ def sweep_plot(path: Path, curves: Mapping[str, Mapping[int, float]], title: str
     return _saved(figure, path)
 
 
-def calibration_plot(path: Path, calibrations: Mapping[str, ErrorCalibration]) -> Path:
-    """Median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal."""
+def calibration_plot(
+    path: Path, calibrations: Mapping[str, ErrorCalibration], strata: Mapping[str, Mapping[str, Mapping[str, float]]]
+) -> Path:
+    """Left: median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal.
+    Right: share of pixels whose error is below the predicted one, by stratum (`strata`: label -> name -> figures)."""
     plt = _pyplot()
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure, axis = plt.subplots(figsize=(5, 4.5 + 0.35 * len(calibrations)), layout="constrained")
+    size = (10, 4.5 + 0.35 * len(calibrations))
+    figure, (axis, shares) = plt.subplots(1, 2, figsize=size, layout="constrained")
     for name, found in calibrations.items():
         predicted, actual = 100 * np.array(found.predicted), 100 * np.array(found.actual)
         axis.plot(predicted, actual, marker="o", label=_calibration_label(name, found))
@@ -127,8 +131,22 @@ def calibration_plot(path: Path, calibrations: Mapping[str, ErrorCalibration]) -
         scale.set_major_formatter("{x:g}")
         scale.set_minor_formatter(NullFormatter())
     axis.grid(True, which="both", alpha=0.3)
+    _strata_shares(shares, strata)
     figure.legend(loc="outside lower center", fontsize=7)  # under the curves, however many there are
     return _saved(figure, path)
+
+
+def _strata_shares(axis: Any, strata: Mapping[str, Mapping[str, Mapping[str, float]]]) -> None:
+    """Points of each label in a row for each stratum, beside the band of 63 +- 8 %."""
+    names = list(dict.fromkeys(name for found in strata.values() for name in found))
+    axis.axvspan(55, 71, color="0.9")
+    axis.axvline(100 * (1 - np.exp(-1)), color="k", linestyle="--", linewidth=1)
+    for found in strata.values():
+        axis.plot([100 * found[n]["within_one"] for n in found], [names.index(n) for n in found], "o")
+    axis.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 100))
+    axis.set_xlabel("pixels whose error is below the predicted one [%]; 63 if calibrated")
+    axis.invert_yaxis()
+    axis.grid(True, axis="x", alpha=0.3)
 
 
 def _calibration_label(name: str, found: ErrorCalibration) -> str:

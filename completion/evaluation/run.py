@@ -158,7 +158,7 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
         found = {_label(r): ErrorCalibration(**r["calibration"]) for r in records if r["calibration"]}
         if not found:
             raise CompletionError("none of these models predicts its own error: nothing to calibrate")
-        calibration_plot(outputs.calibration, found)
+        calibration_plot(outputs.calibration, found, {_label(r): r["strata"] for r in records if r["strata"]})
 
 
 def _record(
@@ -175,6 +175,7 @@ def _record(
         "mean": mean_errors(accumulator.scores, protocol).to_dict(),
         "simcol3d": simcol.__dict__ if simcol else None,
         "calibration": calibration.to_dict() if calibration else None,
+        "strata": {name: stratum.to_dict() for name, stratum in accumulator.strata().items()},
         "points": {
             "least": min(r.points for r in accumulator.scores),
             "most": max(r.points for r in accumulator.scores),
