@@ -69,10 +69,14 @@ class SfmPattern:
     max_points: int = 2000  # log-uniform between the two
     corner_share: float = 0.75  # frames whose points sit on corners; the rest are uniform
     hole_share: float = 0.5  # frames in which a disc without points is cut out
+    near_bare_share: float = 0.25  # frames whose nearest wall, up to `max_near_bare` of the pixels, has no point
+    max_near_bare: float = 0.35
+    border_bare_share: float = 0.4  # frames with a margin without points, up to `max_border_bare` of the width
+    max_border_bare: float = 0.08
     max_noise: float = 0.06  # relative depth noise, uniform from 0 where it is not known
     min_known_noise: float = 0.003  # log-uniform from here where it is: an adjusted map knows its points to 1 %
-    max_outliers: float = 0.08  # share of points with a wrong depth, uniform from 0
-    known_error_share: float = 0.5  # frames whose points differ in noise and are trusted accordingly
+    max_outliers: float = 0.12  # share of points with a wrong depth, uniform from 0; 7 % of real ones err by over 10 %
+    known_error_share: float = 0.6  # frames whose points differ in noise and are trusted accordingly
     max_doubt: float = (
         1.2  # of a known error, log-normal about it: a tenth of real points err by over 2.2 to 3 of theirs
     )
@@ -100,13 +104,15 @@ def sample_like_sfm(
     ratio = pattern.max_points / pattern.min_points
     counts = (pattern.min_points * ratio ** torch.rand(batch, generator=generator)).long()
     on_corners = draw(0, 1) < pattern.corner_share
-    # SIFT finds nothing in burnt-out and in black areas, however many corners noise makes there.
-    lit = (rgb.amax(1, keepdim=True) > 0.04) & (rgb.amin(1, keepdim=True) < 0.96)
+    # SIFT finds nothing in burnt-out and in black areas, however many corners noise makes there. Two channels that
+    # clip leave no texture, whatever the third does.
+    lit = (rgb.amax(1, keepdim=True) > 0.04) & (rgb.median(1, keepdim=True).values < 0.96)
     score = _uniform_score(depth, generator)
     score = torch.where(on_corners & corner_peaks(rgb) & lit, score + 1, score)
     # A pattern that ran out of corners would fill up with uniform points; SfM just has fewer.
     score = score.masked_fill(on_corners & (score < 1) & (score > 0.002), float("-inf"))
-    score = score.masked_fill((depth <= 0) | _holes(depth, pattern, generator), float("-inf"))
+    bare = _holes(depth, pattern, generator) | _bare_near(depth, pattern, generator)
+    score = score.masked_fill((depth <= 0) | bare | _bare_border(depth, pattern, generator), float("-inf"))
     picked = _pick(score, counts)
     known = draw(0, 1) < pattern.known_error_share
     of_known = pattern.min_known_noise * (pattern.max_noise / pattern.min_known_noise) ** draw(0, 1)
@@ -127,6 +133,30 @@ def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Te
     columns = torch.arange(width, device=depth.device).view(1, 1, 1, width) - right * width
     radius = (0.1 + 0.4 * size) * max(height, width)
     return (rows * rows + columns * columns < radius * radius) & (chance < pattern.hole_share)
+
+
+def _bare_near(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
+    """The nearest wall of some frames, as a fold that burns and has no corner; boolean (B,1,H,W)."""
+    share, chance = torch.rand(2, len(depth), generator=generator)
+    nearer = torch.zeros_like(depth, dtype=torch.bool)
+    for frame in torch.nonzero(chance < pattern.near_bare_share)[:, 0].tolist():
+        known = depth[frame][depth[frame] > 0]
+        if len(known):
+            rank = max(1, int(float(share[frame]) * pattern.max_near_bare * len(known)))
+            nearer[frame] = depth[frame] <= known.kthvalue(rank).values
+    return nearer
+
+
+def _bare_border(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
+    """A margin of some frames; boolean (B,1,H,W)."""
+    bare = torch.ones_like(depth, dtype=torch.bool)
+    height, width = depth.shape[2:]
+    share, chance = torch.rand(2, len(depth), generator=generator)
+    for frame in range(len(depth)):
+        widest = pattern.max_border_bare * width if chance[frame] < pattern.border_bare_share else 0
+        margin = int(float(share[frame]) * widest)
+        bare[frame, :, margin : height - margin, margin : width - margin] = False
+    return bare
 
 
 def median_of_points(sparse: Tensor) -> Tensor:

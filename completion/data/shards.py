@@ -110,7 +110,7 @@ def _recolour(rgb: Tensor, generator: torch.Generator) -> Tensor:
     def draw(low: float, high: float, channels: int = 1) -> Tensor:
         return low + (high - low) * torch.rand(batch, channels, 1, 1, generator=generator)
 
-    rgb = rgb.clamp_min(1e-4) ** draw(0.7, 1.4) * draw(0.7, 1.35) * draw(0.85, 1.15, 3)
+    rgb = rgb.clamp_min(1e-4) ** draw(0.7, 1.4) * draw(0.85, 1.35) * draw(0.85, 1.15, 3)
     grey = rgb.mean(1, keepdim=True)
     rgb = grey + (rgb - grey) * draw(0.3, 1.5) + draw(0, 0.05)
     rgb = rgb + draw(0, 0.02) * torch.randn(rgb.shape, generator=generator)

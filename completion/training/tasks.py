@@ -10,6 +10,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from completion.data.sampling_neighbours import merged, sample_like_neighbours
 from completion.data.sampling_training import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
 from completion.networks.protocol import DepthNetwork, Estimate, SampleGrid, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
@@ -17,6 +18,7 @@ from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
 from completion.training.losses import completion_loss, masked_l1
 
+NEIGHBOURS_SHARE = 0.35  # share of the batches whose frames also have points from other frames' depths
 GRID_STEPS = (6, 17)  # px: lower and (excluded) upper bound of a `SampleGrid.step` in training
 
 
@@ -44,6 +46,9 @@ class SfmTask:
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
+        if torch.rand((), generator=generator) < NEIGHBOURS_SHARE:
+            # In the unit of the points: a frame's points and its neighbours' depths are of one map.
+            sparse, trust = merged(sparse, trust, *sample_like_neighbours(depth, generator))
         log_sparse, median = normalise_log(sparse)
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
         target = torch.log(depth.clamp_min(1e-3) / median).clamp(-3.9, 3.9)
