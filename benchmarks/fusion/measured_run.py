@@ -20,8 +20,7 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.finished_run import open_run
 from pipeline.input.frames import Frames
-from pipeline.surface.depth_filter import DepthFilter
-from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
+from pipeline.surface.fusion_stage import MIN_COMPONENT, depth_filter, fusion_ranges
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -117,7 +116,7 @@ class MeasuredRun:
             "refinement": "moved" if self.moved else "nothing moved" if self.refinement_ran else "not run",
             "mm_per_unit": scale,
             "voxel_mm": settings.voxel_size * scale,
-            "max_depth_mm": settings.max_depth * scale,
+            "max_error_mm": self.config.fusion.max_error_voxels * settings.voxel_size * scale,
         }
 
     def measure(self, source: DepthSource) -> dict[str, Figures]:
@@ -175,8 +174,9 @@ class FusedMap:
         frames = WeightedFrames(
             completed.camera, self.depths, weights, completed.submap.world_from_camera[completed.rows]
         )
-        check = DepthFilter(frames, config.consistency, floor)  # type: ignore[arg-type]
-        fusion = SurfaceFusion(ranges(completed, config))
+        settings = ranges(completed, config)
+        check = depth_filter(frames, config.consistency, config.fusion, settings)  # type: ignore[arg-type]
+        fusion = SurfaceFusion(settings)
         for place, weight in enumerate(weights):
             kept = check.confidence(place, weight) if consistent else weight
             if kept is None:
@@ -199,7 +199,7 @@ class FusedMap:
 
 
 def ranges(completed: CompletedSubmap, config: Config) -> TsdfSettings:
-    """Voxel size and greatest depth by the run's own depth, so that they are alike for every source."""
+    """Voxel size by the run's own depth, so that it is alike for every source."""
     settings = fusion_ranges(completed, config.fusion)
     assert settings is not None, "a finished run has depth"
     return settings

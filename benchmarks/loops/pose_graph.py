@@ -45,8 +45,7 @@ from pipeline.loop_closing.detection import (
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.run_folder.workspace import create_workspace
-from pipeline.surface.depth_filter import DepthFilter
-from pipeline.surface.fusion_stage import MIN_COMPONENT, fusion_ranges
+from pipeline.surface.fusion_stage import MIN_COMPONENT, depth_filter, fusion_ranges
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -119,7 +118,7 @@ def surface_figures(
     assert settings is not None
     fusion, check = (
         SurfaceFusion(settings),
-        DepthFilter(completed, config.consistency, config.fusion.min_confidence),
+        depth_filter(completed, config.consistency, config.fusion, settings),
     )
     for place, keyframe in enumerate(completed):
         confidence = check.confidence(place, keyframe.confidence)

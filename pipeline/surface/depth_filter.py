@@ -1,24 +1,38 @@
-"""Consistency of depth before fusion: neighbouring keyframes lower a keyframe's confidence, or leave it out wholly."""
+"""What of a keyframe's depth is fused: neighbouring keyframes lower its confidence, or leave it out wholly, and depth
+whose expected error would blur the surface stays out."""
 
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from completion.confidence import error_from_confidence
 from pipeline.config import ConsistencySettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from reconstruction.fusion.depth_consistency import Agreement, DepthView, agreement
 
 SEVERITY = 6.0  # one contradiction against none divides the confidence by 1 + this
 MAX_CONTRADICTED = 0.5  # share of pixels beyond which a keyframe is left out
+LEAST_CONFIDENCE = np.float32(1e-6)  # whose error is 30 times the depth: finite, and never fused
 CACHED = 64  # depth maps kept while the check moves along the keyframes; more than its reach on both sides
 
 
 class DepthFilter:
-    """Agreement of each keyframe of a submap with keyframes before and after it."""
+    """Agreement of each keyframe of a submap with keyframes before and after it, and what that leaves to be fused.
 
-    def __init__(self, completed: CompletedSubmap, settings: ConsistencySettings, min_confidence: float) -> None:
+    max_error: scene units, greatest expected error (1 sigma) of a depth that is fused. It takes the place of a greatest
+    depth: far wall enters where it is sure.
+    """
+
+    def __init__(
+        self,
+        completed: CompletedSubmap,
+        settings: ConsistencySettings,
+        min_confidence: float,
+        max_error: float = np.inf,
+    ) -> None:
         self.completed, self.settings, self.min_confidence = completed, settings, min_confidence
+        self.max_error = max_error
         self._view = lru_cache(CACHED)(self._load)
 
     def __call__(self, number: int) -> Agreement:
@@ -31,17 +45,24 @@ class DepthFilter:
         return agreement(self._view(number), others, self.settings.tolerance)
 
     def confidence(self, number: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The keyframe's confidence times what the votes leave of it; 0 where either alone is below the least that is
-        fused; None where the frame as a whole is contradicted.
+        """The keyframe's confidence (H,W) times what the votes leave of it; 0 where either alone is below the least
+        that is fused, or the error that the product stands for is over the greatest; None where the frame as a whole
+        is contradicted.
 
-        Their product is no limit: wall that a frame is half sure of would go for one contradiction of many votes.
+        The least confidence is no limit of the product: wall that a frame is half sure of would go for one
+        contradiction of many votes.
         """
         votes = self(number)
         if votes.is_outvoted(MAX_CONTRADICTED):
             return None
         left = votes.weight(SEVERITY)
         kept = (confidence >= self.min_confidence) & (left >= self.min_confidence)
-        return np.where(kept, confidence * left, np.float32(0))
+        remaining = np.where(kept, confidence * left, np.float32(0))
+        if np.isfinite(self.max_error):
+            depth = self._view(number).depth
+            error = error_from_confidence(np.maximum(remaining, LEAST_CONFIDENCE)) * depth
+            remaining[error > self.max_error] = 0
+        return remaining
 
     def _load(self, number: int) -> DepthView:
         depth, confidence, world_from_camera = self.completed.depth(int(self.completed.rows[number]))

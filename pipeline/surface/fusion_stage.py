@@ -116,7 +116,7 @@ def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, pro
     if ranges is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
     fusion, left_out = SurfaceFusion(ranges), []
-    check = DepthFilter(completed, settings.consistency, settings.fusion.min_confidence)
+    check = depth_filter(completed, settings.consistency, settings.fusion, ranges)
     lamp = _lamp(completed, settings.seed) if settings.fusion.delight else None
     with progress.bar(label, len(completed)) as advance:
         for place, keyframe in enumerate(completed):
@@ -148,18 +148,25 @@ def _lamp(completed: CompletedSubmap, seed: int) -> Illumination | None:
 
 
 def fusion_ranges(completed: CompletedSubmap, settings: FusionSettings) -> TsdfSettings | None:
-    """Voxel size and ranges in scene units: from the config, or from a sample of the keyframes; None without depth."""
+    """Voxel size and truncation in scene units: from the config, or from a sample of the keyframes; None without
+    depth."""
     step = max(1, len(completed) // VOXEL_SAMPLES)
     depths = [completed.depth(int(row))[0] for row in completed.rows[::step]]
     if not any((depth > 0).any() for depth in depths):
         return None
-    median = float(np.median(np.concatenate([d[d > 0] for d in depths])))
     return TsdfSettings(
         voxel_size=settings.voxel_size or choose_voxel_size(depths, completed.camera.matrix),
         truncation=TRUNCATION_VOXELS,
-        max_depth=settings.max_depth_ratio * median,
         min_observations=settings.min_observations,
     )
+
+
+def depth_filter(
+    completed: CompletedSubmap, consistency: ConsistencySettings, settings: FusionSettings, ranges: TsdfSettings
+) -> DepthFilter:
+    """The filter of a submap that is fused in voxels of `ranges`."""
+    max_error = settings.max_error_voxels * ranges.voxel_size
+    return DepthFilter(completed, consistency, settings.min_confidence, max_error)
 
 
 def _sentence(surface: Surface) -> str:

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from haustra.core.errors import HaustraError
-from pipeline.config import RETIRED, Config, load_config, read_recorded, retired_differences
+from pipeline.config import RETIRED, Config, load_config, read_recorded, retired_differences, validate_config
 
 OLD = yaml.safe_load((Path(__file__).parent / "old_run_settings.yaml").read_text())
 
@@ -55,3 +55,9 @@ def test_a_settings_file_may_use_renamed_settings(tmp_path):
     (tmp_path / "settings.yaml").write_text("pose_graph: {enabled: false}\ndepth: {looks: 2}\n")
     config = load_config(tmp_path / "settings.yaml")
     assert (config.loop_closing.enabled, config.depth.iterations) == (False, 2)
+
+
+def test_a_replaced_setting_is_named_with_its_successor_and_left_out_of_old_records():
+    with pytest.raises(HaustraError, match=r"'fusion.max_depth_ratio' any more, 'fusion.max_error_voxels' has taken"):
+        validate_config({"fusion": {"max_depth_ratio": 2.0}})
+    assert read_recorded({"fusion": {"max_depth_ratio": 3.0, "min_observations": 1}}).fusion.min_observations == 1

@@ -60,8 +60,8 @@ def test_a_setting_that_is_not_there_is_named(tmp_path):
 @pytest.mark.parametrize("value", [".nan", ".inf"])
 def test_a_setting_is_a_finite_number(tmp_path, value):
     path = tmp_path / "settings.yaml"
-    path.write_text(f"fusion: {{max_depth_ratio: {value}}}\n")
-    with pytest.raises(HaustraError, match=r"setting 'fusion.max_depth_ratio': .* finite number"):
+    path.write_text(f"fusion: {{max_error_voxels: {value}}}\n")
+    with pytest.raises(HaustraError, match=r"setting 'fusion.max_error_voxels': .* finite number"):
         load_config(path)
 
 

@@ -240,3 +240,16 @@ def test_what_one_frame_alone_speaks_against_is_fused_though_the_frame_is_but_ha
     assert against[48:].mean() > 0.2
     np.testing.assert_allclose(kept[48:][against[48:]], 0.5 / 7, rtol=1e-5)
     assert not kept[:48].any()
+
+
+def test_depth_is_fused_where_its_error_in_the_surfaces_unit_is_small_enough() -> None:
+    """Far wall of which a frame is sure stays, near wall of which it is not goes."""
+    check = DepthFilter(Keyframes(views(1)), ConsistencySettings(), 0.1, max_error=0.5)  # type: ignore[arg-type]
+    depth = views(1)[0].depth
+    confidence = np.full((SIZE, SIZE), 0.9, np.float32)
+    confidence[::2] = 0.3
+    kept = check.confidence(0, confidence)
+    assert kept is not None
+    error = 0.03 * np.sqrt(1 / confidence - 1) * depth
+    np.testing.assert_array_equal(kept > 0, (error <= 0.5) & (depth > 0))
+    assert 0.1 < (kept > 0).mean() < 0.95
