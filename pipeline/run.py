@@ -7,6 +7,7 @@ from completion.weights.shipped_weights import validate_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completion_stage import complete_depth
+from pipeline.depth.multiview_stage import refine_depth
 from pipeline.finished_run import Run
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import solve_structure
@@ -42,6 +43,7 @@ def reconstruct(
         frames = read_frames(video, config.camera, config.frames, workspace, progress)
         submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, progress)
         completed = complete_depth(frames, submaps, config.model, config.device, config.depth, workspace, progress)
+        completed = refine_depth(completed, config.model, config.device, config.depth, workspace, progress)
         completed = close_loops_stage(frames, completed, config.loop_closing, config.seed, workspace, progress)
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
         surfaces = fuse_depth(completed, surface, workspace, progress)

@@ -8,19 +8,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from completion.confidence import confidence_from_error
+from completion.confidence import confidence_from_error, error_from_confidence
 from completion.data.sampling_training import normalise_log
 from completion.inference.resolution import resized, resolution_factor, restore_resolution
 from completion.networks.checkpoint import load_network
 from completion.networks.precision import choose_precision
-from completion.networks.protocol import DepthNetwork, most_iterations
+from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
 
-# Exposure of every image is normalised to that of the training frames, few of which are as bright as SimCol3D's.
+# Dark images are brought to the exposure of the training frames. Bright ones stay: dimmed, a burnt wall would look like
+# a grey one, and that it is burnt says that it is near.
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
-GAIN_RANGE = (0.5, 2.0)  # factor on grey levels
+MAX_GAIN = 2.0  # factor on grey levels
+LEAST_ERROR, GREATEST_ERROR = 0.0025, 2.7  # relative, of an estimate that is refined: what networks can state
 
 
 class DepthCompleter:
@@ -46,7 +48,7 @@ class DepthCompleter:
         grows; None: as many as it was trained for, at most `DEFAULT_ITERATIONS`. looks: its former name, deprecated.
         """
         iterations = renamed_looks(iterations, looks)
-        trained = most_iterations(network.config)
+        self.trained_iterations = trained = most_iterations(network.config)
         self.iterations = min(DEFAULT_ITERATIONS, trained) if iterations is None else iterations
         if self.iterations < 1 or (resolution is not None and resolution < 1):
             raise CompletionError(f"iterations and resolution are at least 1, not {iterations} and {resolution}")
@@ -56,7 +58,7 @@ class DepthCompleter:
         self.precision = choose_precision(precision, self.device, network.precisions)
         self.network = network.for_device(self.device, self.precision, recurrent=False)
         self.recurrent = self.network
-        if self.iterations > 1:
+        if trained > 1:
             self.recurrent = network.for_device(self.device, self.precision, recurrent=True)
 
     @classmethod
@@ -87,6 +89,39 @@ class DepthCompleter:
         depth, confidence = self.batch(np.asarray(rgb)[None], np.asarray(sparse_depth)[None], errors)
         return depth[0], confidence[0]
 
+    @property
+    def can_refine(self) -> bool:
+        """Whether the network was trained to take a depth that a frame has already."""
+        return self.trained_iterations > 1
+
+    def refine(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        sparse_error: NDArray[np.float32],
+        depth: NDArray[np.float32],
+        confidence: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """One more iteration on a frame that has a depth, with points that it had not when that was made.
+
+        rgb, sparse_depth, sparse_error as in `__call__`; depth (H,W), 0 = none, and confidence (H,W) as it returned
+        them. Returns both anew. CompletionError if the network was trained for one iteration only.
+        """
+        validate_iterations(2, self.trained_iterations)
+        _check_shapes(rgb[None], sparse_depth[None], sparse_error[None])
+        sparse, trust = valid_points(sparse_depth, sparse_error)
+        factor = self._factor(sparse.shape, int(np.count_nonzero(sparse)))
+        image, points, weights = resized(normalise_exposure(rgb), sparse, trust, factor)
+        if not points.any():
+            return depth, confidence
+        size = points.shape[::-1]
+        error = error_from_confidence(np.maximum(confidence, np.float32(1e-6)))
+        known = np.where(depth > 0, depth, np.median(sparse[sparse > 0])).astype(np.float32)
+        last = cv2.resize(known, size), np.clip(cv2.resize(error, size), LEAST_ERROR, GREATEST_ERROR)
+        found, doubt = self._predict(image[None], points[None], weights[None], (last[0][None], last[1][None]))
+        refined, new_error = restore_resolution(found[0], doubt[0], (sparse.shape[1], sparse.shape[0]))
+        return refined, confidence_from_error(new_error)
+
     def batch(
         self,
         rgb: NDArray[np.uint8],
@@ -95,10 +130,7 @@ class DepthCompleter:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """As `__call__`, of B frames of one size: each array has a first axis B."""
         _check_shapes(rgb, sparse_depth, sparse_error)
-        sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
-        trust = (sparse > 0).astype(np.float32)
-        if sparse_error is not None:
-            trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
+        sparse, trust = valid_points(sparse_depth, sparse_error)
         points = np.count_nonzero(sparse, axis=(1, 2))
         factors = np.array([self._factor(sparse.shape[1:], int(count)) for count in points])
         depth, error = np.zeros((2, *sparse.shape), np.float32)
@@ -118,23 +150,46 @@ class DepthCompleter:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth and relative error (B,H,W), computed at `factor` times the images' resolution."""
         frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
-        depth, error = self._predict(*(np.stack(parts) for parts in zip(*frames, strict=True)))
+        images, points, weights = (np.stack(parts) for parts in zip(*frames, strict=True))
+        depth, error = self._predict(images, points, weights)
         size = (sparse.shape[2], sparse.shape[1])
         back = [restore_resolution(d, e, size) for d, e in zip(depth, error, strict=True)]
         return np.stack([d for d, _ in back]), np.stack([e for _, e in back])
 
     def _predict(
-        self, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
+        self,
+        rgb: NDArray[np.uint8],
+        sparse: NDArray[np.float32],
+        trust: NDArray[np.float32],
+        last: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Image (B,H,W,3), sparse depth and trust (B,H,W) -> depth and relative error (B,H,W)."""
+        """Image (B,H,W,3), sparse depth and trust (B,H,W) -> depth and relative error (B,H,W).
+
+        last: depth and relative error (B,H,W) that a single iteration refines; None begins anew.
+        """
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
             image = self.network.prepare(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2))
             first, recurrent = self.network.iterate, self.recurrent.iterate
-            estimate = refine_iteratively(first, recurrent, image, log_sparse, weights, self.iterations)
+            if last is None:
+                estimate = refine_iteratively(first, recurrent, image, log_sparse, weights, self.iterations)
+            else:
+                depth, error = (torch.from_numpy(a).to(self.device)[:, None] for a in last)
+                estimate = recurrent(image, log_sparse, weights, Estimate(torch.log(depth / median), torch.log(error)))
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
+
+
+def valid_points(
+    sparse_depth: NDArray[np.float32], sparse_error: NDArray[np.float32] | None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Sparse depth (...,H,W), 0 where there is no valid one, and the trust in it, both float32."""
+    sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
+    trust = (sparse > 0).astype(np.float32)
+    if sparse_error is not None:
+        trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
+    return sparse, trust
 
 
 def renamed_looks(iterations: int | None, looks: int | None) -> int | None:
@@ -153,12 +208,12 @@ def load_depth_network(model: str | Path) -> DepthNetwork:
 
 
 def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Image (H,W,3) times the factor in `GAIN_RANGE` that brings its lit area's mean to `TYPICAL_BRIGHTNESS`."""
+    """Image (H,W,3) times the factor from 1 to `MAX_GAIN` that brings its lit area's mean to `TYPICAL_BRIGHTNESS`."""
     brightest = np.maximum.reduce(cv2.split(rgb))
     lit = (brightest > 16).view(np.uint8)  # above video black, so that the border does not count
     if not lit.any():
         return rgb
-    gain = np.clip(TYPICAL_BRIGHTNESS / cv2.mean(brightest, lit)[0], *GAIN_RANGE)
+    gain = np.clip(TYPICAL_BRIGHTNESS / cv2.mean(brightest, lit)[0], 1, MAX_GAIN)
     return cv2.convertScaleAbs(rgb, alpha=float(gain))
 
 

@@ -13,9 +13,8 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
-from pipeline.depth.depth_io import write_confidence, write_depth
 from pipeline.depth.keyframe_selection import choose_keyframes
-from pipeline.depth.keyframe_store import DiskKeyframes
+from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.input.frames import Frames
@@ -75,7 +74,7 @@ def _plan(frames: Frames, submap: Submap, settings: DepthSettings, workspace: Wo
     """The submap with the rows of the keyframes that are to be completed."""
     camera = refined_camera(frames.camera, submap)
     rows = choose_keyframes(submap, camera.width, settings.keyframe_motion)
-    return CompletedSubmap(submap, make_rectifier(camera), rows, DiskKeyframes(workspace))
+    return CompletedSubmap(submap, make_rectifier(camera), rows, depth_on_disk(workspace))
 
 
 def _complete_all(
@@ -87,8 +86,7 @@ def _complete_all(
     progress: Progress,
 ) -> None:
     planned = [_plan(frames, submap, settings, workspace) for submap in submaps]
-    workspace.depth.mkdir(exist_ok=True)
-    workspace.confidence.mkdir(exist_ok=True)
+    store = DiskKeyframes(workspace, settings.multiview)
     for number, submap in enumerate(planned):
         write_json(camera_path(workspace, number), submap.camera.to_dict())
     total, done = sum(len(submap) for submap in planned), 0
@@ -98,7 +96,7 @@ def _complete_all(
             kept.append([])
             maker, content = SparseDepthMaker(submap.submap, submap.camera), submap.rectifier.mask(frames.content)
             for row in map(int, submap.rows):
-                if _complete(submap, row, maker, content, completer, workspace):
+                if _complete(submap, row, maker, content, completer, store):
                     kept[-1].append(row)
                 done += 1
                 advance(done)
@@ -113,18 +111,16 @@ def _complete(
     maker: SparseDepthMaker,
     content: NDArray[np.uint8],
     completer: DepthCompleter,
-    workspace: Workspace,
+    store: DiskKeyframes,
 ) -> bool:
     """Complete one keyframe and write it; False if it has too few points."""
     index = int(submap.submap.frames[row])
     sparse = maker.sparse_depth(row)
     if len(sparse.depth) < MIN_POINTS:
         return False
-    if workspace.depth_path(index).exists() and workspace.confidence_path(index).exists():
+    if store.has_depth(index):
         return True
     depth, confidence = completer(submap.rgb(row), *sparse.maps(*content.shape))
     inside = cv2.erode(content, np.ones((3, 3), np.uint8)) > 0 if not content.all() else content > 0
-    write_confidence(workspace.confidence_path(index), np.where(inside, confidence, 0))
-    # Last, since its presence says that the keyframe is done.
-    write_depth(workspace.depth_path(index), np.where(inside, depth, 0))
+    store.write_depth(index, np.where(inside, depth, np.float32(0)), np.where(inside, confidence, np.float32(0)))
     return True

@@ -46,6 +46,7 @@ class Workspace:
         self.sparse = root / "sparse"
         self.depth = root / "depth"
         self.confidence = root / "confidence"
+        self.first_depth = root / "first_depth"  # depth and confidence that are still to be refined
         self.trajectory = root / "trajectory.tum"
         self.keyframes = root / "keyframes.tum"
         self.mesh = root / "mesh.ply"
@@ -71,11 +72,11 @@ class Workspace:
     def mask_path(self, index: int) -> Path:
         return self.masks / f"{index:06d}.jpg.png"  # COLMAP's name for the mask of 000000.jpg
 
-    def depth_path(self, index: int) -> Path:
-        return self.depth / f"{index:06d}.png"
+    def depth_path(self, index: int, first: bool = False) -> Path:
+        return (self.first_depth if first else self.depth) / f"{index:06d}.png"
 
-    def confidence_path(self, index: int) -> Path:
-        return self.confidence / f"{index:06d}.png"
+    def confidence_path(self, index: int, first: bool = False) -> Path:
+        return self.first_depth / f"{index:06d}_confidence.png" if first else self.confidence / f"{index:06d}.png"
 
     def is_done(self, stage: str) -> bool:
         return stage in self.record["stages"]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from completion import DepthCompleter
-from completion.inference.completer import load_depth_network
+from completion.inference.completer import load_depth_network, normalise_exposure
 from completion.inference.onnx_export import DESCRIPTION, LAST, RECURRENT_USE, export_onnx
 from completion.networks.channel_attention import attention_features
 from completion.networks.cpu.fused_conv import FusedConvReLU, can_fuse, fuse_convolutions
@@ -234,3 +234,40 @@ def test_what_is_no_depth_map_is_refused(sparse):
     completer = DepthCompleter(load_depth_network("mscsa"), device="cpu", precision="fp32")
     with pytest.raises(CompletionError, match=r"sparse depth must have the image's size \(64, 64\), not \("):
         completer(np.zeros((64, 64, 3), np.uint8), sparse)
+
+
+def test_one_iteration_and_a_refinement_with_the_same_points_are_two_iterations(frames):
+    network, (rgb, sparse, error) = load_depth_network("mscsa"), frames
+    once, twice = (DepthCompleter(network, "cpu", "fp32", iterations=count) for count in (1, 2))
+    for index in (0, 1):
+        first = once(rgb[index], sparse[index], error[index])
+        refined = once.refine(rgb[index], sparse[index], error[index], *first)
+        for got, wanted in zip(refined, twice(rgb[index], sparse[index], error[index]), strict=True):
+            np.testing.assert_allclose(got, wanted, rtol=2e-3, atol=2e-3)
+
+
+def test_a_refinement_follows_points_that_the_first_depth_had_not(frames):
+    """Told that the right half is a fifth farther, by points as sure as can be, the network moves that half alone."""
+    completer, (rgb, sparse, error) = DepthCompleter.load("mscsa", "cpu", "fp32"), frames
+    depth, confidence = completer(rgb[1], sparse[1], error[1])
+    points, sure = sparse[1].copy(), np.where(sparse[1] > 0, np.float32(0.02), np.float32(0))
+    points[4::8, 68::8] = 1.2 * depth[4::8, 68::8]
+    points[:, 64:][sparse[1][:, 64:] > 0] *= 1.2
+    sure[points > 0] = 0.002
+    moved = completer.refine(rgb[1], points, sure, depth, confidence)[0] / depth
+    assert np.median(moved[:, 80:]) == pytest.approx(1.2, abs=0.06)
+    assert np.median(moved[:, :48]) == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_network_of_one_iteration_refuses_to_refine(frames):
+    completer = DepthCompleter(ScaleInvariantMSCSANet(ScaleInvariantConfig(width=4)), "cpu", "fp32")
+    assert not completer.can_refine
+    with pytest.raises(CompletionError, match="iteration"):
+        completer.refine(frames[0][0], frames[1][0], frames[2][0], frames[1][0], frames[2][0])
+
+
+def test_dark_images_are_brightened_and_burnt_ones_are_not_dimmed():
+    burnt = np.full((8, 8, 3), 240, np.uint8)
+    np.testing.assert_array_equal(normalise_exposure(burnt), burnt)
+    np.testing.assert_array_equal(normalise_exposure(np.full((8, 8, 3), 100, np.uint8)), 130)
+    np.testing.assert_array_equal(normalise_exposure(np.full((8, 8, 3), 30, np.uint8)), 60)

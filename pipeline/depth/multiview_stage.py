@@ -1,0 +1,115 @@
+"""Stage 3b: every keyframe's depth once more, from its own points and from what its neighbours' depths say about it.
+
+A keyframe's points are few and noisy, and what is plain wall passes their noise on. Its neighbours saw the same wall
+from elsewhere: their first depths are carried over as points with errors (`reconstruction.fusion.depth_transfer`), and
+the network refines the keyframe's own first depth with them. First depths stay on disk until all are refined, so that
+no refined one depends on another and a stopped run goes on to the same bytes.
+"""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from completion.confidence import error_from_confidence
+from completion.inference.completer import DepthCompleter
+from haustra.core.progress import Progress
+from pipeline.config import DepthSettings
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.keyframe_store import REFINED, DiskKeyframes
+from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.run_folder.stage import load_or_make
+from pipeline.run_folder.workspace import Workspace
+from reconstruction.fusion.depth_transfer import UnsureView, transferred
+
+STAGE = REFINED
+STEPS = (1, 2, 4, 8)  # keyframes before and after that are asked: near ones overlap, far ones err otherwise
+CELL = 1 / 36  # of the width, side of a cell with one point: 9 px of 320
+MAX_ERROR = 0.3  # expected relative error of a pixel that is carried over
+CACHED = 2 * max(STEPS) + 2  # first depths in memory
+
+
+def refine_depth(
+    completed: list[CompletedSubmap],
+    model: str,
+    device: str,
+    settings: DepthSettings,
+    workspace: Workspace,
+    progress: Progress,
+) -> list[CompletedSubmap]:
+    """The submaps with refined depth; without `multiview`, or with a network of one iteration, as they are."""
+    if not settings.multiview:
+        return completed
+
+    def make() -> None:
+        completer = DepthCompleter.load(model, device, iterations=settings.iterations)
+        _refine_all(completed, completer, workspace, progress)
+
+    refined = DiskKeyframes(workspace)
+    return load_or_make(workspace, STAGE, lambda: [replace(one, store=refined) for one in completed], make)
+
+
+def _refine_all(
+    completed: list[CompletedSubmap], completer: DepthCompleter, workspace: Workspace, progress: Progress
+) -> None:
+    store = DiskKeyframes(workspace)
+    done, total = 0, sum(len(one) for one in completed)
+    with progress.bar("depth from several views", total) as advance:
+        for one in completed:
+            maker, first = SparseDepthMaker(one.submap, one.camera), _first_views(one)
+            for place in range(len(one)):
+                _refine(one, place, maker, first, completer, store)
+                done += 1
+                advance(done)
+    workspace.finish(STAGE)
+    shutil.rmtree(workspace.first_depth, ignore_errors=True)
+
+
+def _first_views(completed: CompletedSubmap) -> Callable[[int], UnsureView]:
+    """The first depth of the keyframe at a place among the submap's rows, without what is too unsure; the last ones
+    asked for are kept."""
+
+    @lru_cache(CACHED)
+    def view(place: int) -> UnsureView:
+        depth, confidence, world_from_camera = completed.depth(int(completed.rows[place]))
+        error = relative_error(confidence)
+        sure = np.where(error <= MAX_ERROR, depth, np.float32(0))
+        return UnsureView(sure, error, completed.camera.matrix, world_from_camera)
+
+    return view
+
+
+def relative_error(confidence: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Expected relative error (H,W) of a confidence, finite: where that is 0, of its smallest step on disk."""
+    return error_from_confidence(np.maximum(confidence, np.float32(1 / 510)))
+
+
+def _refine(
+    completed: CompletedSubmap,
+    place: int,
+    maker: SparseDepthMaker,
+    first: Callable[[int], UnsureView],
+    completer: DepthCompleter,
+    store: DiskKeyframes,
+) -> None:
+    """Refine one keyframe and write it, unless that was done before the run was stopped."""
+    row = int(completed.rows[place])
+    index = int(completed.submap.frames[row])
+    if store.has_depth(index):
+        return
+    depth, confidence, world_from_camera = completed.depth(row)
+    near = (place + sign * step for step in STEPS for sign in (-1, 1))
+    others = [first(other) for other in near if 0 <= other < len(completed)]
+    cell = max(2, round(CELL * depth.shape[1]))
+    carried, carried_error = transferred(depth.shape, completed.camera.matrix, world_from_camera, others, cell)
+    sparse, error = maker.sparse_depth(row).maps(*depth.shape)
+    measured = sparse > 0
+    points = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
+    refined, doubt = depth, confidence
+    if completer.can_refine:
+        refined, doubt = completer.refine(completed.rgb(row), *points, depth, confidence)
+    nothing = np.float32(0)
+    store.write_depth(index, np.where(depth > 0, refined, nothing), np.where(depth > 0, doubt, nothing))

@@ -1,0 +1,116 @@
+"""Depth from several views on a tube of known depth: what is carried over, what is written, what a stop leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from haustra.core.progress import SilentProgress
+from pipeline.config import Config, DepthSettings
+from pipeline.depth import multiview_stage
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
+from pipeline.depth.multiview_stage import refine_depth
+from pipeline.run_folder.workspace import Workspace
+from tests.helpers.tiny_run import make_tiny_run
+
+
+class Recorder:
+    """Stands for a `DepthCompleter`: returns twice the depth and keeps what it was given."""
+
+    can_refine = True
+
+    def __init__(self) -> None:
+        self.calls: list[dict[str, np.ndarray]] = []
+
+    def refine(self, rgb, sparse, error, depth, confidence):
+        self.calls.append({"sparse": sparse, "error": error, "depth": depth, "confidence": confidence})
+        return 2 * depth, np.full_like(confidence, 0.5)
+
+
+@pytest.fixture
+def completed(tmp_path: Path) -> tuple[CompletedSubmap, Workspace]:
+    """A submap whose first depths are on disk, and none that is refined."""
+    tiny = make_tiny_run(tmp_path / "run")
+    workspace, one = tiny.workspace, tiny.completed[0]
+    workspace.record["stages"].pop("multiview", None)
+    first = DiskKeyframes(workspace, first=True)
+    for row in map(int, one.rows):
+        index = int(one.submap.frames[row])
+        first.write_depth(index, one.store.depth(index), one.store.confidence(index))
+        workspace.depth_path(index).unlink()
+        workspace.confidence_path(index).unlink()
+    return CompletedSubmap(one.submap, one.rectifier, one.rows, depth_on_disk(workspace)), workspace
+
+
+def refined(submap: CompletedSubmap, workspace: Workspace, completer: Recorder, monkeypatch) -> CompletedSubmap:
+    monkeypatch.setattr(multiview_stage.DepthCompleter, "load", lambda *_, **__: completer)
+    return refine_depth([submap], "mscsa", "cpu", DepthSettings(), workspace, SilentProgress())[0]
+
+
+def test_every_keyframe_is_refined_from_first_depths_and_the_first_ones_go(completed, monkeypatch) -> None:
+    submap, workspace = completed
+    before = {int(row): submap.depth(int(row))[0] for row in submap.rows}
+    recorder = Recorder()
+    after = refined(submap, workspace, recorder, monkeypatch)
+    assert len(recorder.calls) == len(submap)
+    for row, call in zip(map(int, submap.rows), recorder.calls, strict=True):
+        np.testing.assert_array_equal(call["depth"], before[row])  # never a neighbour's or an own refined one
+        np.testing.assert_allclose(after.depth(row)[0], 2 * before[row], atol=1e-3)
+    assert not workspace.first_depth.exists()
+    assert not depth_on_disk(workspace).first
+
+
+def test_points_of_the_neighbours_lie_on_the_wall_that_they_saw_and_leave_measured_ones_alone(
+    completed, monkeypatch
+) -> None:
+    submap, workspace = completed
+    recorder = Recorder()
+    refined(submap, workspace, recorder, monkeypatch)
+    call = recorder.calls[len(recorder.calls) // 2]
+    from pipeline.depth.sparse_depth import SparseDepthMaker
+
+    row = int(submap.rows[len(recorder.calls) // 2])
+    own, _ = SparseDepthMaker(submap.submap, submap.camera).sparse_depth(row).maps(*call["sparse"].shape)
+    np.testing.assert_array_equal(call["sparse"][own > 0], own[own > 0])
+    carried = (call["sparse"] > 0) & (own == 0)
+    assert carried.sum() > 20
+    assert (call["error"][carried] > 0).all()
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(completed, monkeypatch) -> None:
+    submap, workspace = completed
+
+    class Stops(Recorder):
+        def refine(self, *arrays):
+            if len(self.calls) == 5:
+                raise KeyboardInterrupt
+            return super().refine(*arrays)
+
+    stopped = Stops()
+    with pytest.raises(KeyboardInterrupt):
+        refined(submap, workspace, stopped, monkeypatch)
+    going_on = Recorder()
+    again = CompletedSubmap(submap.submap, submap.rectifier, submap.rows, depth_on_disk(workspace))
+    refined(again, workspace, going_on, monkeypatch)
+    assert len(stopped.calls) + len(going_on.calls) == len(submap)
+    assert not workspace.first_depth.exists()
+
+
+def test_a_network_of_one_iteration_keeps_its_first_depth(completed, monkeypatch) -> None:
+    submap, workspace = completed
+    before = {int(row): submap.depth(int(row)) for row in submap.rows}
+    plain = Recorder()
+    plain.can_refine = False
+    after = refined(submap, workspace, plain, monkeypatch)
+    for row, (depth, confidence, _) in before.items():
+        np.testing.assert_array_equal(after.depth(row)[0], depth)
+        np.testing.assert_array_equal(after.depth(row)[1], confidence)
+
+
+def test_without_the_setting_nothing_is_done(completed) -> None:
+    submap, workspace = completed
+    off = Config().depth.model_copy(update={"multiview": False})
+    assert refine_depth([submap], "mscsa", "cpu", off, workspace, SilentProgress()) == [submap]
