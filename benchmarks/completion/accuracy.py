@@ -5,8 +5,9 @@
 Samplers: `uniform` takes pixels at random with true depth. `sfm` takes SIFT keypoints (OpenCV, contrast threshold
 0.005) at random, multiplies depth by 1 + 0.03 N(0,1), 3 % of the points by U(0.5, 2), and all points of a frame by
 one unknown factor in [e^-2, e^2]. Per frame: mean |p - g| / g over valid pixels, the prediction divided by the known
-factor; then the mean over frames, and over `--draws` draws of points, whose least and most are given too. Linear
-interpolation fills outside the hull with the nearest point.
+factor; then the mean over frames, and over `--draws` draws of points, whose least and most are given too. Beside it the
+median over all frames and draws, and the share of them over 10 %. Linear interpolation fills outside the hull with the
+nearest point.
 """
 
 import argparse
@@ -40,27 +41,28 @@ def judged_frames(folder: Path, stride: int) -> list[EvaluationFrame]:
 
 def errors_of(
     completer: DepthCompleter, frames: list[EvaluationFrame], sampler: str, points: int, seed: int
-) -> tuple[float, float]:
-    """Mean abs.REL in percent of linear interpolation and of the model, from one draw of points in each frame."""
+) -> np.ndarray:
+    """abs.REL (F,2) in percent of linear interpolation and of the model, from one draw of points in each frame."""
     rng, errors = np.random.default_rng(seed), []
     for frame in frames:
         drawn = get_sampler(sampler)(frame.rgb, frame.depth, points, rng)
         made = linear(drawn.depth), completer(frame.rgb, drawn.depth)[0]
         errors.append([absolute_relative(depth / drawn.factor, frame.depth) for depth in made])
-    by_linear, by_model = np.mean(errors, axis=0).tolist()
-    return by_linear, by_model
+    return np.array(errors)
 
 
 def row_of(
     completer: DepthCompleter, model: str, frames: list[EvaluationFrame], sampler: str, points: int, draws: int
 ) -> dict[str, Any]:
-    """Mean abs.REL of both over the draws, and the least and most of a draw."""
+    """Mean abs.REL of both over the draws, the least and most of a draw, the median frame and the frames over 10 %."""
     errors = [errors_of(completer, frames, sampler, points, seed) for seed in range(draws)]
     row: dict[str, Any] = {"sampler": sampler, "points": points, "frames": len(frames)}
     for place, name in enumerate(("linear", model)):
-        of_draws = [error[place] for error in errors]
+        of_frames = np.array(errors)[..., place]
+        of_draws = of_frames.mean(axis=1).tolist()
         row[f"{name}_abs_rel_percent"] = float(np.mean(of_draws))
         row |= {f"{name}_least": min(of_draws), f"{name}_most": max(of_draws)}
+        row |= {f"{name}_median": float(np.median(of_frames)), f"{name}_over_10": float(100 * (of_frames > 10).mean())}
     return row
 
 

@@ -6,5 +6,13 @@ if __name__ == "__main__":
     choose(
         "benchmarks.reconstruction",
         __doc__,
-        ["accuracy", "front_ends", "mapper_seeds", "real_endoscopy", "depth_against_truth", "phantom_sfm"],
+        [
+            "accuracy",
+            "beside_true_depth",
+            "front_ends",
+            "mapper_seeds",
+            "real_endoscopy",
+            "depth_against_truth",
+            "phantom_sfm",
+        ],
     )

@@ -233,8 +233,9 @@ def tiny_command(folder, *more):
 KILLED_WHEN = {
     "frames are being read": lambda folder: any((folder / "images").glob("*.jpg")),
     "the camera's path is being found": lambda folder: "frames" in open_workspace(folder).record["stages"],
-    "depth is being completed": lambda folder: len(list((folder / "depth").glob("0*.png"))) >= 2,
-    "the surface is being fused": lambda folder: "depth" in open_workspace(folder).record["stages"],
+    "depth is being completed": lambda folder: len(list((folder / "first_depth").glob("0*.png"))) >= 4,
+    "depth is being refined": lambda folder: len(list((folder / "depth").glob("0*.png"))) >= 2,
+    "the surface is being fused": lambda folder: "multiview" in open_workspace(folder).record["stages"],
     "the report is being written": lambda folder: "surface" in open_workspace(folder).record["stages"],
 }
 
@@ -242,7 +243,7 @@ KILLED_WHEN = {
 @pytest.mark.slow
 @pytest.mark.parametrize("front_end", ["odometry", "sfm"])
 def test_killed_at_every_stage_it_ends_the_same(tmp_path, front_end):
-    """kill -9 five times in the life of one run: at each the next stage is just under way."""
+    """kill -9 six times in the life of one run: at each the next stage is just under way."""
     undisturbed, folder = tmp_path / "undisturbed", tmp_path / "run"
     asked = ("--front-end", front_end)
     subprocess.run(tiny_command(undisturbed, *asked), check=True)
