@@ -1,0 +1,107 @@
+"""Mouths of diverticula that a mesh closes with a lid.
+
+    haustra phantom FILMS --suite --config benchmarks/diverticula.yaml
+    python -m benchmarks.lids RUN=FILM... --json lids.json
+
+For each diverticulum of a phantom film, rays go outward along its axis through points spread over the inner 70 % of
+its mouth, from in front of the wall. The axis is the normal of the true wall around the mouth. A ray is *closed* if the
+mesh stands within 1.5 mm of the mouth's plane where the true wall lies over 3 mm behind it. A mouth is judged if the
+mesh has wall around it, on half or more of a ring at 1.4 radii, and if half or more of its rays are that deep in truth.
+It is closed if half or more of its deep rays are; else it is open: a hole, or the pouch itself. The mesh is moved by
+the Sim(3) of the posed frames.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common.runner import run
+from benchmarks.fusion.comparison import pair
+from benchmarks.fusion.measured_run import MeasuredRun
+from pipeline.finished_run import open_run
+from reconstruction.mesh.mesh_io import read_mesh
+from reconstruction.mesh.open3d_import import ray_scene
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+INNER, RING = 0.7, 1.4  # mouth radii
+LID_MM, DEEP_MM, BEFORE_MM = 1.5, 3.0, 4.0
+RINGS, SECTORS = 4, 16
+Array = NDArray[np.float64]
+
+
+def reaches(mesh: SurfaceMesh, starts: Array, direction: Array) -> Array:
+    """Distance (N,) from starts (N,3) along a unit direction (3,) to the mesh; infinite without a hit."""
+    scene = ray_scene(mesh.vertices, mesh.faces)
+    rays = np.concatenate([starts, np.broadcast_to(direction, starts.shape)], axis=1).astype(np.float32)
+    return scene.cast_rays(rays)["t_hit"].numpy().astype(float)
+
+
+def outward_axis(wall: SurfaceMesh, centre: Array, radius: float) -> Array:
+    """Unit normal (3,) of the true wall around a mouth, away from the lumen: towards the pouch's own vertices."""
+    offset = wall.vertices - centre
+    distance = np.linalg.norm(offset, axis=1)
+    around = offset[(distance > 1.2 * radius) & (distance < 2.2 * radius)]
+    axis = np.linalg.svd(around - around.mean(axis=0), full_matrices=False)[2][2]
+    along = offset @ axis
+    lateral = np.linalg.norm(offset - along[:, None] * axis, axis=1)
+    pouch = along[(lateral < radius) & (distance < 4 * radius)]
+    return axis if pouch.mean() > 0 else -axis
+
+
+def disc(centre: Array, axis: Array, radii: Array) -> Array:
+    """Points (N,3) on rings of the given radii about a centre, across an axis, BEFORE_MM in front of the plane."""
+    first = np.linalg.svd(axis[None])[2][1]
+    second = np.cross(axis, first)
+    angle = np.linspace(0, 2 * np.pi, SECTORS, endpoint=False)
+    ring = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    return (centre - BEFORE_MM * axis + radii[:, None, None] * ring).reshape(-1, 3)
+
+
+def judge_mouth(mesh: SurfaceMesh, wall: SurfaceMesh, centre: Array, radius: float) -> dict[str, Any]:
+    """Whether one mouth can be judged, and the share of its deep rays that meet a lid."""
+    axis = outward_axis(wall, centre, radius)
+    inner = disc(centre, axis, np.linspace(0.15, INNER, RINGS) * radius)
+    around = reaches(mesh, disc(centre, axis, np.array([RING * radius])), axis) - BEFORE_MM
+    true, found = (reaches(surface, inner, axis) - BEFORE_MM for surface in (wall, mesh))
+    deep = true > DEEP_MM
+    judged = (np.abs(around) < 2 * LID_MM).mean() >= 0.5 and deep.mean() >= 0.5
+    closed = float((np.abs(found[deep]) < LID_MM).mean()) if deep.any() else 0.0
+    return {"judged": bool(judged), "closed_share": closed}
+
+
+def moved_mesh(run_folder: Path, film: Path) -> SurfaceMesh:
+    """A finished run's mesh in the film's millimetres."""
+    finished = open_run(run_folder)
+    factor = finished.surfaces[0].scale.factor  # scene units to those of the mesh
+    scene_from_mesh = np.diag([1 / factor] * 3 + [1.0])
+    return finished.surfaces[0].mesh.transformed(MeasuredRun(run_folder, film).after.truth_from_map @ scene_from_mesh)
+
+
+def lids_of(run_folder: Path, film: Path) -> list[dict[str, Any]]:
+    """Every diverticulum of a film, judged on a finished run's mesh."""
+    mesh = moved_mesh(run_folder, film)
+    wall = read_mesh(film / "mesh.ply")
+    known = json.loads((film / "diverticula.json").read_text())
+    return [judge_mouth(mesh, wall, np.array(one["centre"]), one["mouth_radius_mm"]) for one in known]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("pairs", metavar="RUN=FILM", type=pair, nargs="+", help="finished run and its phantom film")
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Every film, and all mouths together."""
+    films = {film.name: lids_of(run_folder, film) for run_folder, film in arguments.pairs}
+    judged = [mouth for mouths in films.values() for mouth in mouths if mouth["judged"]]
+    closed = sum(mouth["closed_share"] >= 0.5 for mouth in judged)
+    print(f"{closed} of {len(judged)} judged mouths are closed, {sum(map(len, films.values()))} diverticula in all")
+    return {"closed": closed, "judged": len(judged), "films": films}
+
+
+if __name__ == "__main__":
+    run(sys.modules[__name__], "benchmarks.lids")
