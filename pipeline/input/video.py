@@ -1,7 +1,5 @@
 """Frames out of a video file, an image folder or an RGB-D folder: index, time in seconds, RGB pixels."""
 
-import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from pipeline.input.display import Clock, display_matrix, upright
+from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture
 
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
+    from av.video.stream import VideoStream
 
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
-MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
-FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
+NO_TIMES = "avi"  # FFmpeg's name of a format that stores a frame rate and no times: what it derives runs backwards
 
 
 @dataclass(frozen=True)
@@ -46,52 +45,75 @@ class Source:
         self.path = path
         self.notes: list[str] = []
         self.is_folder = path.is_dir()
-        self.images, left_out = _images_of(path) if self.is_folder else ([], "")
+        self.images, left_out = images_of(path) if self.is_folder else ([], "")
         if left_out:
             self._note(left_out)
         if self.is_folder and not self.images:
             raise HaustraError(f"the folder {path} holds no images")
         if not self.is_folder and path.stat().st_size == 0:
             raise HaustraError(f"the file {path} is empty")
-        self.announced = len(self.images) if self.is_folder else _announced_frames(path)
+        self.announced = len(self.images)
+        if not self.is_folder:
+            self._stream, streams, self.announced = film_stream(path)
+            if streams > 1:
+                self._note(f"of the file's {streams} video streams number {self._stream}, the longest, was taken")
 
     def __iter__(self) -> Iterator[RawFrame]:
         return self._read_folder() if self.is_folder else self._read_video()
 
     def _read_folder(self) -> Iterator[RawFrame]:
-        size, fps = None, _folder_fps(self.path)
+        size, fps, bits = None, folder_fps(self.path), 0
         for index, path in enumerate(self.images):
-            image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+            image = read_picture(path)
             if image is None:
                 self._note(f"{path.name} is not a readable image and was skipped")
                 continue
             size = size or image.shape
             if image.shape != size:
                 raise HaustraError(f"{path.name} has another size than the images before it in {path.parent}")
-            yield RawFrame(index, index / fps, np.ascontiguousarray(image[..., ::-1]))
+            if image.dtype != np.uint8:
+                bits = bits or bits_of(self.images)
+                self._note(f"the pictures hold values of {bits} bits: they were brought to 8")
+            yield RawFrame(index, index / fps, in_8_bits(image, bits))
 
     def _read_video(self) -> Iterator[RawFrame]:
-        count = 0
+        count, size = 0, (0, 0)
         with open_video(self.path) as container:
-            stream = container.streams.video[0]
+            stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            rate = float(stream.average_rate or 30)
+            clock = Clock(float(stream.average_rate or 30), container.format.name != NO_TIMES)
             aspect = stream.sample_aspect_ratio or Fraction(1)
-            for frame in self._decode(container):
-                seconds = frame.time if frame.time is not None else count / rate
-                yield RawFrame(count, float(seconds), self._upright(frame, aspect))
+            for frame in self._decode(container, stream):
+                rgb = self._upright(frame, aspect)
+                size = size if count else (rgb.shape[1], rgb.shape[0])
+                yield RawFrame(count, clock.seconds(frame.time), self._of_size(rgb, size, count))
                 count += 1
+            for sentence in clock.notes:
+                self._note(sentence)
         if count == 0:
             raise HaustraError(f"no frame of {self.path} can be decoded")
         if count < 0.98 * self.announced:
             self._note(f"the video ends early: {count} of {self.announced} announced frames could be decoded")
 
-    def _decode(self, container: "InputContainer") -> Iterator["VideoFrame"]:
+    def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int], index: int) -> NDArray[np.uint8]:
+        """A frame in the size (width, height) of the film's first one; HaustraError where its shape is another."""
+        height, width = rgb.shape[:2]
+        if (width, height) == size:
+            return rgb
+        change = f"from {size[0]}x{size[1]} to {width}x{height} px"
+        if abs(width * size[1] - height * size[0]) > max(width, height):
+            raise HaustraError(
+                f"the film's picture changes {change} at frame {index}: cut it there, and reconstruct the parts"
+            )
+        self._note(f"the film's size changes {change}: such frames were brought to the first size, as of the same lens")
+        return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _decode(self, container: "InputContainer", stream: "VideoStream") -> Iterator["VideoFrame"]:
         """Frames of every packet that decodes; damaged packets are counted and passed over."""
         import av
 
         damaged = 0
-        packets = container.demux(container.streams.video[0])
+        packets = container.demux(stream)
         while True:
             try:
                 packet = next(packets)
@@ -110,13 +132,14 @@ class Source:
     def _upright(self, frame: "VideoFrame", aspect: Fraction) -> NDArray[np.uint8]:
         """Pixels (H,W,3) as they are to be looked at: square, and turned upright."""
         if frame.interlaced_frame:
-            self._note("the video is interlaced: its fields are not taken apart, which blurs what moves")
-        rgb = frame.to_ndarray(format="rgb24")
+            self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")
+        rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+        if frame.interlaced_frame:  # the lower field is of another time, which would double all edges
+            rgb = cv2.resize(rgb[::2], (rgb.shape[1], rgb.shape[0]), interpolation=cv2.INTER_LINEAR)  # type: ignore[assignment]
         if aspect != 1:
             self._note(f"pixels are not square ({aspect}): frames were stretched to make them so")
             rgb = cv2.resize(rgb, (round(rgb.shape[1] * float(aspect)), rgb.shape[0]), interpolation=cv2.INTER_AREA)
-        # FFmpeg's rotation is the counter-clockwise turn that makes the picture upright.
-        return np.ascontiguousarray(np.rot90(rgb, frame.rotation // 90))
+        return np.ascontiguousarray(upright(rgb, display_matrix(frame)))
 
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:
@@ -128,7 +151,7 @@ def open_video(path: Path) -> "InputContainer":
     import av
 
     try:
-        container = av.open(str(path))
+        container = av.open(str(path.absolute()))  # "10:30.mp4" alone would be read as the address of a protocol
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise HaustraError(f"{path} is not a video that FFmpeg can read (or its index is cut off)") from error
     if not container.streams.video:
@@ -137,43 +160,15 @@ def open_video(path: Path) -> "InputContainer":
     return container
 
 
-def _announced_frames(path: Path) -> int:
+def film_stream(path: Path) -> tuple[int, int, int]:
+    """Number, among a file's video streams, of the one with most pictures, which is no cover and no still of a label;
+    how many streams there are; and how many frames that one claims."""
     with open_video(path) as container:
-        return container.streams.video[0].frames
-
-
-def _images_of(folder: Path) -> tuple[list[Path], str]:
-    """The frames of an image folder, or of the `rgb/` of an RGB-D folder, in natural order; and what was left out.
-
-    Data sets mix colour frames with depth, normals and masks of the same size (SimCol3D, C3VD). Names are grouped by
-    what is left without their numbers; of several groups the one that says colour is taken, and none is guessed.
-    """
-    inner = folder / "rgb" if (folder / "rgb").is_dir() else folder
-    groups: dict[str, list[Path]] = {}
-    count = 0
-    for path in inner.iterdir():
-        if path.suffix.lower() in IMAGE_SUFFIXES:
-            count += 1
-            groups.setdefault(re.sub(r"\d+", "#", path.stem).lower(), []).append(path)
-    if max(map(len, groups.values()), default=0) >= MIN_GROUP:
-        groups = {name: paths for name, paths in groups.items() if len(paths) >= MIN_GROUP}
-    named = {name for name in groups if any(word in name for word in ("color", "colour", "rgb", "framebuffer"))}
-    if len(groups) > 1 and len(named) != 1:
-        raise HaustraError(f"{inner} holds several kinds of images ({', '.join(sorted(groups))}); give one in a folder")
-    chosen = named.pop() if len(groups) > 1 else next(iter(groups), "")
-    left_out = count - len(groups.get(chosen, []))
-    note = f"{left_out} images of other kinds in {inner.name} were left out" if left_out else ""
-    return sorted(groups.get(chosen, []), key=_natural), note
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Numbers by value: 2 before 10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.stem)]
-
-
-def _folder_fps(folder: Path) -> float:
-    """Frames a second of an RGB-D folder; `FOLDER_FPS` where it does not say."""
-    try:
-        return float(json.loads((folder / "camera.json").read_text())["fps"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return FOLDER_FPS
+        streams = list(container.streams.video)
+        number = 0
+        if len(streams) > 1:
+            pictures = dict.fromkeys((stream.index for stream in streams), 0)
+            for packet in container.demux(streams):
+                pictures[packet.stream.index] += packet.size > 0
+            number = max(range(len(streams)), key=lambda place: (pictures[streams[place].index], -place))
+        return number, len(streams), streams[number].frames

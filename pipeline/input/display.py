@@ -1,0 +1,66 @@
+"""How a player shows a video's frames: turned and mirrored as the file says, and at times that go on."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+
+UPRIGHT = np.eye(2)
+
+
+class Clock:
+    """Seconds from a film's first frame, increasing from frame to frame.
+
+    Files that were cut or joined begin anywhere and start again in between: a part whose times run backwards goes on
+    where the part before it ended. rate: frames/s; has_times: False where only the rate is to be believed.
+    """
+
+    def __init__(self, rate: float, has_times: bool = True) -> None:
+        self.step, self.has_times = 1 / rate, has_times
+        self.notes: list[str] = []
+        self._count, self._restarts = 0, 0
+        self._shift: float | None = None  # from the file's times to ours
+        self._last = -self.step
+
+    def seconds(self, stamp: float | None) -> float:
+        """Time of the next frame, whose time in the file is `stamp`; None where it has none."""
+        self._count += 1
+        if stamp is None or not self.has_times:
+            self._last = max(self._last + self.step, (self._count - 1) * self.step)
+            return self._last
+        if self._shift is None:
+            self._shift = -stamp
+        if stamp + self._shift <= self._last:
+            self._shift = self._last + self.step - stamp
+            self._restarts += 1
+            again = (
+                f"the film's time stamps run backwards {self._restarts} times: each part was put behind the one before"
+            )
+            self.notes = [again]
+        self._last = stamp + self._shift
+        return self._last
+
+
+def display_matrix(frame: "VideoFrame") -> NDArray[np.float64]:
+    """(2,2) by which a player moves a frame's pixels: (x, y) of what is shown from (x, y) of what is stored.
+
+    ISO 14496-12, 6.2.2: nine numbers a b u c d v x y w, of which x' = a x + c y and y' = b x + d y.
+    """
+    stored: Any = frame.side_data.get("DISPLAYMATRIX")
+    if stored is not None:
+        a, b, _, c, d = np.frombuffer(bytes(stored), np.int32)[:5] / 65536
+        return np.array([[a, c], [b, d]])
+    return UPRIGHT
+
+
+def upright(rgb: NDArray[np.uint8], matrix: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Pixels (H,W,3) as shown: turned by the nearest quarter of a circle, and mirrored where the matrix mirrors."""
+    if abs(matrix[0, 0]) + abs(matrix[1, 1]) >= abs(matrix[0, 1]) + abs(matrix[1, 0]):
+        across, down = matrix[0, 0], matrix[1, 1]
+    else:
+        rgb = rgb.swapaxes(0, 1)
+        across, down = matrix[0, 1], matrix[1, 0]
+    return rgb[:: -1 if down < 0 else 1, :: -1 if across < 0 else 1]

@@ -1,0 +1,85 @@
+"""Pictures of a folder: which files are frames, in which order, and 8-bit pixels out of any depth of bits."""
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import HaustraError
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".jp2"}
+MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
+FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
+DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras store in 16
+PROBED = 8  # pictures from which the bits of deep ones are found
+
+
+def read_picture(path: Path) -> NDArray | None:
+    """(H,W,3) uint8 or uint16 RGB; None if it is no readable picture."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        return None
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def bits_of(images: list[Path]) -> int:
+    """Bits that the values of a folder's pictures need, 8 to 16, by the brightest of some spread over it."""
+    probed = images[:: max(1, len(images) // PROBED)]
+    brightest = max((int(picture.max()) for picture in map(read_picture, probed) if picture is not None), default=0)
+    return next(bits for bits in DEPTHS if brightest < 2**bits)
+
+
+def in_8_bits(picture: NDArray, bits: int) -> NDArray[np.uint8]:
+    """A picture of so many bits, its brightest value near 255."""
+    if picture.dtype == np.uint8:
+        return picture
+    return np.minimum(picture >> (bits - 8), 255).astype(np.uint8)
+
+
+def images_of(folder: Path) -> tuple[list[Path], str]:
+    """The frames of an image folder, or of the `rgb/` of an RGB-D folder, in natural order; and what was left out.
+
+    Data sets mix colour frames with depth, normals and masks of the same size (SimCol3D, C3VD). Names are grouped by
+    what is left without their numbers; of several groups the one that says colour is taken, and none is guessed.
+    """
+    inner = folder / "rgb" if (folder / "rgb").is_dir() else folder
+    groups: dict[str, list[Path]] = {}
+    count = 0
+    for path in inner.iterdir():
+        # macOS leaves a "._" companion beside every file that it copies.
+        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."):
+            count += 1
+            groups.setdefault(re.sub(r"\d+", "#", path.stem).lower(), []).append(path)
+    if max(map(len, groups.values()), default=0) >= MIN_GROUP:
+        groups = {name: paths for name, paths in groups.items() if len(paths) >= MIN_GROUP}
+    named = {name for name in groups if any(word in name for word in ("color", "colour", "rgb", "framebuffer"))}
+    if len(groups) > 1 and len(named) != 1:
+        raise HaustraError(f"{inner} holds several kinds of images ({', '.join(sorted(groups))}); give one in a folder")
+    chosen = named.pop() if len(groups) > 1 else next(iter(groups), "")
+    left_out = count - len(groups.get(chosen, []))
+    note = f"{left_out} images of other kinds in {inner.name} were left out" if left_out else ""
+    return in_natural_order(groups.get(chosen, [])), note
+
+
+def in_natural_order(paths: list[Path]) -> list[Path]:
+    """Numbers by value: 2 before 10. A dot between digits is a decimal point if some number has a zero after it, as
+    seconds have: 0.05 before 0.4; else it parts two numbers: 1.9 before 1.10."""
+    decimal = any(re.search(r"\d\.0\d", path.stem) for path in paths)
+    number = re.compile(r"(\d+(?:\.\d+)?)" if decimal else r"(\d+)")
+
+    def key(path: Path) -> list[tuple[float, str]]:
+        parts = number.split(path.stem)
+        return [(float(part), "") if place % 2 else (-1.0, part) for place, part in enumerate(parts)]
+
+    return sorted(paths, key=lambda path: (key(path), path.name))
+
+
+def folder_fps(folder: Path) -> float:
+    """Frames a second of an RGB-D folder; `FOLDER_FPS` where it does not say."""
+    try:
+        return float(json.loads((folder / "camera.json").read_text())["fps"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return FOLDER_FPS

@@ -1,0 +1,156 @@
+"""Files that players show rightly: mirrored, joined, with a late clock, a cover, another size in the middle, 12 bits."""
+
+from __future__ import annotations
+
+import itertools
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from haustra.core.errors import HaustraError
+from pipeline.input.display import Clock, upright
+from pipeline.input.image_folder import in_natural_order
+from pipeline.input.video import Source
+
+SIGNED = [np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=2)]
+MATRICES = SIGNED + [m @ np.array([[0.0, 1.0], [1.0, 0.0]]) for m in SIGNED]
+
+
+@pytest.mark.parametrize("matrix", MATRICES, ids=lambda m: str(m.astype(int).tolist()))
+def test_every_pixel_goes_where_the_display_matrix_sends_it(matrix: np.ndarray) -> None:
+    """Oracle: the matrix applied to each pixel's place, and the smallest place brought to the corner."""
+    stored = np.arange(3 * 5 * 3, dtype=np.uint8).reshape(3, 5, 3)
+    shown = upright(stored, matrix)
+    places = np.array([(x, y) for y in range(3) for x in range(5)])
+    sent = (places @ matrix.T).astype(int)
+    sent -= sent.min(axis=0)
+    assert shown.shape[:2] == (sent[:, 1].max() + 1, sent[:, 0].max() + 1)
+    for (x, y), (u, v) in zip(places, sent, strict=True):
+        np.testing.assert_array_equal(shown[v, u], stored[y, x])
+
+
+stamps = st.lists(st.one_of(st.none(), st.floats(-1e5, 1e5)), min_size=1, max_size=60)
+
+
+@given(stamps, st.sampled_from([10.0, 25.0, 29.97, 60.0]), st.booleans())
+def test_times_begin_at_zero_and_increase_whatever_the_file_says(given_stamps, rate: float, has_times: bool) -> None:
+    clock = Clock(rate, has_times)
+    seconds = [clock.seconds(stamp) for stamp in given_stamps]
+    assert seconds[0] == 0
+    assert (np.diff(seconds) > 0).all()
+
+
+@given(st.floats(0, 1e5), st.lists(st.floats(0.01, 0.5), min_size=1, max_size=50))
+def test_a_clock_that_begins_late_keeps_its_intervals(start: float, steps: list[float]) -> None:
+    times = start + np.concatenate([[0], np.cumsum(steps)])
+    clock = Clock(30.0)
+    np.testing.assert_allclose([clock.seconds(float(t)) for t in times], times - start, atol=1e-6)
+
+
+def encode(path: Path, sizes: list[int], shade: int = 0, start: int = 0) -> Path:
+    """A video of a moving bar, a frame for each size."""
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("mpeg2video", rate=25)
+        stream.width = stream.height = sizes[0]
+        stream.pix_fmt, stream.bit_rate, stream.time_base = "yuv420p", 4_000_000, Fraction(1, 25)
+        for number, size in enumerate(sizes):
+            picture = np.full((size, size, 3), shade, np.uint8)
+            picture[:, 4 * number % size :][:, :8] = 200
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts = start + number
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    return path
+
+
+def test_joined_segments_go_on_behind_each_other(tmp_path: Path) -> None:
+    parts = [encode(tmp_path / f"{k}.ts", [96] * 20) for k in range(3)]
+    joined = tmp_path / "joined.ts"
+    joined.write_bytes(b"".join(part.read_bytes() for part in parts))
+    source = Source(joined)
+    seconds = np.array([frame.seconds for frame in source])
+    np.testing.assert_allclose(seconds, np.arange(60) / 25, atol=0.021)
+    assert any("run backwards 2 times" in note for note in source.notes)
+
+
+def test_a_size_that_changes_is_brought_to_the_first_and_said_once(tmp_path: Path) -> None:
+    film = tmp_path / "film.ts"
+    film.write_bytes(
+        encode(tmp_path / "a.ts", [96] * 10).read_bytes() + encode(tmp_path / "b.ts", [128] * 10).read_bytes()
+    )
+    source = Source(film)
+    assert {frame.rgb.shape for frame in source} == {(96, 96, 3)}
+    assert sum("from 96x96 to 128x128 px" in note for note in source.notes) == 1
+
+
+def test_a_shape_that_changes_is_one_sentence(tmp_path: Path) -> None:
+    source = Source(encode(tmp_path / "a.ts", [96] * 3))
+    list(source)
+    with pytest.raises(HaustraError, match="from 96x96 to 160x96 px at frame 7: cut it there"):
+        source._of_size(np.zeros((96, 160, 3), np.uint8), (96, 96), 7)
+
+
+def test_the_film_is_taken_not_the_still_before_it(tmp_path: Path) -> None:
+    path = tmp_path / "cover.mkv"
+    with av.open(str(path), "w") as file:
+        still, film = file.add_stream("mjpeg", rate=25), file.add_stream("mpeg4", rate=25)
+        for stream, size, form in ((still, 64, "yuvj420p"), (film, 96, "yuv420p")):
+            stream.width = stream.height = size
+            stream.pix_fmt = form
+        for number in range(20):
+            for stream, size in ((still, 64), (film, 96)):
+                if stream is film or number == 0:
+                    frame = av.VideoFrame.from_ndarray(np.full((size, size, 3), 9 * number, np.uint8), format="rgb24")
+                    frame.pts = number
+                    file.mux(stream.encode(frame))
+        for stream in (still, film):
+            file.mux(stream.encode())
+    source = Source(path)
+    frames = list(source)
+    assert len(frames) == 20
+    assert frames[0].rgb.shape == (96, 96, 3)
+    assert any("video streams" in note for note in source.notes)
+
+
+def test_a_name_with_a_colon_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    encode(tmp_path / "plain.ts", [96] * 5).rename(tmp_path / "10:30:00.ts")
+    monkeypatch.chdir(tmp_path)
+    assert len(list(Source(Path("10:30:00.ts")))) == 5
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_deep_pictures_are_brought_to_8_bits_by_their_own_range(tmp_path: Path, bits: int) -> None:
+    ramp = np.linspace(0, 2**bits - 1, 64).astype(np.uint16)
+    for number in range(5):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.broadcast_to(ramp[:, None, None], (64, 64, 3)).copy())
+    source = Source(tmp_path)
+    for frame in source:
+        np.testing.assert_allclose(frame.rgb[:, 0, 0], 255 * ramp.astype(float) / (2**bits - 1), atol=1)
+    assert any(f"{bits} bits" in note for note in source.notes)
+
+
+def test_companions_of_macos_are_no_pictures(tmp_path: Path) -> None:
+    for number in range(5):
+        cv2.imwrite(str(tmp_path / f"frame_{number}.png"), np.full((64, 64, 3), 90, np.uint8))
+        (tmp_path / f"._frame_{number}.png").write_bytes(b"\x00\x05\x16\x07")
+    assert [image.name for image in Source(tmp_path).images] == [f"frame_{number}.png" for number in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("names", "ordered"),
+    [
+        (["0.4", "0.05", "10.0", "0.35"], ["0.05", "0.35", "0.4", "10.0"]),
+        (["1.10", "1.9", "1.1"], ["1.1", "1.9", "1.10"]),
+        (["f10", "f9", "f100"], ["f9", "f10", "f100"]),
+        (["a2b10", "a2b9", "a10b1"], ["a2b9", "a2b10", "a10b1"]),
+    ],
+)
+def test_numbers_are_ordered_by_value(names: list[str], ordered: list[str]) -> None:
+    found = in_natural_order([Path(f"{name}.png") for name in names])
+    assert [path.stem for path in found] == ordered
