@@ -25,6 +25,8 @@ from reconstruction.evaluation.trajectory_metrics import (
 from reconstruction.mesh.formats import MESH_FORMATS
 from reconstruction.mesh.mesh_io import read_mesh
 
+MIN_PAIRED = 0.5  # share of the fewer poses, the run's or the true ones, that must be of one time
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -80,10 +82,7 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     true_seconds, true_world_from_camera, points = _load_truth(truth)
     if len(true_seconds) < 3:
         raise HaustraError(f"{truth} has {len(true_seconds)} poses; three are needed")
-    # Half the truth's frame spacing: closer than any other frame.
-    mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * float(np.median(np.diff(true_seconds))))
-    if len(mine) < 3:
-        raise HaustraError(f"only {len(mine)} frames of {run} have a true pose in {truth}; three are needed")
+    mine, theirs = paired(seconds, true_seconds, truth)
     estimated, true = world_from_camera[mine], true_world_from_camera[theirs]
     sim3 = trajectory_errors(estimated, true, "sim3", "mm")
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
@@ -96,6 +95,39 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
         surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
         coverage = _coverage(finished, truth_from_run, truth)
     return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface, coverage)
+
+
+def paired(
+    seconds: NDArray[np.float64], true_seconds: NDArray[np.float64], truth: Path
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of the run's poses (K,) and of the true ones (K,) that are of one time: half the truth's spacing apart at
+    most, closer than any other frame. HaustraError where most have no partner: the few that have one met by chance."""
+    spacing = float(np.median(np.diff(true_seconds)))
+    try:
+        mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * spacing)
+    except HaustraError:
+        mine = theirs = np.empty(0, np.int64)
+    most = min(len(seconds), len(true_seconds))
+    if len(mine) < max(3, MIN_PAIRED * most):
+        times = f"{true_seconds[0]:g} to {true_seconds[-1]:g} s, the run's from {seconds[0]:g} to {seconds[-1]:g} s"
+        raise HaustraError(
+            f"only {len(mine)} of {most} poses of the run and {truth} are of one time: its times go from {times}"
+            f"{_reason(seconds, true_seconds, spacing)}"
+        )
+    return mine, theirs
+
+
+def _reason(seconds: NDArray[np.float64], true_seconds: NDArray[np.float64], spacing: float) -> str:
+    """What the true times look like instead of the run's seconds."""
+    ours = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    ratio = spacing / max(ours, 1e-9)
+    whole = bool(np.allclose(true_seconds, np.round(true_seconds), atol=1e-6))
+    if whole and 1 <= spacing <= 100 and not 500 < ratio < 2000:
+        return f"; they look like frame numbers: divide them by the run's {1 / max(ours, 1e-9):.3g} frames/s"
+    for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+        if 0.1 * factor < ratio < 30 * factor:
+            return f"; they look like {unit}: divide them by {factor:g}"
+    return f"; a clock {true_seconds[0] - seconds[0]:+.3g} s off would explain that: subtract it"
 
 
 def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:

@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import read_text
 
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
@@ -187,8 +188,8 @@ def load_config(path: Path | None, **overrides: object) -> Config:
     values: dict[str, object] = {}
     if path is not None:
         try:
-            values = yaml.safe_load(path.read_text()) or {}
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            values = yaml.safe_load(read_text(path)) or {}
+        except yaml.YAMLError as error:
             raise HaustraError(f"cannot read the configuration {path}: {str(error).splitlines()[0]}") from error
         if not isinstance(values, dict):
             raise HaustraError(f"the configuration {path} is not a mapping of settings")

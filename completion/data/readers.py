@@ -14,7 +14,6 @@ csd         Colonoscopy Simulator Dataset (Zhang): SUK_L00001.png, SUK_L_depth00
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 
 from completion.data.evaluation_frame import EvaluationFrame, partner, read_depth16, read_exr, read_rgb
 from haustra.core.errors import CompletionError
+from haustra.core.text import read_json
 
 SIMCOL_FULL_MM = 200.0  # full scale is 20 cm ...
 SIMCOL_STEPS = 256 * 255  # ... at this value, not at 65535: SimCol3D's own reader
@@ -35,11 +35,15 @@ UNITYCAM_LENS = (156.0418, 155.7529, 178.5604, 181.8043)  # plus a radial term t
 
 
 def _rgbd(folder: Path) -> Iterator[EvaluationFrame]:
-    about = json.loads((folder / "camera.json").read_text())
-    lens = np.array(about["params"][:4], float) if "params" in about else None
+    about = read_json(folder / "camera.json")
     if "depth_unit_mm" not in about:
         raise CompletionError(f"{folder}/camera.json names no depth_unit_mm: no folder of true depth")
-    unit_mm = np.float32(about["depth_unit_mm"])
+    try:
+        lens = np.array([float(value) for value in about["params"][:4]]) if "params" in about else None
+        unit_mm = np.float32(about["depth_unit_mm"])
+    except (TypeError, ValueError) as error:
+        numbers = "params and depth_unit_mm as numbers"
+        raise CompletionError(f"{folder}/camera.json must give {numbers} ({error})") from error
     for path in sorted((folder / "rgb").glob("*.png")):
         depth = read_depth16(partner(path, folder / "depth", path.name)).astype(np.float32) * unit_mm
         yield EvaluationFrame(path.stem, read_rgb(path), depth, "mm", lens, folder.name)

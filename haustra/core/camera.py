@@ -4,7 +4,6 @@ Only what the pipeline needs: project, unproject, crop and scale, read and write
 reads them from a `haustra.core.ray_table.RayTable`.
 """
 
-import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.lenses import LENS_MODELS
 from haustra.core.lenses.model import LensModel
+from haustra.core.text import read_json
 
 WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretches beyond use
 STEP = 1e-5  # of the finite differences, on the plane z = 1
@@ -149,8 +149,8 @@ def _on_plane(plane: Array) -> Array:
 
 def read_camera(path: Path) -> Camera:
     """A camera from `camera.json` (model, width, height, params)."""
+    fields = read_json(path)
     try:
-        fields = json.loads(path.read_text())
         return Camera(
             str(fields["model"]),
             int(fields["width"]),
@@ -162,7 +162,7 @@ def read_camera(path: Path) -> Camera:
         raise HaustraError(f"{path}: {error}") from error
     except KeyError as error:
         raise HaustraError(f"{path} is not a camera file: it lacks {error.args[0]}") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise HaustraError(
             f"{path} is not a camera file: it must be JSON with model, width, height and params ({error})"
         ) from error

@@ -1,6 +1,5 @@
 """Pictures of a folder: which files are frames, in which order, and 8-bit pixels out of any depth of bits."""
 
-import json
 import re
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import read_json
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".jp2"}
 MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
@@ -80,6 +80,6 @@ def in_natural_order(paths: list[Path]) -> list[Path]:
 def folder_fps(folder: Path) -> float:
     """Frames a second of an RGB-D folder; `FOLDER_FPS` where it does not say."""
     try:
-        return float(json.loads((folder / "camera.json").read_text())["fps"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return float(read_json(folder / "camera.json")["fps"])
+    except (HaustraError, ValueError, KeyError, TypeError):
         return FOLDER_FPS

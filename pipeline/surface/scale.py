@@ -7,6 +7,7 @@ import numpy as np
 import yaml
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import read_text
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -60,9 +61,9 @@ def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
 def check_scale_file(path: Path) -> dict[str, float]:
     """The contents of a scale file: `mm_per_unit`, or `frame_a`, `frame_b` and `distance_mm` between the cameras."""
     try:
-        values = yaml.safe_load(path.read_text())
+        values = yaml.safe_load(read_text(path))
         numbers = {str(name): float(value) for name, value in values.items()}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
+    except (yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
         raise HaustraError(f"cannot read the scale file {path}: it must name numbers ({error})") from error
     lengths = [numbers.get(name, 1.0) for name in ("mm_per_unit", "distance_mm")]
     known = set(numbers) in ({"mm_per_unit"}, {"frame_a", "frame_b", "distance_mm"})

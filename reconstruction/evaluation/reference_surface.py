@@ -10,7 +10,6 @@ of a third of the spacing, the distance to the nearest of such points.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera, read_camera
 from haustra.core.errors import ReconstructionError
+from haustra.core.text import read_json
 from reconstruction.evaluation.surface_metrics import sample_surface
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
@@ -118,9 +118,9 @@ def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
 def _read_camera(path: Path) -> tuple[Camera, float]:
     """Camera, and the unit of its depth images in mm."""
     try:
-        unit_mm = float(json.loads(path.read_text())["depth_unit_mm"])
+        unit_mm = float(read_json(path)["depth_unit_mm"])
         return read_camera(path), unit_mm
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         message = f"{path} is not a camera file with model, params, size and depth unit ({error})"
         raise ReconstructionError(message) from error
 

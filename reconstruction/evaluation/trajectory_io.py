@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import ReconstructionError
+from haustra.core.text import read_text
 
 Array = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ def read_tum(path: Path | str) -> tuple[Array, Array]:
     `ReconstructionError`, and so does time that stands still or runs backwards.
     """
     rows: list[list[float]] = []
-    for number, line in enumerate(Path(path).read_text().splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             rows.append(_tum_row(line, f"{path}, line {number}"))
             if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:

@@ -1,4 +1,4 @@
-"""Files that players show rightly: mirrored, joined, with a late clock, a cover, another size in the middle, 12 bits."""
+"""Files that players show rightly: mirrored, joined, with a late clock, a cover, a change of size, 12 bits."""
 
 from __future__ import annotations
 
