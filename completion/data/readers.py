@@ -24,6 +24,7 @@ from completion.data.evaluation_frame import EvaluationFrame, partner, read_dept
 from haustra.core.errors import CompletionError
 from haustra.core.text import read_json
 
+PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}  # of an RGB-D folder; its depth is always PNG
 SIMCOL_FULL_MM = 200.0  # full scale is 20 cm ...
 SIMCOL_STEPS = 256 * 255  # ... at this value, not at 65535: SimCol3D's own reader
 SIMCOL_LENS = (227.604, 227.604, 237.5, 237.5)  # cam.txt's third number is a known slip
@@ -44,8 +45,9 @@ def _rgbd(folder: Path) -> Iterator[EvaluationFrame]:
     except (TypeError, ValueError) as error:
         numbers = "params and depth_unit_mm as numbers"
         raise CompletionError(f"{folder}/camera.json must give {numbers} ({error})") from error
-    for path in sorted((folder / "rgb").glob("*.png")):
-        depth = read_depth16(partner(path, folder / "depth", path.name)).astype(np.float32) * unit_mm
+    pictures = (path for path in (folder / "rgb").glob("[!.]*") if path.suffix.lower() in PICTURES)
+    for path in sorted(pictures):
+        depth = read_depth16(partner(path, folder / "depth", f"{path.stem}.png")).astype(np.float32) * unit_mm
         yield EvaluationFrame(path.stem, read_rgb(path), depth, "mm", lens, folder.name)
 
 
@@ -114,7 +116,6 @@ class Reader:
 
 
 READERS = {
-    "rgbd": Reader("camera.json", _rgbd),
     "simcol3d": Reader("FrameBuffer_*.png", _simcol3d),
     "c3vd": Reader("*_depth.tiff", _c3vd),
     "c3vdv2": Reader("depth/*_depth.tiff", _c3vdv2),
@@ -122,6 +123,7 @@ READERS = {
     "vrcaps": Reader("depth/*.exr", _vrcaps),
     "ccd": Reader("depths/*.png", _ccd),
     "csd": Reader("SUK_L_depth*.exr", _csd),
+    "rgbd": Reader("camera.json", _rgbd),  # last: others have such a file too, for `reconstruct`
 }
 
 

@@ -24,6 +24,7 @@ class Accumulator:
 
     def __init__(self, trajectory: bool = False) -> None:
         self.scores: list[Score] = []
+        self.left_out: list[str] = []  # names of frames that have no true depth
         self._pixels: list[PixelErrors] = []
         self._strata: list[dict[str, FrameStratum]] = []
         self._sample_frames: list[FrameResult] = []

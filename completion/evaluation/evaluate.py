@@ -82,8 +82,11 @@ def evaluate_frames(
     predict: Predictor,
     protocol: Protocol,
     advance: Callable[[int], None] | None = None,
+    left_out: list[str] | None = None,
 ) -> Iterable[FrameResult]:
     """Results frame by frame; CompletionError for a frame in which the sampler finds no point.
+
+    A frame without any true depth cannot be judged: it is left out, and its name added to `left_out`.
 
     The unknown factor of SfM-like points is divided out of the prediction, before the protocol's scale alignment.
     """
@@ -91,6 +94,10 @@ def evaluate_frames(
     for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
         if protocol.depth_step:
             frame = replace(frame, depth=dequantize(frame.depth, protocol.depth_step))
+        if not (frame.depth > 0).any():
+            if left_out is not None:
+                left_out.append(frame.name)
+            continue
         rng = np.random.default_rng([protocol.seed, place])
         sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
         if not sparse.points:

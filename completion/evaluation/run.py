@@ -110,7 +110,10 @@ def evaluate(
                 sample_frames[Path(model).name] = accumulator.sample_frames()
                 renamed += _write_plots(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
-            about = ", ".join([f"{len(accumulator.scores)} frames", str(protocol), *precisions])
+            without = len(accumulator.left_out)
+            missing = f" ({without} without true depth left out)" if without else ""
+            counted = f"{len(accumulator.scores)} frames{missing}"
+            about = ", ".join([counted, str(protocol), *precisions])
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
@@ -141,7 +144,7 @@ def _run(
             yield frame
 
     with bar as advance:
-        accumulator.add_all(evaluate_frames(frames(), predictor, protocol, advance))
+        accumulator.add_all(evaluate_frames(frames(), predictor, protocol, advance, accumulator.left_out))
     if not accumulator.scores:
         raise CompletionError(f"{folder} has no frames")
     return unit
@@ -180,6 +183,7 @@ def _record(
             "least": min(r.points for r in accumulator.scores),
             "most": max(r.points for r in accumulator.scores),
         },
+        "left_out": accumulator.left_out,
         "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in accumulator.scores],
     }
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from completion.data.readers import read_evaluation_frames, recognise
+from completion.evaluation.evaluate import Protocol, evaluate_frames
+from completion.evaluation.predictors import load_predictor
 from haustra.core.errors import CompletionError
 
 OpenEXR = pytest.importorskip("OpenEXR")
@@ -143,3 +145,37 @@ def test_a_camera_file_without_depth_unit_is_no_folder_of_depth(tmp_path: Path) 
     (tmp_path / "camera.json").write_text("{}")
     with pytest.raises(CompletionError, match="depth_unit_mm"):
         list(read_evaluation_frames(tmp_path))
+
+
+def rgbd_folder(folder: Path, suffix: str = ".png", empty: tuple[int, ...] = ()) -> Path:
+    """Four frames of 32 px; those in `empty` have no depth."""
+    (folder / "rgb").mkdir(parents=True)
+    (folder / "depth").mkdir()
+    (folder / "camera.json").write_text('{"depth_unit_mm": 0.01}')
+    for number in range(4):
+        cv2.imwrite(str(folder / "rgb" / f"{number:05d}{suffix}"), np.full((32, 32, 3), 90, np.uint8))
+        depth = np.full((32, 32), 0 if number in empty else 2000, np.uint16)
+        cv2.imwrite(str(folder / "depth" / f"{number:05d}.png"), depth)
+    return folder
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".JPG", ".bmp"])
+def test_pictures_of_an_rgbd_folder_may_be_of_any_usual_kind(tmp_path: Path, suffix: str) -> None:
+    frames = list(read_evaluation_frames(rgbd_folder(tmp_path / "film", suffix)))
+    assert [frame.name for frame in frames] == ["00000", "00001", "00002", "00003"]
+    assert all((frame.depth == 20).all() for frame in frames)
+
+
+def test_a_data_set_with_a_camera_file_is_what_its_frames_say(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").write_text('{"model": "PINHOLE"}')
+    cv2.imwrite(str(tmp_path / "0_depth.tiff"), np.zeros((8, 8), np.uint16))
+    assert recognise(tmp_path) == "c3vd"
+
+
+def test_a_frame_without_true_depth_is_left_out_and_counted(tmp_path: Path) -> None:
+    folder, left_out = rgbd_folder(tmp_path / "film", empty=(1, 2)), []
+    protocol = Protocol(points=10)
+    frames = read_evaluation_frames(folder)
+    results = list(evaluate_frames(frames, load_predictor("nearest"), protocol, left_out=left_out))
+    assert [result.name for result in results] == ["00000", "00003"]
+    assert left_out == ["00001", "00002"]
