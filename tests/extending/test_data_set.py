@@ -62,4 +62,4 @@ def test_a_folder_that_no_row_fits_is_told_its_pattern(folder, tmp_path, monkeyp
     assert evaluate(monkeypatch, tmp_path / "empty") == 1
     assert "numpy (frame_*.npz)" in capsys.readouterr().err
     assert evaluate(monkeypatch, folder, "--dataset", "numyp") == 1
-    assert "csd, numpy" in capsys.readouterr().err
+    assert "rgbd, numpy" in capsys.readouterr().err

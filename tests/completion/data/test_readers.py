@@ -125,7 +125,7 @@ def test_groups_name_meshes_so_that_splits_can_keep_them_apart(
 
 
 def test_wrong_folders_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(CompletionError, match="looked for rgbd"):
+    with pytest.raises(CompletionError, match="looked for simcol3d"):
         list(read_evaluation_frames(tmp_path))
     with pytest.raises(CompletionError, match="no data set 'kitti'"):
         list(read_evaluation_frames(tmp_path, "kitti"))
