@@ -5,6 +5,7 @@
 
 import shutil
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -156,7 +157,17 @@ def _why(candidates: list[Candidate], total: int) -> str:
 def _keep(candidates: list[Candidate], workspace: Workspace) -> None:
     shutil.rmtree(workspace.models, ignore_errors=True)
     for number, candidate in enumerate(candidates):
-        shutil.copytree(candidate.folder, workspace.models / str(number))
+        _copy_folder(candidate.folder, workspace.models / str(number))
+
+
+def _copy_folder(source: Path, target: Path) -> None:
+    """As `shutil.copytree`, whose error hides what the file system said: a full disk has a sentence of its own."""
+    target.mkdir(parents=True)
+    for path in sorted(source.iterdir()):
+        if path.is_dir():
+            _copy_folder(path, target / path.name)
+        else:
+            shutil.copyfile(path, target / path.name)
 
 
 def _unit(submap: Submap) -> float:
