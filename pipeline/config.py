@@ -107,7 +107,7 @@ class DepthSettings(Settings):
     iterations: PositiveInt | None = Field(
         None, description="of the network for each frame, at most as many as it was trained for; None: 2"
     )
-    multiview: bool = Field(True, description="once more for each keyframe, with its neighbours' depths as points")
+    multiview: bool = Field(False, description="once more for each keyframe, with its neighbours' depths as points")
 
 
 class LoopClosingSettings(Settings):

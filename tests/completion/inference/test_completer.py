@@ -183,10 +183,10 @@ def test_the_shipped_header_says_what_was_trained():
     from completion.weights.shipped_weights import resolve_weights
 
     about = read_metadata(resolve_weights("mscsa"))
-    assert about["network"] == "ScaleFreeMSCSANet"  # as it was written; the registry reads it
-    assert about["training"]["model"] == "scale-free"
+    assert about["network"] == "ScaleInvariantMSCSANet"
+    assert about["training"]["model"] == "mscsa-sfm"
     assert about["steps"] == about["training"]["steps"]
-    assert 0 < about["held_out_abs_rel"] < 0.08
+    assert about["averaged"]["share"] == 0.65
     assert resolve_weights("mscsa").stat().st_size < 20e6
 
 

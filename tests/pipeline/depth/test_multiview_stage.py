@@ -17,6 +17,9 @@ from pipeline.run_folder.workspace import Workspace
 from tests.helpers.tiny_run import make_tiny_run
 
 
+ON = DepthSettings(multiview=True)
+
+
 class Recorder:
     """Stands for a `DepthCompleter`: returns twice the depth and keeps what it was given."""
 
@@ -47,7 +50,7 @@ def completed(tmp_path: Path) -> tuple[CompletedSubmap, Workspace]:
 
 def refined(submap: CompletedSubmap, workspace: Workspace, completer: Recorder, monkeypatch) -> CompletedSubmap:
     monkeypatch.setattr(multiview_stage.DepthCompleter, "load", lambda *_, **__: completer)
-    return refine_depth([submap], "mscsa", "cpu", DepthSettings(), workspace, SilentProgress())[0]
+    return refine_depth([submap], "mscsa", "cpu", ON, workspace, SilentProgress())[0]
 
 
 def test_every_keyframe_is_refined_from_first_depths_and_the_first_ones_go(completed, monkeypatch) -> None:
@@ -112,5 +115,4 @@ def test_a_network_of_one_iteration_keeps_its_first_depth(completed, monkeypatch
 
 def test_without_the_setting_nothing_is_done(completed) -> None:
     submap, workspace = completed
-    off = Config().depth.model_copy(update={"multiview": False})
-    assert refine_depth([submap], "mscsa", "cpu", off, workspace, SilentProgress()) == [submap]
+    assert refine_depth([submap], "mscsa", "cpu", Config().depth, workspace, SilentProgress()) == [submap]

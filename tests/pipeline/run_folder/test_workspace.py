@@ -225,7 +225,7 @@ def test_a_depth_map_of_nothing_changes_nothing():
 def tiny_command(folder, *more):
     """The first 26 frames of the embedded clip, every second one used."""
     settings = folder.with_suffix(".yaml")
-    settings.write_text("frames: {end_s: 0.86, stride: 2}\nlumen_mm: 40.0\n")
+    settings.write_text("frames: {end_s: 0.86, stride: 2}\nlumen_mm: 40.0\ndepth: {multiview: true}\n")
     words = [sys.executable, "-m", "pipeline", str(VIDEO), "-o", str(folder), "--camera", str(CAMERA), "-q"]
     return [*words, "--config", str(settings), *more]
 
