@@ -9,6 +9,7 @@ al., "Robust fine-tuning of zero-shot models", CVPR 2022). Running statistics of
 import argparse
 import hashlib
 from pathlib import Path
+from typing import Any
 
 from completion.networks.checkpoint import load_network, read_metadata, save_network
 from haustra.core.errors import CompletionError
@@ -28,7 +29,7 @@ def average_weights(first: Path, second: Path, share: float, out: Path) -> Path:
         for name, tensor in one.state_dict().items()
     }
     told = read_metadata(second)
-    about = {name: told[name] for name in ("steps", "seed", "unit_mm", "training") if name in told}
+    about: dict[str, Any] = {name: told[name] for name in ("steps", "seed", "unit_mm", "training") if name in told}
     about["averaged"] = {"with_sha256": hashlib.sha256(first.read_bytes()).hexdigest(), "share": share}
     save_network(out, other, mixed, about)
     return out

@@ -16,7 +16,6 @@ from pipeline.depth.multiview_stage import refine_depth
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.tiny_run import make_tiny_run
 
-
 ON = DepthSettings(multiview=True)
 
 
