@@ -21,7 +21,7 @@ from benchmarks.common.runner import add_folders, add_seeds
 from benchmarks.fusion.depths import DepthSource, true_depth
 from benchmarks.fusion.measured_run import MeasuredRun
 from pipeline.compare import compare_run
-from pipeline.config import Config
+from pipeline.config import load_config
 from pipeline.frontend.registry import AUTO, FRONT_ENDS
 from pipeline.run import reconstruct
 from reconstruction.evaluation.coverage_metrics import CoverageErrors
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser)
     add_seeds(parser, 1)
     parser.add_argument("--model", default="mscsa")
+    parser.add_argument("--config", type=Path, help="settings file of the runs, as of `reconstruct --config`")
     parser.add_argument("--front-end", default="odometry", choices=(AUTO, *FRONT_ENDS))
     parser.add_argument("--keep", type=Path, help="folder for the runs, which are removed otherwise")
 
@@ -58,8 +59,12 @@ def run_figures(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[
     """One run, measured; a run that fails has an F of 0 and the sentence that it failed with."""
     with tempfile.TemporaryDirectory() as scratch:
         output = (arguments.keep or Path(scratch)) / f"{folder.name}_{seed}"
-        config = Config(
-            camera=str(folder / "camera.json"), seed=seed, model=arguments.model, front_end=arguments.front_end
+        config = load_config(
+            arguments.config,
+            camera=str(folder / "camera.json"),
+            seed=seed,
+            model=arguments.model,
+            front_end=arguments.front_end,
         )
         try:
             reconstruct(folder, output, config, overwrite=True)
