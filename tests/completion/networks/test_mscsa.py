@@ -204,7 +204,8 @@ def test_samplers_take_exact_counts_of_true_depths_by_seed(points):
 
 
 def test_known_errors_are_those_of_the_points_and_doubt_and_outliers_give_them_tails():
-    """A tenth of the points of real runs err by over 2.2 to 3.0 of their errors, half by over 0.5 to 0.7."""
+    """A tenth of the points of real runs err by over 2.2 to 3.0 of their errors, half by over 0.5 to 0.7; training has a
+    few more outliers than they."""
     rgb, depth = torch.rand(32, 3, 96, 96), torch.full((32, 1, 96, 96), 20.0)
     known = SfmPattern(min_points=1000, corner_share=0, known_error_share=1)
     tails = []
@@ -215,12 +216,12 @@ def test_known_errors_are_those_of_the_points_and_doubt_and_outliers_give_them_t
         assert 0.6 < np.median(off) < 0.74  # of a normal distribution: 0.674
         tails.append(np.quantile(off, 0.9))
     assert tails[0] == pytest.approx(1.645, abs=0.08)
-    assert 2.2 < tails[1] < 3.05
+    assert 2.2 < tails[1] < 3.3
 
 
 def test_sfm_like_points_have_noise_outliers_and_no_points_without_truth():
     generator = torch.Generator().manual_seed(0)
-    rgb, depth = torch.rand(16, 3, 96, 96), torch.full((16, 1, 96, 96), 20.0)
+    rgb, depth = torch.rand(96, 3, 96, 96, generator=generator), torch.full((96, 1, 96, 96), 20.0)
     depth[:, :, :, :20] = 0
     sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
     assert torch.equal(sparse > 0, trust > 0)
