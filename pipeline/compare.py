@@ -121,13 +121,13 @@ def _reason(seconds: NDArray[np.float64], true_seconds: NDArray[np.float64], spa
     """What the true times look like instead of the run's seconds."""
     ours = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     ratio = spacing / max(ours, 1e-9)
-    whole = bool(np.allclose(true_seconds, np.round(true_seconds), atol=1e-6))
-    if whole and 1 <= spacing <= 100 and not 500 < ratio < 2000:
-        return f"; they look like frame numbers: divide them by the run's {1 / max(ours, 1e-9):.3g} frames/s"
     for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
-        if 0.1 * factor < ratio < 30 * factor:
+        if spacing >= 10 and 0.1 * factor < ratio < 30 * factor:
             return f"; they look like {unit}: divide them by {factor:g}"
-    return f"; a clock {true_seconds[0] - seconds[0]:+.3g} s off would explain that: subtract it"
+    if np.allclose(true_seconds, np.round(true_seconds), rtol=0, atol=1e-6):
+        return "; they look like frame numbers: divide them by the film's frames a second"
+    shift = true_seconds[0] - seconds[0]
+    return f"; if both are of the same stretch of film, a clock {shift:+.3g} s off would explain that"
 
 
 def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:

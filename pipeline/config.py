@@ -23,8 +23,8 @@ RENAMED = {
     "pose_graph.join": "loop_closing.merge_submaps",
     "pose_graph.max_places": "loop_closing.max_keyframes",
 }
-# Settings whose place another has taken, which means something else: no value of theirs can be kept.
-REPLACED = {"fusion.max_depth_ratio": "fusion.max_error_voxels"}
+# Settings whose place another has taken, which means something else: no value of theirs can be kept. With their defaults.
+REPLACED = {"fusion.max_depth_ratio": ("fusion.max_error_voxels", 2.0)}
 # Settings of version 0.1 that nobody set, and the values at which they are fixed now.
 RETIRED: dict[str, float] = {
     "frames.min_brightness": 8.0,
@@ -135,7 +135,7 @@ class FusionSettings(Settings):
     voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
     min_observations: int = Field(2, ge=1, description="frames that must agree before a surface is extracted")
     min_confidence: float = Field(0.1, ge=0, le=1, description="of depth that is fused")
-    max_error_voxels: float = Field(3.0, gt=0, description="greatest expected error of depth that is fused, in voxels")
+    max_error_voxels: float = Field(2.5, gt=0, description="greatest expected error of depth that is fused, in voxels")
     delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
 
 
@@ -209,7 +209,7 @@ def validate_config(values: dict[str, object]) -> Config:
         if name in RETIRED:
             raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {RETIRED[name]:g}; remove it")
         if name in REPLACED:
-            raise HaustraError(f"there is no setting '{name}' any more, '{REPLACED[name]}' has taken its place")
+            raise HaustraError(f"there is no setting '{name}' any more, '{REPLACED[name][0]}' has taken its place")
         if name.split(".")[0] in OLD_SECTIONS and name not in RENAMED:
             raise HaustraError(f"there is no setting '{name}'")
     try:
@@ -243,7 +243,7 @@ def read_recorded(values: dict[str, object]) -> Config:
     known: dict[str, object] = {}
     for name, value in _with_new_names(values).items():
         if isinstance(value, dict):
-            kept = {key: given for key, given in value.items() if f"{name}.{key}" not in RETIRED | REPLACED}
+            kept = {key: given for key, given in value.items() if f"{name}.{key}" not in (*RETIRED, *REPLACED)}
             if value and not kept and name not in Config.model_fields:
                 continue  # a section of which every setting was retired
             value = kept
@@ -254,7 +254,12 @@ def read_recorded(values: dict[str, object]) -> Config:
 def retired_differences(values: dict[str, Any]) -> list[str]:
     """Retired settings in a run's record that are not the constants of today, as `Config.differences` has them."""
     recorded = _flat(values)
-    return [
+    replaced = [
+        f"{old}: {recorded[old]}, whose place {new} has taken"
+        for old, (new, default) in REPLACED.items()
+        if recorded.get(old, default) != default
+    ]
+    return replaced + [
         f"{name}: {recorded[name]}, now fixed at {value:g}"
         for name, value in RETIRED.items()
         if name in recorded and recorded[name] != value

@@ -26,8 +26,6 @@ from pipeline.frontend.registry import AUTO, FRONT_ENDS
 from pipeline.run import reconstruct
 from reconstruction.evaluation.coverage_metrics import CoverageErrors
 
-METHOD = "reconstruct"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser)
@@ -40,12 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> None:
     """Every folder with every seed, then the summary."""
-    table = RunTable(arguments.json)
+    table, method = RunTable(arguments.json), asked_of(arguments)
     for folder in arguments.folders:
         for seed in range(arguments.seeds):
-            if not table.has(folder.name, seed, METHOD):
+            if not table.has(folder.name, seed, method):
                 figures = run_figures(folder, seed, arguments)
-                table.add(folder.name, seed, {METHOD: figures})
+                table.add(folder.name, seed, {method: figures})
                 print_row({"film": folder.name, "seed": seed} | figures)
     shares = [run["of_true_percent"] for run in table.runs if run["of_true_percent"] is not None]
     scores = [run["f_score_percent"] for run in table.runs]
@@ -53,6 +51,12 @@ def measure(arguments: argparse.Namespace) -> None:
         if values:
             middle, mean = statistics.median(values), statistics.fmean(values)
             print(f"{name}: median {middle:.1f} %, mean {mean:.1f} %, least {min(values):.1f} %, {len(values)} runs")
+
+
+def asked_of(arguments: argparse.Namespace) -> str:
+    """The options that a row depends on, by which it is told from others in one file."""
+    settings = arguments.config.name if arguments.config else "no settings"
+    return f"reconstruct, {arguments.model}, {arguments.front_end}, {settings}"
 
 
 def run_figures(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -68,6 +72,7 @@ def run_figures(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[
         )
         try:
             reconstruct(folder, output, config, overwrite=True)
+            return measured(output, folder)
         except ValueError as error:  # every known failure
             shutil.rmtree(output, ignore_errors=True)
             return {
@@ -76,7 +81,6 @@ def run_figures(folder: Path, seed: int, arguments: argparse.Namespace) -> dict[
                 "of_true_percent": None,
                 "failed": str(error),
             }
-        return measured(output, folder)
 
 
 def measured(output: Path, folder: Path) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 A depth that was completed in another view and carried over errs smoothly, unlike a feature: a whole patch of wall is a
 little too far. At a fold's edge it may be that of the wall behind, some patches no other frame saw, and the error that
-comes with it is an estimate. `pipeline.depth.multiview` makes the real ones.
+comes with it is an estimate. `pipeline.depth.multiview_stage` makes the real ones.
 """
 
 import torch

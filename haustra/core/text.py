@@ -7,7 +7,12 @@ from typing import Any
 
 from haustra.core.errors import HaustraError
 
-MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
 
 
 def read_text(path: Path | str) -> str:
@@ -20,14 +25,16 @@ def read_text(path: Path | str) -> str:
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
-        raise HaustraError(f"{path} is no text in UTF-8: byte {error.start} cannot be one; save it as UTF-8") from error
+        raise HaustraError(f"{path} is no text in {encoding}: byte {error.start} is none; save it as UTF-8") from error
 
 
 def read_json(path: Path | str) -> dict[str, Any]:
     """The JSON object of a file. HaustraError, one sentence, if it holds none."""
     try:
         found = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except HaustraError:
+        raise
+    except (ValueError, RecursionError) as error:  # also of a number with thousands of digits
         where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
         raise HaustraError(f"{path} is not whole JSON{where}") from error
     if not isinstance(found, dict):

@@ -96,7 +96,7 @@ class ImagingConfig:
     exposure_smoothing: float = 0.8  # part of the old gain kept each frame (0.8: about 0.2 s at 30 fps)
     fixed_gain: float = 0.0  # factor on radiance without automatic gain, as at a fixed ISO number; 0: automatic
     gain_error: float = 1.0  # factor by which a single shot's automatic gain is late: above 1 it burns
-    crosstalk: float = 0.0  # how far colour filters overlap: at 1 all channels saturate together, to white
+    crosstalk: float = 0.0  # how far colour filters overlap, up to 0.95: then all channels saturate together, to white
     gamma: float = 2.2  # display encoding
     vignette: float = 0.12  # loss of brightness in the corners
     border: str = "none"  # "none", "circle" or "octagon": what the endoscope's processor masks off

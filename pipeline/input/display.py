@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +10,8 @@ if TYPE_CHECKING:
     from av import VideoFrame
 
 UPRIGHT = np.eye(2)
+RESTART = 8  # frames by which a time must fall back to be of another part of a joined film
+LEAST_STEP = 0.01  # of the frame interval, between frames whose stamps do not increase
 
 
 class Clock:
@@ -33,14 +36,13 @@ class Clock:
             return self._last
         if self._shift is None:
             self._shift = -stamp
-        if stamp + self._shift <= self._last:
+        if stamp + self._shift < self._last - RESTART * self.step:
             self._shift = self._last + self.step - stamp
             self._restarts += 1
-            again = (
-                f"the film's time stamps run backwards {self._restarts} times: each part was put behind the one before"
-            )
-            self.notes = [again]
-        self._last = stamp + self._shift
+            times = f"the film's time stamps run backwards {self._restarts} times"
+            self.notes = [f"{times}: each part was put behind the one before"]
+        # A stamp that is repeated or a little early is of one frame alone: those after it are right.
+        self._last = max(stamp + self._shift, self._last + LEAST_STEP * self.step)
         return self._last
 
 
@@ -64,3 +66,13 @@ def upright(rgb: NDArray[np.uint8], matrix: NDArray[np.float64]) -> NDArray[np.u
         rgb = rgb.swapaxes(0, 1)
         across, down = matrix[0, 1], matrix[1, 0]
     return rgb[:: -1 if down < 0 else 1, :: -1 if across < 0 else 1]
+
+
+def upper_field(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The rows (H,W,3) of the upper field where they are, and the mean of two of them in place of each row of the lower
+    field, which is of another time and would double all edges."""
+    field = rgb[::2]
+    between = cv2.addWeighted(field, 0.5, np.concatenate([field[1:], field[-1:]]), 0.5, 0)
+    whole = np.empty_like(rgb)
+    whole[::2], whole[1::2] = field, between[: len(rgb) // 2]
+    return whole

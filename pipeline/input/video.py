@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.input.display import Clock, display_matrix, upright
+from pipeline.input.display import Clock, display_matrix, upper_field, upright
 from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture
 
 if TYPE_CHECKING:
@@ -56,7 +56,9 @@ class Source:
         if not self.is_folder:
             self._stream, streams, self.announced = film_stream(path)
             if streams > 1:
-                self._note(f"of the file's {streams} video streams number {self._stream}, the longest, was taken")
+                self._note(
+                    f"of the file's {streams} video streams number {self._stream}, the one with most pictures, was taken"
+                )
 
     def __iter__(self) -> Iterator[RawFrame]:
         return self._read_folder() if self.is_folder else self._read_video()
@@ -134,8 +136,8 @@ class Source:
         if frame.interlaced_frame:
             self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")
         rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
-        if frame.interlaced_frame:  # the lower field is of another time, which would double all edges
-            rgb = cv2.resize(rgb[::2], (rgb.shape[1], rgb.shape[0]), interpolation=cv2.INTER_LINEAR)  # type: ignore[assignment]
+        if frame.interlaced_frame:
+            rgb = upper_field(rgb)
         if aspect != 1:
             self._note(f"pixels are not square ({aspect}): frames were stretched to make them so")
             rgb = cv2.resize(rgb, (round(rgb.shape[1] * float(aspect)), rgb.shape[0]), interpolation=cv2.INTER_AREA)

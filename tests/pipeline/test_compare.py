@@ -32,10 +32,11 @@ def test_a_run_of_a_few_frames_of_a_long_truth_is_enough() -> None:
 @pytest.mark.parametrize(
     ("true_seconds", "reason"),
     [
-        (np.arange(60.0), r"only 3 of 60 .* frame numbers: divide them by the run's 30 frames/s"),
+        (np.arange(60.0), r"only 3 of 60 .* frame numbers: divide them by the film's frames a second"),
         (np.arange(1, 61.0), r"frame numbers"),
         (1000 * RUN + 5e3, r"milliseconds: divide them by 1000"),
         (1e9 * RUN, r"nanoseconds"),
+        (np.round(1000 * RUN), r"milliseconds"),
         (RUN + 1.4, r"a clock \+1.4 s off"),
         (RUN + 1.6e9, r"a clock \+1.6e\+09 s off"),
         (RUN - 1.2, r"a clock -1.2 s off"),

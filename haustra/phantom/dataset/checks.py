@@ -84,7 +84,7 @@ RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
     "imaging.exposure_smoothing": (0.0, 0.999),
     "imaging.fixed_gain": (0.0, 1e6),
     "imaging.gain_error": (1e-3, 1e3),
-    "imaging.crosstalk": SHARE,
+    "imaging.crosstalk": (0.0, 0.95),
     "imaging.gamma": (0.2, 5.0),
     "imaging.vignette": SHARE,
     "imaging.noise": (0.0, 1.0),

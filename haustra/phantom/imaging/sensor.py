@@ -104,7 +104,7 @@ def saturated(light: Floats, crosstalk: float) -> Floats:
         # Channels through overlapping filters, c = light + crosstalk (white - light), clipped, and taken apart again:
         # the sum that clips at 1 is restored by its own white, which the clipped channels have too.
         mixed = np.minimum(light + np.float32(crosstalk) * (white - light), np.float32(1))
-        rest = np.float32(max(1 - crosstalk, 0.05))
+        rest = np.float32(1 - crosstalk)
         own_white = (mixed @ LUMA)[..., None]
         light = own_white + (mixed - own_white) / rest
     return np.clip(light, 0.0, 1.0, out=light)

@@ -204,8 +204,8 @@ def test_samplers_take_exact_counts_of_true_depths_by_seed(points):
 
 
 def test_known_errors_are_those_of_the_points_and_doubt_and_outliers_give_them_tails():
-    """A tenth of the points of real runs err by over 2.2 to 3.0 of their errors, half by over 0.5 to 0.7; training has a
-    few more outliers than they."""
+    """A tenth of the points of real runs err by over 2.2 to 3.0 of their errors, half by over 0.5 to 0.7; training has
+    a few more outliers than they."""
     rgb, depth = torch.rand(32, 3, 96, 96), torch.full((32, 1, 96, 96), 20.0)
     known = SfmPattern(min_points=1000, corner_share=0, known_error_share=1)
     tails = []

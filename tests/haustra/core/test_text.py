@@ -43,7 +43,7 @@ def test_a_camera_file_that_is_cut_is_one_sentence(tmp_path: Path, cut: int) -> 
         read_camera(path)
 
 
-@pytest.mark.parametrize("text", ["[]", '"camera"', "3", "null", "[" * 100_000])
+@pytest.mark.parametrize("text", ["[]", '"camera"', "3", "null", "[" * 100_000, '{"width": ' + "9" * 5000 + "}"])
 def test_json_of_another_type_is_one_sentence(tmp_path: Path, text: str) -> None:
     path = tmp_path / "camera.json"
     path.write_text(text)

@@ -53,6 +53,14 @@ def test_a_clock_that_begins_late_keeps_its_intervals(start: float, steps: list[
     np.testing.assert_allclose([clock.seconds(float(t)) for t in times], times - start, atol=1e-6)
 
 
+@pytest.mark.parametrize("file_says", [[0, 0, 2, 2, 4, 4, 6, 6], [0, 1, 2, 1.5, 4, 5, 6]])
+def test_a_repeated_or_early_stamp_moves_no_other_frame(file_says: list[float]) -> None:
+    times, clock = np.array(file_says) / 30, Clock(30.0)
+    seconds = [clock.seconds(float(time)) for time in times]
+    np.testing.assert_allclose(seconds, np.maximum.accumulate(times), atol=0.02 / 30)
+    assert not clock.notes
+
+
 def encode(path: Path, sizes: list[int], shade: int = 0, start: int = 0) -> Path:
     """A video of a moving bar, a frame for each size."""
     with av.open(str(path), "w") as file:
@@ -147,6 +155,7 @@ def test_companions_of_macos_are_no_pictures(tmp_path: Path) -> None:
     [
         (["0.4", "0.05", "10.0", "0.35"], ["0.05", "0.35", "0.4", "10.0"]),
         (["1.10", "1.9", "1.1"], ["1.1", "1.9", "1.10"]),
+        (["1.1000", "1.099", "1.1001", "1.999"], ["1.099", "1.999", "1.1000", "1.1001"]),
         (["f10", "f9", "f100"], ["f9", "f10", "f100"]),
         (["a2b10", "a2b9", "a10b1"], ["a2b9", "a2b10", "a10b1"]),
     ],
