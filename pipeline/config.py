@@ -23,7 +23,7 @@ RENAMED = {
     "pose_graph.join": "loop_closing.merge_submaps",
     "pose_graph.max_places": "loop_closing.max_keyframes",
 }
-# Settings whose place another has taken, which means something else: no value of theirs can be kept. With their defaults.
+# Settings whose place another has taken, which means something else, and their defaults: no other value can be kept.
 REPLACED = {"fusion.max_depth_ratio": ("fusion.max_error_voxels", 2.0)}
 # Settings of version 0.1 that nobody set, and the values at which they are fixed now.
 RETIRED: dict[str, float] = {

@@ -56,9 +56,7 @@ class Source:
         if not self.is_folder:
             self._stream, streams, self.announced = film_stream(path)
             if streams > 1:
-                self._note(
-                    f"of the file's {streams} video streams number {self._stream}, the one with most pictures, was taken"
-                )
+                self._note(f"of {streams} video streams number {self._stream} was taken, which has most pictures")
 
     def __iter__(self) -> Iterator[RawFrame]:
         return self._read_folder() if self.is_folder else self._read_video()
