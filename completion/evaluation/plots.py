@@ -144,7 +144,7 @@ def _strata_shares(axis: Any, strata: Mapping[str, Mapping[str, Mapping[str, flo
     for found in strata.values():
         axis.plot([100 * found[n]["within_one"] for n in found], [names.index(n) for n in found], "o")
     axis.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 100))
-    axis.set_xlabel("pixels whose error is below the predicted one [%]; 63 if calibrated")
+    axis.set_xlabel("errors below the predicted one [%]; 63 if calibrated")
     axis.invert_yaxis()
     axis.grid(True, axis="x", alpha=0.3)
 
