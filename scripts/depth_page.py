@@ -161,9 +161,21 @@ def ct_colon(record: dict[str, Any]) -> list[str]:
     ]
 
 
+def lids(record: dict[str, Any]) -> list[str]:
+    """Mouths of diverticula that are closed."""
+    before, now = record["before"], record["now"]
+    return [
+        "\n## Lids over diverticula\n",
+        f"`{record['command']}`, three films of `benchmarks/diverticula.yaml`, seed 0,",
+        f"runs of commit {record['commit'][:7]}:",
+        f"{now['closed']} of {now['judged']} judged mouths are closed; before (commit {before['commit']}) "
+        f"{before['closed']} of {before['judged']}. A mouth whose lid bulges by over 1.5 mm counts as open.",
+    ]
+
+
 def page(record: dict[str, Any]) -> str:
     lines = [HEAD.format(machine=record["machine"]), *films(record), *ct_colon(record["ct_h264"])]
-    lines += completion(record["completion"]) + strata(record["strata"])
+    lines += completion(record["completion"]) + strata(record["strata"]) + lids(record["lids"])
     return "\n".join(lines) + "\n" + CHOSEN + TRIED
 
 
