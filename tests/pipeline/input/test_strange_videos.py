@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from haustra.core.errors import HaustraError
-from pipeline.input.display import Clock, upright
+from pipeline.input.display import Clock, upper_field, upright
 from pipeline.input.image_folder import in_natural_order
 from pipeline.input.video import Source
 
@@ -163,3 +163,13 @@ def test_companions_of_macos_are_no_pictures(tmp_path: Path) -> None:
 def test_numbers_are_ordered_by_value(names: list[str], ordered: list[str]) -> None:
     found = in_natural_order([Path(f"{name}.png") for name in names])
     assert [path.stem for path in found] == ordered
+
+
+@pytest.mark.parametrize("height", [8, 9])
+def test_the_upper_field_stays_in_its_rows_and_the_lower_one_leaves_no_trace(height: int) -> None:
+    """Upper rows on a ramp, lower rows of another time at 255: what comes out is the ramp, to its last row."""
+    ramp = 20 * np.arange(height, dtype=np.uint8)
+    frame = np.repeat(np.where(np.arange(height) % 2, 255, ramp).astype(np.uint8), 6).reshape(height, 2, 3)
+    shown = upper_field(frame)
+    last = height - 1 - (height - 1) % 2  # the last upper row, which is repeated below it
+    np.testing.assert_array_equal(shown[:, 0, 0], np.minimum(ramp, ramp[last]))
