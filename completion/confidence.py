@@ -18,7 +18,8 @@ def confidence_from_error(error: Array) -> Array:
     return variance / (variance + error * error)  # type: ignore[operator]
 
 
-def error_from_confidence(confidence: NDArray[np.floating]) -> NDArray[np.float32]:
-    """The inverse of `confidence_from_error`: predicted relative error; infinite where confidence is 0."""
+def error_from_confidence(confidence: NDArray[np.floating], least: float = 0.0) -> NDArray[np.float32]:
+    """The inverse of `confidence_from_error`: predicted relative error; that of a confidence of `least` where it is
+    lower, which keeps it finite unless that is 0."""
     with np.errstate(divide="ignore"):
-        return (HALF_CONFIDENCE_ERROR * np.sqrt(1 / confidence - 1)).astype(np.float32)
+        return (HALF_CONFIDENCE_ERROR * np.sqrt(1 / np.maximum(confidence, least) - 1)).astype(np.float32)

@@ -61,7 +61,8 @@ def films(record: dict[str, Any]) -> list[str]:
     lines = [
         "\n## Eight films that nothing was chosen on\n",
         f"`{record['films']['command']}`, seed 0, commit {record['films']['environment']['commit'][:7]}; before:",
-        f"`reconstruct` and `haustra compare` at commit {record['before']['commit']}, the same films. F at 1 mm in",
+        f"`reconstruct` and `haustra compare` at commit {record['before']['commit']}, the same films. The rows",
+        "are finished runs of commit 1fe08bc that were continued from their depth with the final limit. F at 1 mm in",
         "percent; *true* is true depth on the same poses, *share* F of that; coverage's error in points.",
         "\n| film | before | now | precision | recall | true | share | ATE (mm) | coverage |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -45,8 +45,9 @@ def measure(arguments: argparse.Namespace) -> None:
                 figures = run_figures(folder, seed, arguments)
                 table.add(folder.name, seed, {method: figures})
                 print_row({"film": folder.name, "seed": seed} | figures)
-    shares = [run["of_true_percent"] for run in table.runs if run["of_true_percent"] is not None]
-    scores = [run["f_score_percent"] for run in table.runs]
+    runs = [run for run in table.runs if run["method"] == method]
+    shares = [run["of_true_percent"] for run in runs if run["of_true_percent"] is not None]
+    scores = [run["f_score_percent"] for run in runs]
     for name, values in (("F", scores), ("of true depth's F", shares)):
         if values:
             middle, mean = statistics.median(values), statistics.fmean(values)

@@ -115,7 +115,7 @@ class DepthCompleter:
         if not points.any():
             return depth, confidence
         size = points.shape[::-1]
-        error = error_from_confidence(np.maximum(confidence, np.float32(1e-6)))
+        error = error_from_confidence(confidence, least=1e-6)
         known = np.where(depth > 0, depth, np.median(sparse[sparse > 0])).astype(np.float32)
         last = cv2.resize(known, size), np.clip(cv2.resize(error, size), LEAST_ERROR, GREATEST_ERROR)
         found, doubt = self._predict(image[None], points[None], weights[None], (last[0][None], last[1][None]))

@@ -30,10 +30,9 @@ def read_text(path: Path | str) -> str:
 
 def read_json(path: Path | str) -> dict[str, Any]:
     """The JSON object of a file. HaustraError, one sentence, if it holds none."""
+    text = read_text(path)
     try:
-        found = json.loads(read_text(path))
-    except HaustraError:
-        raise
+        found = json.loads(text)
     except (ValueError, RecursionError) as error:  # also of a number with thousands of digits
         where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
         raise HaustraError(f"{path} is not whole JSON{where}") from error

@@ -12,7 +12,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from completion.confidence import error_from_confidence
 from completion.inference.completer import DepthCompleter
@@ -29,6 +28,7 @@ STAGE = REFINED
 STEPS = (1, 2, 4, 8)  # keyframes before and after that are asked: near ones overlap, far ones err otherwise
 CELL = 1 / 36  # of the width, side of a cell with one point: 9 px of 320
 MAX_ERROR = 0.3  # expected relative error of a pixel that is carried over
+LEAST_CONFIDENCE = 1 / 510  # half of its smallest step on disk
 CACHED = 2 * max(STEPS) + 2  # first depths in memory
 
 
@@ -75,16 +75,11 @@ def _first_views(completed: CompletedSubmap) -> Callable[[int], UnsureView]:
     @lru_cache(CACHED)
     def view(place: int) -> UnsureView:
         depth, confidence, world_from_camera = completed.depth(int(completed.rows[place]))
-        error = relative_error(confidence)
+        error = error_from_confidence(confidence, LEAST_CONFIDENCE)
         sure = np.where(error <= MAX_ERROR, depth, np.float32(0))
         return UnsureView(sure, error, completed.camera.matrix, world_from_camera)
 
     return view
-
-
-def relative_error(confidence: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Expected relative error (H,W) of a confidence, finite: where that is 0, of its smallest step on disk."""
-    return error_from_confidence(np.maximum(confidence, np.float32(1 / 510)))
 
 
 def _refine(
@@ -101,15 +96,15 @@ def _refine(
     if store.has_depth(index):
         return
     depth, confidence, world_from_camera = completed.depth(row)
-    near = (place + sign * step for step in STEPS for sign in (-1, 1))
-    others = [first(other) for other in near if 0 <= other < len(completed)]
-    cell = max(2, round(CELL * depth.shape[1]))
-    carried, carried_error = transferred(depth.shape, completed.camera.matrix, world_from_camera, others, cell)
-    sparse, error = maker.sparse_depth(row).maps(*depth.shape)
-    measured = sparse > 0
-    points = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
     refined, doubt = depth, confidence
     if completer.can_refine:
+        near = (place + sign * step for step in STEPS for sign in (-1, 1))
+        others = [first(other) for other in near if 0 <= other < len(completed)]
+        cell = max(2, round(CELL * depth.shape[1]))
+        carried, carried_error = transferred(depth.shape, completed.camera.matrix, world_from_camera, others, cell)
+        sparse, error = maker.sparse_depth(row).maps(*depth.shape)
+        measured = sparse > 0
+        points = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
         refined, doubt = completer.refine(completed.rgb(row), *points, depth, confidence)
     nothing = np.float32(0)
     store.write_depth(index, np.where(depth > 0, refined, nothing), np.where(depth > 0, doubt, nothing))

@@ -131,10 +131,9 @@ class Source:
 
     def _upright(self, frame: "VideoFrame", aspect: Fraction) -> NDArray[np.uint8]:
         """Pixels (H,W,3) as they are to be looked at: square, and turned upright."""
-        if frame.interlaced_frame:
-            self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")
         rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
         if frame.interlaced_frame:
+            self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")
             rgb = upper_field(rgb)
         if aspect != 1:
             self._note(f"pixels are not square ({aspect}): frames were stretched to make them so")

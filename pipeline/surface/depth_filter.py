@@ -13,7 +13,7 @@ from reconstruction.fusion.depth_consistency import Agreement, DepthView, agreem
 
 SEVERITY = 6.0  # one contradiction against none divides the confidence by 1 + this
 MAX_CONTRADICTED = 0.5  # share of pixels beyond which a keyframe is left out
-LEAST_CONFIDENCE = np.float32(1e-6)  # whose error is 30 times the depth: finite, and never fused
+LEAST_CONFIDENCE = 1e-6  # whose error is 30 times the depth: finite, and never fused
 CACHED = 64  # depth maps kept while the check moves along the keyframes; more than its reach on both sides
 
 
@@ -60,7 +60,7 @@ class DepthFilter:
         remaining = np.where(kept, confidence * left, np.float32(0))
         if np.isfinite(self.max_error):
             depth = self._view(number).depth
-            error = error_from_confidence(np.maximum(remaining, LEAST_CONFIDENCE)) * depth
+            error = error_from_confidence(remaining, LEAST_CONFIDENCE) * depth
             remaining[error > self.max_error] = 0
         return remaining
 
