@@ -142,6 +142,12 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
     return coverage_errors(coverage.transformed(truth_from_run), wall)
 
 
+def load_path(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Seconds (N,) and world_from_camera (N,4,4), mm, of an RGB-D folder or a TUM file."""
+    seconds, world_from_camera, _ = _load_truth(truth)
+    return seconds, world_from_camera
+
+
 def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], ReferenceSurface | None]:
     """Seconds, poses, and the surface if there is one."""
     if truth.is_dir():

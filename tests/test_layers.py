@@ -20,6 +20,7 @@ TREES = (*PACKAGES, "tests", "benchmarks", "scripts")
 ORDER = """
 pipeline.cli
 pipeline.demo
+pipeline.climb
 pipeline.compare
 pipeline.run
 pipeline.report

@@ -109,6 +109,7 @@ class ImagingConfig:
     chroma_px: int = 1  # 2 keeps one colour sample for 2x2 pixels (4:2:0)
     jpeg_quality: int = 0  # 1 to 100: blocks and ringing as a recorder leaves them; 0 keeps the picture as it is
     text: bool = False  # burned-in lines such as a processor writes; invented, no patient's
+    readout: str = "at_once"  # "interlaced": odd lines half a frame later; "sequential": red, green, blue in turn
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,8 @@ class CameraConfig:
     height: int = 320  # px
     fov_deg: float = 90.2  # horizontal, edge to edge; colonoscopes have 100 to 170 over the diagonal
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # k1 k2 p1 p2, or k1..k4 for fisheye
+    focal_px: tuple[float, float] = (0.0, 0.0)  # of a measured lens, instead of `fov_deg`; 0 derives it
+    centre_px: tuple[float, float] = (0.0, 0.0)  # principal point of a measured lens; 0 is the picture's middle
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,7 @@ class MotionConfig:
     look_backs: int = 0  # times the tip bends round to look behind a fold, and returns
     look_back_deg: float = 110.0
     manoeuvre_s: float = 1.0  # length of each of these; a look-back takes three
+    recording: str = ""  # TUM file of a real hand's motion (mm) to replay along the lumen, instead of all above
 
 
 @dataclass(frozen=True)
@@ -162,6 +166,16 @@ class EventsConfig:
 
 
 @dataclass(frozen=True)
+class TissueConfig:
+    """Motion of the whole wall all the time: contractions, breathing, insufflation, the tip's push."""
+
+    amplitude_mm: float = 0.0  # about the largest displacement from rest; 0 keeps the wall still
+    wave_speed_mm_s: float = 20.0  # of contractions along the gut
+    breath_s: float = 4.0  # period
+    insufflation_s: float = 13.0  # period of widening and narrowing by gas
+
+
+@dataclass(frozen=True)
 class PhantomConfig:
     """All settings of a phantom. The same config gives the same bytes."""
 
@@ -172,6 +186,7 @@ class PhantomConfig:
     camera: CameraConfig = field(default_factory=CameraConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     events: EventsConfig = field(default_factory=EventsConfig)
+    tissue: TissueConfig = field(default_factory=TissueConfig)
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, strings and lists, fit for YAML."""

@@ -45,16 +45,18 @@ class ExportCommand(TyperCommand):
 @app.command(cls=ExportCommand)
 def export(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    target: Annotated[Path, typer.Argument(help="file to write")],
+    target: Annotated[Path, typer.Argument(help="file to write; with --climb a folder")],
     max_error: Annotated[
         float | None, typer.Option(help="fewer triangles, none farther off than this, in the run's unit")
     ] = None,
     texture: Annotated[bool, typer.Option(help="colours as a picture laid over the mesh; .glb and .obj")] = False,
+    climb: Annotated[bool, typer.Option("--climb", help="poses and points as CLiMB's submissions have them")] = False,
 ) -> None:
     """Write a run's mesh in another format, or the whole run for another program, as a Rerun recording."""
+    from pipeline.climb import write_submission
     from pipeline.report.exporters import export_run
 
-    print(export_run(run, target, max_error, texture))
+    print(write_submission(run, target) if climb else export_run(run, target, max_error, texture))
 
 
 @app.command()
@@ -62,13 +64,20 @@ def compare(
     run: Annotated[Path, typer.Argument(help="run folder")],
     truth: Annotated[Path, typer.Argument(help="RGB-D folder or TUM trajectory with the truth")],
     tau_mm: Annotated[float, typer.Option(help="distance of the F-score, in the truth's unit (mm)")] = 1.0,
+    protocol: Annotated[
+        str, typer.Option(help="haustra; or climb: CLiMB's, one Sim(3) a submap; TRUTH may be images.txt of COLMAP")
+    ] = "haustra",
+    min_common: Annotated[int, typer.Option(min=3, help="climb: frames that a submap must share with TRUTH")] = 100,
     json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,
 ) -> None:
     """Errors of a run against truth: path (ATE, RTE, ROT) and surface (accuracy, completeness, F-score)."""
+    from pipeline.climb import compare_climb
     from pipeline.compare import compare_run
     from pipeline.run_folder.workspace import write_json
 
-    result = compare_run(run, truth, tau_mm)
+    if protocol not in ("haustra", "climb"):
+        raise HaustraError(f"--protocol is haustra or climb, not {protocol!r}")
+    result = compare_climb(run, truth, min_common) if protocol == "climb" else compare_run(run, truth, tau_mm)
     print(result)
     if json_file is not None:
         write_json(json_file, result.to_dict())
@@ -85,6 +94,10 @@ def phantom(
     events: Annotated[bool, typer.Option("--events", help="red-out, water jet, bubbles, tool, peristalsis")] = False,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings; with --suite, of sequences")] = None,
     suite: Annotated[bool, typer.Option("--suite", help="the five evaluation sequences instead")] = False,
+    living_suite: Annotated[
+        bool, typer.Option("--living-suite", help="films of moving walls, real hands and real lenses instead")
+    ] = False,
+    recordings: Annotated[Path, typer.Option(help="folder of the camera paths that --living-suite names")] = Path(),
     training: Annotated[int | None, typer.Option(min=1, help="this many random training frames instead")] = None,
     gallery: Annotated[bool, typer.Option("--gallery", help="a picture of all scenes instead")] = False,
     workers: Annotated[int, typer.Option(min=1, help="processes that render training frames")] = 2,
@@ -93,12 +106,13 @@ def phantom(
 ) -> None:
     """Make a colon that knows its truth and film it: video, depth, path, mesh, lesions."""
     from haustra.core.progress import SilentProgress, TerminalProgress
+    from haustra.phantom.dataset.suite import LIVING_FILE, SUITE_FILE
     from pipeline.cli.phantom import PhantomOptions, chosen_config, render, render_training, suite_folders
 
     progress = SilentProgress() if quiet else TerminalProgress()
     options = PhantomOptions(scene, seed, frames, size, motion, events, config)
-    if sum([suite, training is not None, gallery]) > 1:
-        raise HaustraError("give only one of --suite, --training and --gallery")
+    if sum([suite, living_suite, training is not None, gallery]) > 1:
+        raise HaustraError("give only one of --suite, --living-suite, --training and --gallery")
     if gallery:
         from haustra.phantom.dataset.gallery import write_gallery
 
@@ -106,12 +120,13 @@ def phantom(
             print(write_gallery(out, advance))
     elif training is not None:
         print(render_training(out, training, options, workers, progress))
-    elif suite:
+    elif suite or living_suite:
         if options != PhantomOptions(config=config):
-            raise HaustraError("--suite is fixed: it takes --config FILE, --overwrite and --quiet only")
-        print(*render(suite_folders(out, config), progress, overwrite), sep="\n")
+            raise HaustraError("a suite is fixed: it takes --config FILE, --recordings, --overwrite and --quiet only")
+        films = suite_folders(out, config or (LIVING_FILE if living_suite else SUITE_FILE))
+        print(*render(films, progress, overwrite, recordings), sep="\n")
     else:
-        print(*render({out: chosen_config(options)}, progress, overwrite))
+        print(*render({out: chosen_config(options)}, progress, overwrite, recordings))
 
 
 @app.command()

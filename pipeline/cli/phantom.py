@@ -12,6 +12,7 @@ from haustra.phantom.dataset.checks import check
 from haustra.phantom.dataset.generate import FILES, RECORDS, clear, generate, is_begun, is_finished
 from haustra.phantom.dataset.scenes import film_of, scene_config
 from haustra.phantom.dataset.suite import config_from, load_suite, read_settings
+from haustra.phantom.motion.recorded_path import read_recording
 from haustra.phantom.timeline import frames_needed
 
 OURS = {*FILES, *RECORDS, "rgb", "depth", "mesh.ply.partial"}  # what a film's folder holds
@@ -45,10 +46,17 @@ def chosen_config(options: PhantomOptions) -> PhantomConfig:
     return film_of(config, frames, options.size, options.motion)
 
 
-def render(sequences: Mapping[Path, PhantomConfig], progress: Progress, overwrite: bool = False) -> list[Path]:
-    """Film each config into its folder; finished ones are left as they are. Returns the folders in order."""
+def render(
+    sequences: Mapping[Path, PhantomConfig], progress: Progress, overwrite: bool = False, recordings: Path = Path()
+) -> list[Path]:
+    """Film each config into its folder; finished ones are left as they are. Returns the folders in order.
+
+    `recordings` is the folder of the recorded camera paths that configs name.
+    """
     for folder, config in sequences.items():
         check(config)
+        if config.motion.recording:
+            read_recording(recordings / config.motion.recording)
         if not is_finished(folder, config):
             _refuse_foreign_files(folder, config, overwrite)
     for folder, config in sequences.items():
@@ -58,13 +66,13 @@ def render(sequences: Mapping[Path, PhantomConfig], progress: Progress, overwrit
         clear(folder)
         progress.log(f"{folder.name}: growing {config.anatomy.length_mm:.0f} mm of gut, seed {config.seed}")
         with progress.bar(folder.name, config.motion.frames) as advance:
-            generate(config, folder, progress=advance)
+            generate(config, folder, progress=advance, recordings=recordings)
     return list(sequences)
 
 
-def suite_folders(out: Path, file: Path | None = None) -> dict[Path, PhantomConfig]:
-    """The five evaluation sequences, or those of a file like suite.yaml, each in a folder of its own."""
-    return {out / name: config for name, config in (load_suite(file) if file else load_suite()).items()}
+def suite_folders(out: Path, file: Path) -> dict[Path, PhantomConfig]:
+    """The sequences of a file like suite.yaml, each in a folder of its own."""
+    return {out / name: config for name, config in load_suite(file).items()}
 
 
 def render_training(out: Path, frames: int, options: PhantomOptions, workers: int, progress: Progress) -> Path:

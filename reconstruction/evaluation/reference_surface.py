@@ -42,9 +42,13 @@ class ReferenceSurface:
 def read_reference_surface(
     folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = 0.5
 ) -> ReferenceSurface:
-    """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`."""
+    """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`.
+
+    Where the wall moves (the folder has a wall_motion.json) depth images show it at many places; the reference is then
+    the wall at rest, the mesh.ply.
+    """
     folder = Path(folder)
-    if not (folder / "depth").is_dir():
+    if not (folder / "depth").is_dir() or (folder / "wall_motion.json").exists():
         return reference_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
     # Thinned to half the spacing on the way, so that memory follows the surface and not the length of the video.
     pending: list[tuple[Array, Array]] = []

@@ -9,15 +9,19 @@ from typing import Any
 from haustra.core.errors import PhantomError
 from haustra.phantom.config import PhantomConfig
 from haustra.phantom.imaging.camera import MODELS, make_camera
+from haustra.phantom.imaging.readout import EXPOSURES
+from haustra.phantom.imaging.sensor import border_window
 from haustra.phantom.motion.camera_path import DIRECTIONS
 from haustra.phantom.timeline import plan_timeline
 
 CHOICES = {
     "anatomy.scene": ("colon", "small_intestine"),
     "imaging.border": ("none", "circle", "octagon"),
+    "imaging.readout": tuple(EXPOSURES),
     "camera.model": MODELS,
     "motion.direction": tuple(DIRECTIONS),
 }
+FREE_TEXT = ("motion.recording",)
 MANY = math.inf
 SHARE, ANY, POSITIVE = (0.0, 1.0), (-MANY, MANY), (0.0, MANY)
 RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
@@ -99,6 +103,8 @@ RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
     "camera.height": (16, 4096),
     "camera.fov_deg": (5.0, 179.0),
     "camera.distortion": (-10.0, 10.0),
+    "camera.focal_px": (0.0, 1e5),
+    "camera.centre_px": (0.0, 1e5),
     "motion.frames": (1, 100_000),
     "motion.fps": (1.0, 1000.0),
     "motion.start": SHARE,
@@ -125,6 +131,10 @@ RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
     "events.peristalsis": (0, 1000),
     "events.duration_s": (0.05, 60.0),
     "events.contraction": (0.0, 0.8),
+    "tissue.amplitude_mm": (0.0, 20.0),
+    "tissue.wave_speed_mm_s": (0.1, 200.0),
+    "tissue.breath_s": (0.2, 600.0),
+    "tissue.insufflation_s": (0.2, 600.0),
 }
 MIN_TEXT_PX = 128  # image width below which burned-in text covers most of it
 
@@ -132,7 +142,7 @@ MIN_TEXT_PX = 128  # image width below which burned-in text covers most of it
 def check(config: PhantomConfig) -> None:
     """Raise PhantomError for the first value that is unknown, not finite or out of range, a lens that folds
     over, or a film too short for what is to happen in it."""
-    for section in ("anatomy", "appearance", "imaging", "camera", "motion", "events"):
+    for section in ("anatomy", "appearance", "imaging", "camera", "motion", "events", "tissue"):
         part = getattr(config, section)
         for field in fields(part):
             _check_one(f"{section}.{field.name}", getattr(part, field.name))
@@ -143,7 +153,9 @@ def check(config: PhantomConfig) -> None:
         raise PhantomError(f"imaging.text needs a picture at least {MIN_TEXT_PX} px wide, got {camera.width}")
     if camera.model == "PINHOLE" and any(camera.distortion):
         raise PhantomError("camera: PINHOLE has no distortion; take OPENCV or OPENCV_FISHEYE")
-    make_camera(camera).rays()
+    if config.tissue.amplitude_mm and config.events.peristalsis:
+        raise PhantomError("tissue.amplitude_mm moves the wall all the time; leave events.peristalsis at 0")
+    make_camera(camera).rays(border_window(config.imaging.border, camera.width, camera.height))
     plan_timeline(config.motion, config.events, config.seed)
 
 
@@ -152,6 +164,8 @@ def _check_one(name: str, value: Any) -> None:
     if isinstance(value, bool):
         return
     if isinstance(value, str):
+        if name in FREE_TEXT:
+            return
         if value not in CHOICES[name]:
             raise PhantomError(f"{name}: unknown {value!r}; known: {', '.join(CHOICES[name])}")
         return

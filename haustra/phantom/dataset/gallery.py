@@ -83,7 +83,7 @@ def _events() -> list[Image]:
     config = replace(config, camera=lens, imaging=imaging, motion=motion, events=EventsConfig(1, 1, 1, 1, 1))
     phantom = Phantom(config)
     script = write_script(phantom)
-    film = list(phantom.film(script.world_from_camera, script.timeline, script.peristalsis))
+    film = list(phantom.film(script.world_from_camera, script.timeline, script.wall))
     middles = {slot.kind: (slot.first + slot.last) // 2 for slot in script.timeline}
     return [film[middles[kind]].image for kind in EVENTS] + [film[-1].image]
 

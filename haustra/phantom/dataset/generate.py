@@ -5,9 +5,10 @@ rgb/%05d.png    the same frames, lossless
 depth/%05d.png  uint16 z-depth in units of 0.01 mm, 0 = none
 trajectory.txt  TUM lines "seconds tx ty tz qx qy qz qw", world_from_camera, mm
 mesh.ply        the wall at rest, mm; face properties: `seen` is 1 where any frame's pixel centre hit it, `nearest_mm`
-                the smallest depth at which one did (infinite where none). With peristalsis, vertex properties
-                axis_x axis_y axis_z arc_mm say how each vertex moves (see `peristalsis`)
+                the smallest depth at which one did (infinite where none). Where the wall moves, vertex properties
+                axis_x axis_y axis_z arc_mm say how each vertex moves (see `peristalsis`, `living_wall`)
 events.json     what happened when: manoeuvres and events with frames and seconds; per frame, each contraction
+wall_motion.json  with `tissue.amplitude_mm`: the state of the living wall in each frame (see `living_wall`)
 camera.json  polyps.json  diverticula.json  config.yaml
 
 Depth is that of the wall: 0 under burned-in text, outside the border mask, and where an event hides the wall.
@@ -37,10 +38,11 @@ from haustra.phantom.config import PhantomConfig
 from haustra.phantom.dataset.checks import check
 from haustra.phantom.dataset.script import Script, write_script
 from haustra.phantom.imaging.render import Frame, Phantom
-from haustra.phantom.motion.peristalsis import WIDTH_MM
+from haustra.phantom.motion.living_wall import LivingWall
+from haustra.phantom.motion.peristalsis import WIDTH_MM, Peristalsis
 
 FILES = ("video.mp4", "trajectory.txt", "mesh.ply", "events.json", "camera.json", "config.yaml")
-RECORDS = ("polyps.json", "diverticula.json")  # lesions
+RECORDS = ("polyps.json", "diverticula.json", "wall_motion.json")
 DEPTH_UNIT_MM = 0.01  # of depth images; uint16 then reaches 655 mm
 Progress = Callable[[int, int], None]
 
@@ -52,6 +54,7 @@ def generate(
     crf: int = 18,
     threads: int = 0,
     preset: str = "veryfast",
+    recordings: Path = Path(),
 ) -> Path:
     """Film one phantom into `folder` (made if missing); `progress(done, total)` counts frames.
 
@@ -62,13 +65,16 @@ def generate(
     folder = Path(folder)
     check(config)
     phantom = Phantom(config, threads)
-    script = write_script(phantom)
+    script = write_script(phantom, recordings)
     folder.mkdir(parents=True, exist_ok=True)
     _write_records(folder, phantom)
     _write_trajectory(folder / "trajectory.txt", script.world_from_camera, config.motion.fps)
     _write_events(folder / "events.json", script, config.motion.fps)
+    if isinstance(script.wall, LivingWall):
+        (folder / "wall_motion.json").write_text(json.dumps(script.wall.record(config.motion.frames)) + "\n")
     nearest_mm = film_into(folder, phantom, script, progress, crf, preset)
-    motion = script.peristalsis.vertex_properties() if config.events.peristalsis else {}
+    moves = config.events.peristalsis or config.tissue.amplitude_mm
+    motion = script.wall.vertex_properties() if moves else {}
     write_ply(folder / "mesh.ply", phantom.colon.vertices, phantom.colon.triangles, nearest_mm, motion)
     return folder
 
@@ -86,7 +92,7 @@ def film_into(
         (folder / name).mkdir(exist_ok=True)
     nearest_mm = np.full(len(phantom.colon.triangles), np.inf, np.float32)
     with _video(folder / "video.mp4", phantom.config, crf, preset) as add_to_video:
-        for index, frame in enumerate(phantom.film(script.world_from_camera, script.timeline, script.peristalsis)):
+        for index, frame in enumerate(phantom.film(script.world_from_camera, script.timeline, script.wall)):
             _write_frame(folder, index, frame)
             add_to_video(frame.image)
             hit = frame.triangle >= 0
@@ -213,5 +219,6 @@ def _write_events(path: Path, script: Script, fps: float) -> None:
         }
         for slot in script.timeline
     ]
-    contractions = [asdict(wave) | {"width_mm": WIDTH_MM} for wave in script.peristalsis.waves.values()]
+    waves = script.wall.waves if isinstance(script.wall, Peristalsis) else {}
+    contractions = [asdict(wave) | {"width_mm": WIDTH_MM} for wave in waves.values()]
     path.write_text(json.dumps({"slots": slots, "contractions": contractions}, indent=1) + "\n")

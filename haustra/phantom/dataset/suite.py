@@ -11,20 +11,24 @@ import yaml
 from haustra.core.errors import PhantomError
 from haustra.phantom.config import PhantomConfig
 from haustra.phantom.dataset.scenes import scene_config
+from haustra.phantom.imaging.scopes import filmed_through
 
 SUITE_FILE = Path(__file__).with_name("suite.yaml")
+LIVING_FILE = Path(__file__).with_name("living.yaml")
 
 
 def config_from(values: Mapping[str, Any]) -> PhantomConfig:
-    """A config from `{scene, seed, anatomy, appearance, imaging, camera, motion, events}`, all optional.
+    """A config from `{scene, seed, scope, anatomy, appearance, imaging, camera, motion, events, tissue}`, all optional.
 
-    `scene` names where to begin (default colon). Raises PhantomError on unknown keys and wrong types.
+    `scene` names where to begin (default colon), `scope` the measured endoscope (1 to 18) whose lens and lamp
+    replace those of `camera` and `imaging`. Raises PhantomError on unknown keys and wrong types.
     """
     rest = dict(values)
-    scene, seed = rest.pop("scene", "colon"), rest.pop("seed", 0)
+    scene, seed, scope = rest.pop("scene", "colon"), rest.pop("seed", 0), rest.pop("scope", None)
     if type(seed) is not int or seed < 0:
         raise PhantomError(f"seed: expected a whole number from 0, got {seed!r}")
-    return scene_config(scene, seed).updated(rest)
+    config = scene_config(scene, seed).updated(rest)
+    return config if scope is None else filmed_through(config, scope)
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -43,5 +47,6 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def load_suite(path: Path = SUITE_FILE) -> dict[str, PhantomConfig]:
-    """Sequence names and their configs, in the file's order."""
-    return {name: config_from(values) for name, values in read_settings(path).items()}
+    """Sequence names and their configs, in the file's order. Names that begin with "_" are anchors for the others."""
+    films = {name: values for name, values in read_settings(path).items() if not name.startswith("_")}
+    return {name: config_from(values) for name, values in films.items()}

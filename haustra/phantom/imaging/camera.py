@@ -40,12 +40,17 @@ class Camera:
         fx, fy, cx, cy = self.params[:4]
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
-    def rays(self) -> NDArray[np.float32]:
-        """Unit direction of every pixel's centre, camera axes, (H,W,3)."""
+    def rays(self, shown: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+        """Unit direction of every pixel's centre, camera axes, (H,W,3).
+
+        Outside `shown` (H,W) a lens may have no ray, as in the corners that an endoscope's mask covers: there the
+        answer is some unit vector. PhantomError where it has none inside.
+        """
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         pixels = np.stack([x, y], axis=-1)
         rays = self.unproject(pixels)
-        if not np.allclose(self.project(rays), pixels, atol=1e-3):
+        found = np.abs(self.project(rays) - pixels).max(axis=-1) < 1e-3
+        if not (found if shown is None else found[shown]).all():
             raise PhantomError(f"distortion {self.params[4:]} folds over inside the image: no inverse there")
         return rays.astype(np.float32)
 
@@ -110,6 +115,8 @@ class Camera:
 def make_camera(config: CameraConfig) -> Camera:
     """A lens whose horizontal edge-to-edge view is `fov_deg`, principal point in the image's centre."""
     half = np.radians(config.fov_deg) / 2
+    if any(config.focal_px):
+        return _measured_lens(config)
     if config.model == "OPENCV_FISHEYE":
         focal = config.width / 2 / _fisheye_radius(np.array(half), config.distortion)
     elif config.model == "OPENCV":
@@ -121,6 +128,17 @@ def make_camera(config: CameraConfig) -> Camera:
     lens = (float(focal), float(focal), config.width / 2, config.height / 2)
     params = lens if config.model == "PINHOLE" else lens + config.distortion
     return Camera(config.model, config.width, config.height, params)
+
+
+def _measured_lens(config: CameraConfig) -> Camera:
+    """The lens of `focal_px` and `centre_px`, as a calibration measured it."""
+    if min(config.focal_px) <= 0:
+        raise PhantomError(f"camera.focal_px: both must be positive, got {config.focal_px}")
+    middle = (config.width / 2, config.height / 2)
+    lens = config.focal_px + (config.centre_px if any(config.centre_px) else middle)
+    return Camera(
+        config.model, config.width, config.height, lens + config.distortion[: 0 if config.model == "PINHOLE" else 4]
+    )
 
 
 def _grows(config: CameraConfig, half: float) -> bool:

@@ -14,15 +14,17 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from haustra.phantom.anatomy.colon import build_colon
 from haustra.phantom.appearance.texture import SurfaceTexture
 from haustra.phantom.config import CameraConfig, ImagingConfig, PhantomConfig
 from haustra.phantom.imaging.camera import make_camera
 from haustra.phantom.imaging.obstacles import OBSTACLES, View, place_foam
-from haustra.phantom.imaging.sensor import Sensor, smear
+from haustra.phantom.imaging.readout import EXPOSURES, assembled
+from haustra.phantom.imaging.sensor import Sensor, border_window, smear
 from haustra.phantom.imaging.shading import light_positions, shade
-from haustra.phantom.motion.peristalsis import MovedWall, Peristalsis
+from haustra.phantom.motion.peristalsis import MovedWall, WallMotion
 from haustra.phantom.raycaster import Hits, RayCaster
 from haustra.phantom.timeline import Slot
 
@@ -64,18 +66,22 @@ class Phantom:
         self.colon = build_colon(config.anatomy, config.seed)
         self.caster = RayCaster(self.colon.vertices, self.colon.triangles, 1)
         self.texture = SurfaceTexture(self.colon, config.appearance, config.seed)
-        self.rays = self.camera.rays()
+        self.rays = self._camera_rays()
 
     def seen_through(self, imaging: ImagingConfig, lens: CameraConfig) -> Phantom:
         """The same colon under another light, lens and processor; shares mesh and texture."""
         other = copy(self)
         other.config = replace(self.config, imaging=imaging, camera=lens)
         other.camera = make_camera(lens)
-        other.rays = other.camera.rays()
+        other.rays = other._camera_rays()
         return other
 
+    def _camera_rays(self) -> Floats:
+        """Rays (H,W,3) of all pixels that the border shows."""
+        return self.camera.rays(border_window(self.config.imaging.border, self.camera.width, self.camera.height))
+
     def film(
-        self, world_from_camera: Array, timeline: Sequence[Slot] = (), peristalsis: Peristalsis | None = None
+        self, world_from_camera: Array, timeline: Sequence[Slot] = (), motion: WallMotion | None = None
     ) -> Iterator[Frame]:
         """Frames along `world_from_camera` (N,4,4); the gain adapts from one to the next.
 
@@ -85,12 +91,19 @@ class Phantom:
         sensor = Sensor(self.config.imaging, self.camera.width, self.camera.height, self.config.seed, fps)
         foams = {slot.number: self._foam(world_from_camera, slot) for slot in timeline if slot.kind == "bubbles"}
 
+        readout = self.config.imaging.readout
+
         def look(index: int) -> Look:
-            walls = [peristalsis.wall(frame) if peristalsis else None for frame in (index, index + 1)]
-            seen = self.look(world_from_camera[index], _next_camera(world_from_camera, index), *walls)
+            seen = [exposed(index, index + shift) for shift in EXPOSURES[readout]]
+            return replace(seen[0], radiance=assembled([part.radiance for part in seen], readout))
+
+        def exposed(index: int, time: float) -> Look:
+            walls = [motion.wall(frame) if motion else None for frame in (time, time + 1)]
+            here = camera_between(world_from_camera, time)
+            seen = self.look(here, camera_between(world_from_camera, time + 1), *walls)
             for slot in timeline:
                 if slot.kind in OBSTACLES and slot.first <= index <= slot.last:
-                    seen = self._obstructed(seen, world_from_camera[index], slot, index, foams.get(slot.number))
+                    seen = self._obstructed(seen, here, slot, index, foams.get(slot.number))
             return seen
 
         for index, seen in enumerate(_ahead(look, len(world_from_camera), self.threads)):
@@ -227,13 +240,23 @@ def _distance_ahead(points: Floats) -> Floats:
     return np.maximum(points[..., 2], np.float32(0.1) * np.sqrt(np.einsum("hwc,hwc->hw", points, points)))
 
 
-def _next_camera(world_from_camera: Array, index: int) -> Array:
-    """`world_from_camera` (4,4) one frame later; after the last one, by the same motion as before."""
-    if index + 1 < len(world_from_camera):
-        return world_from_camera[index + 1]
-    if len(world_from_camera) == 1:
-        return world_from_camera[-1]
-    return world_from_camera[-1] @ np.linalg.inv(world_from_camera[-2]) @ world_from_camera[-1]
+def camera_between(world_from_camera: Array, time: float) -> Array:
+    """`world_from_camera` (4,4) at a time in frames; beyond the film's ends by the motion of the frames there."""
+    last = len(world_from_camera) - 1
+    if time == int(time) and 0 <= time <= last:
+        return world_from_camera[int(time)]
+    if last == 0:
+        return world_from_camera[0]
+    if time == last + 1:
+        return world_from_camera[-1] @ np.linalg.inv(world_from_camera[-2]) @ world_from_camera[-1]
+    base = int(np.clip(np.floor(time), 0, last))
+    start = min(base, last - 1)  # of the frame interval whose motion holds
+    step = np.linalg.inv(world_from_camera[start]) @ world_from_camera[start + 1]
+    between = np.eye(4)
+    turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
+    between[:3, :3] = Rotation.from_rotvec((time - base) * turn).as_matrix()
+    between[:3, 3] = (time - base) * step[:3, 3]
+    return world_from_camera[base] @ between
 
 
 @contextmanager

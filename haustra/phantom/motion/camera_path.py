@@ -45,16 +45,16 @@ def plan_camera_path(
     centre, frames = colon.line.at(arc)
     sway = motion.wobble_mm * _swings(2, motion, clock, rng)
     positions = centre + frames[..., 0] * sway[:, :1] + frames[..., 1] * sway[:, 1:]
-    positions = _keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
+    positions = keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
     goal, goal_frames = colon.line.at(arc + motion.ahead_mm)
     looks = np.radians(motion.look_deg) * _swings(2, motion, clock, rng)
     rolls = np.radians(motion.roll_deg) * _swings(1, motion, clock, rng)
-    turns = _look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
+    turns = look_at(goal - positions, goal_frames[..., 1]) @ _turns(looks, rolls)
     world_from_camera = np.tile(np.eye(4), (motion.frames, 1, 1))
     world_from_camera[:, :3, :3] = turns @ _sudden_turns(motion, timeline, seed)
     if any(slot.kind in SUDDEN for slot in timeline):
         positions = positions + np.einsum("nij,nj->ni", turns, _bending(colon, motion, timeline, seed))
-        positions = _keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
+        positions = keep_off(positions, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
     world_from_camera[:, :3, 3] = _touch(positions, centre, colon, caster, motion, timeline)
     return world_from_camera
 
@@ -113,7 +113,7 @@ def _swings(count: int, motion: MotionConfig, clock: Array, rng: np.random.Gener
     return np.stack(swings, axis=1)
 
 
-def _keep_off(positions: Array, centre: Array, colon: Colon, caster: RayCaster, wanted_mm: Array) -> Array:
+def keep_off(positions: Array, centre: Array, colon: Colon, caster: RayCaster, wanted_mm: Array) -> Array:
     """Push positions (N,3) off the wall, each push spread over neighbouring frames, until all are clear."""
     for _ in range(PUSH_ROUNDS):
         distance, away = clearance(colon, caster, positions)
@@ -143,7 +143,7 @@ def _touch(
         # Elsewhere along the way a fold may be nearer than the wall that is aimed at: keep the path's own distance.
         own = clearance(colon, caster, positions)[0]
         wanted = np.minimum(own - 0.3, motion.clearance_mm) * (1 - strength) + 0.6 * motion.touch_mm * strength
-        positions = _keep_off(closer, centre, colon, caster, np.minimum(wanted, own))
+        positions = keep_off(closer, centre, colon, caster, np.minimum(wanted, own))
     return positions
 
 
@@ -177,7 +177,7 @@ def _turn_of(slot: Slot, motion: MotionConfig, seed: int) -> tuple[float, Array]
     return heading, np.radians(most) * np.array([slot.strength(tick) for tick in range(motion.frames)])
 
 
-def _look_at(forward: Array, down: Array) -> Array:
+def look_at(forward: Array, down: Array) -> Array:
     """Rotations (N,3,3), columns right, down, forward, from a view direction and a rough down direction."""
     z = forward / np.linalg.norm(forward, axis=1, keepdims=True)
     x = np.cross(down, z)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,16 @@ class Contraction:
     frame: int
     centre_mm: float  # arc length of its middle
     strength: float  # share of the radius that it removes there
+
+
+class WallMotion(Protocol):
+    """What moves the wall of a film."""
+
+    def wall(self, frame: float) -> MovedWall | None:
+        """The wall at a frame, which may lie between two; None where it is at rest."""
+
+    def vertex_properties(self) -> dict[str, Floats]:
+        """Vertex properties (V,) of mesh.ply by which a reader can move the wall."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +85,9 @@ class Peristalsis:
         arc = np.repeat(self._colon.arc, columns).astype(np.float32)
         return {"axis_x": x, "axis_y": y, "axis_z": z, "arc_mm": arc}
 
-    def wall(self, frame: int) -> MovedWall | None:
-        """The wall at a frame; None where it is at rest."""
-        wave = self.waves.get(frame)
+    def wall(self, frame: float) -> MovedWall | None:
+        """The wall at a frame, that of the frame before where it lies between two; None where it is at rest."""
+        wave = self.waves.get(int(frame))
         if wave is None:
             return None
         weight = wave.strength * np.exp(-(((self._colon.arc - wave.centre_mm) / WIDTH_MM) ** 2))

@@ -16,12 +16,12 @@ import pipeline.cli.phantom as command
 from haustra.core.errors import HaustraError, PhantomError
 from haustra.core.progress import SilentProgress
 from haustra.phantom.config import PhantomConfig
-from haustra.phantom.dataset.checks import CHOICES, RANGES, check
+from haustra.phantom.dataset.checks import CHOICES, FREE_TEXT, RANGES, check
 from haustra.phantom.dataset.generate import generate, is_finished
 from haustra.phantom.dataset.randomise import randomised
 from haustra.phantom.dataset.scenes import SCENES, scene_config
 from haustra.phantom.dataset.shards import ShardPlan
-from haustra.phantom.dataset.suite import load_suite
+from haustra.phantom.dataset.suite import SUITE_FILE, load_suite
 from haustra.phantom.timeline import EVENTS, plan_timeline
 from pipeline.cli.main import app
 from pipeline.cli.phantom import PhantomOptions, chosen_config, render, render_training, suite_folders
@@ -60,7 +60,7 @@ def test_a_stranger_in_the_suite_stops_it_before_any_work(tmp_path: Path) -> Non
     (tmp_path / "events").mkdir()
     (tmp_path / "events" / "thesis.tex").write_text("precious")
     with pytest.raises(HaustraError, match="something else"):
-        render(suite_folders(tmp_path), QUIET)
+        render(suite_folders(tmp_path, SUITE_FILE), QUIET)
     assert not (tmp_path / "easy_withdrawal").exists()
 
 
@@ -121,10 +121,11 @@ def test_bad_settings_are_one_sentence_and_leave_nothing(tmp_path: Path, values:
 
 def test_every_setting_has_a_range_or_its_choices() -> None:
     config = PhantomConfig()
-    for section in ("anatomy", "appearance", "imaging", "camera", "motion", "events"):
+    for section in ("anatomy", "appearance", "imaging", "camera", "motion", "events", "tissue"):
         for field in fields(getattr(config, section)):
             value, name = getattr(getattr(config, section), field.name), f"{section}.{field.name}"
-            assert isinstance(value, bool) or name in (CHOICES if isinstance(value, str) else RANGES), name
+            known = (*CHOICES, *FREE_TEXT) if isinstance(value, str) else RANGES
+            assert isinstance(value, bool) or name in known, name
     for scene in SCENES:
         check(scene_config(scene))
     for seed in range(20):
