@@ -112,3 +112,14 @@ def stitch(first: LocalMap, second: LocalMap, first_from_second: Array) -> Local
         else:
             result.add_tracked_frame(frame, camera_from_world, ids, pixels)
     return result
+
+
+def without_stubs(maps: list[LocalMap]) -> list[LocalMap]:
+    """Those that pose a frame which no larger one does."""
+    kept: list[LocalMap] = []
+    claimed: set[int] = set()
+    for local_map in sorted(maps, key=lambda m: -len(m.frames)):
+        if not local_map.frames <= claimed:
+            kept.append(local_map)
+            claimed |= local_map.frames
+    return [local_map for local_map in maps if any(local_map is k for k in kept)]

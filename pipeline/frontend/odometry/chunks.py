@@ -23,7 +23,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.odometry.chunk_stitching import first_from_second, stitch
+from pipeline.frontend.odometry.chunk_stitching import first_from_second, stitch, without_stubs
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_io import load_maps
 from pipeline.run_folder import ray_cluster
@@ -114,7 +114,7 @@ def stitch_chunks(chunks: list[list[LocalMap]]) -> tuple[list[LocalMap], Stitchi
                 break
         result += [local_map for local_map in here if not any(local_map is kept for kept in result)]
         before = here
-    return _without_stubs(result), Stitching(len(chunks), closed)
+    return without_stubs(result), Stitching(len(chunks), closed)
 
 
 def _sharing(first: list[LocalMap], second: list[LocalMap]) -> list[tuple[LocalMap, LocalMap]]:
@@ -126,17 +126,6 @@ def _sharing(first: list[LocalMap], second: list[LocalMap]) -> list[tuple[LocalM
 
 def _place(maps: list[LocalMap], wanted: LocalMap) -> int:
     return next(number for number, local_map in enumerate(maps) if local_map is wanted)
-
-
-def _without_stubs(maps: list[LocalMap]) -> list[LocalMap]:
-    """Those that pose a frame which no larger one does."""
-    kept: list[LocalMap] = []
-    claimed: set[int] = set()
-    for local_map in sorted(maps, key=lambda m: -len(m.frames)):
-        if not local_map.frames <= claimed:
-            kept.append(local_map)
-            claimed |= local_map.frames
-    return [local_map for local_map in maps if any(local_map is k for k in kept)]
 
 
 def _done(job: Job, rays: RayTable) -> list[LocalMap] | None:

@@ -11,6 +11,7 @@ from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
+from pipeline.frontend.odometry.backward_tracking import extend_backwards
 from pipeline.frontend.odometry.chunks import (
     Stitching,
     jobs_of,
@@ -125,4 +126,14 @@ def _tracked(
                 features.begin(index)
             pace = done / max(time.perf_counter() - started, 1e-9)
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
-    return odometry.finish(), None
+    with progress.bar("tracking backwards", None) as advance:
+        maps, _ = extend_backwards(
+            odometry.finish(),
+            frames.index,
+            lambda frame: look(frame)[1:],
+            settings.stride,
+            settings.odometry.keyframe_motion,
+            settings.seed,
+            advance,
+        )
+    return maps, None

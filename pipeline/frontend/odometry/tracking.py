@@ -188,7 +188,7 @@ class Tracker:
         if len(self.map.keyframes) < 2:
             return np.eye(4)
         before, last = self.map.keyframes[-2:]
-        steps = max(1, round((last.frame - before.frame) / stride))
+        steps = max(1, round(abs(last.frame - before.frame) / stride))
         return _fraction(last.camera_from_world @ inverse(before.camera_from_world), 1 / steps)
 
 
