@@ -98,6 +98,8 @@ class FrontEndSettings(Settings):
     seed: int
     stride: int  # of the working frames in the source
     odometry: OdometrySettings
+    second_opinion: float = 1.0  # see `Config`
+    deadline: float | None = None  # by time.monotonic(): when a front end that may be late is stopped
 
 
 class DepthSettings(Settings):
@@ -146,6 +148,11 @@ class Config(Settings):
     front_end: str = Field(
         "auto", description="`auto`: odometry, and COLMAP (`sfm`) where odometry's result is doubtful; or a front end"
     )
+    second_opinion: float = Field(
+        1.0,
+        ge=0,
+        description="time that COLMAP may take to check what odometry left in doubt, over the time that odometry took",
+    )
     model: str = Field("mscsa", description="completion network: a shipped name or a weight file")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where completion runs")
     seed: int = Field(0, description="of every random step; the same seed gives the same bytes")
@@ -162,7 +169,12 @@ class Config(Settings):
 
     @property
     def front_end_settings(self) -> FrontEndSettings:
-        return FrontEndSettings(seed=self.seed, stride=self.frames.stride, odometry=self.odometry)
+        return FrontEndSettings(
+            seed=self.seed,
+            stride=self.frames.stride,
+            odometry=self.odometry,
+            second_opinion=self.second_opinion,
+        )
 
     def is_same_work(self, other: "Config") -> bool:
         """Whether a run with these settings gives what one with the others does, wherever it is computed."""

@@ -5,7 +5,7 @@ reprojection error do not tell a false two-view start.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, disjoint
-from pipeline.input.frames import read_image
+from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, check_lighting
 from pipeline.mapping.submap import Submap
@@ -21,6 +21,9 @@ from pipeline.run_folder.workspace import Workspace
 
 MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pieces is worth another opinion
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
+MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
+MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
+MARGIN = 10  # and frames on either side of them that go with them
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated
 
 
@@ -55,6 +58,30 @@ def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
     unchecked = not any(c.check.n_checked for c in candidates)
     posed = sum(c.check.frames for c in candidates)
     return posed < MIN_POSED * total or unchecked or inconsistent_share(candidates) > MAX_INCONSISTENT
+
+
+def sure_of(candidates: list[Candidate], total: int) -> list[Candidate]:
+    """Submaps that need no second opinion: long enough, and the lighting check speaks for them."""
+    return [
+        c
+        for c in candidates
+        if c.check.frames >= MIN_SURE * total and c.check.n_checked and c.check.inconsistent_share <= MAX_INCONSISTENT
+    ]
+
+
+def frames_in_doubt(candidates: list[Candidate], frames: Frames) -> Frames:
+    """The frames that no sure submap poses, with some around each stretch of them by which it can be joined.
+
+    Stretches that are too short to be mapped are left out.
+    """
+    sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
+    doubtful = np.array([int(frame) not in sure for frame in frames.index])
+    edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0))
+    wanted = np.zeros(len(doubtful), dtype=bool)
+    for begin, end in edges.reshape(-1, 2):
+        if end - begin >= MIN_STRETCH:
+            wanted[max(0, begin - MARGIN) : end + MARGIN] = True
+    return replace(frames, index=frames.index[wanted], seconds=frames.seconds[wanted])
 
 
 def accepted(candidates: list[Candidate]) -> list[Candidate]:

@@ -4,6 +4,7 @@
 """
 
 import shutil
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,11 +18,14 @@ from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
 from pipeline.frontend.scoring import (
     MAX_INCONSISTENT,
+    MIN_STRETCH,
     Candidate,
     accepted,
     best_mapper,
     candidates_of,
+    frames_in_doubt,
     needs_second_opinion,
+    sure_of,
 )
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap, read_submap
@@ -95,6 +99,8 @@ def _solve(
     _keep(kept, workspace)
     warnings = _warnings(kept, [other for other in (FIRST, SECOND) if other not in results])
     name = next(name for name, result in results.items() if mapper in result.candidates)
+    if results[name].mixed:  # loops between the submaps of two front ends are still open
+        name = FIRST
     workspace.finish(
         STAGE,
         front_end=name,
@@ -116,6 +122,17 @@ class _Result:
 
     candidates: dict[str, list[Candidate]]  # of each mapper, in the order in which they were run
     stats: dict[str, float]
+    mixed: bool = False  # with submaps of the first front end among them
+
+    def together_with(self, sure: list[Candidate]) -> "_Result":
+        """Each mapper's submaps and those of the first front end that are not in doubt, most frames first."""
+        if not sure:
+            return self
+        joint = {
+            mapper: sorted([*sure, *found], key=lambda one: -one.check.frames)
+            for mapper, found in self.candidates.items()
+        }
+        return _Result(joint, self.stats, True)
 
 
 def _run(
@@ -124,22 +141,37 @@ def _run(
     """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
     failed."""
 
-    def run(name: str) -> _Result:
-        result = FRONT_ENDS[name].run(frames, settings, workspace, progress)
-        found = {m: candidates_of(m, of, frames.camera, workspace) for m, of in result.found.items()}
+    def run(name: str, some: Frames, told: FrontEndSettings) -> _Result:
+        result = FRONT_ENDS[name].run(some, told, workspace, progress)
+        found = {m: candidates_of(m, of, some.camera, workspace) for m, of in result.found.items()}
         return _Result(found, result.stats)
 
     if front_end != AUTO:
-        return {front_end: run(front_end)}, None
-    results, total = {FIRST: run(FIRST)}, len(frames.index)
+        return {front_end: run(front_end, frames, settings)}, None
+    started, total = time.monotonic(), len(frames.index)
+    results = {FIRST: run(FIRST, frames, settings)}
     found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
-    if total <= MOST_SFM_FRAMES and needs_second_opinion(found, total):
-        progress.log(f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison")
-        try:
-            results[SECOND] = run(SECOND)
-        except HaustraError as error:
-            progress.log(str(error))
-            return results, str(error)
+    if not needs_second_opinion(found, total):
+        return results, None
+    sure, asked = sure_of(found, total), frames_in_doubt(found, frames)
+    budget = settings.second_opinion * (time.monotonic() - started) if found else None
+    if len(asked.index) > MOST_SFM_FRAMES or budget == 0 or len(asked.index) < MIN_STRETCH:
+        return results, None
+    limit = "" if budget is None else f", for {max(budget, 1):.0f} s at most"
+    progress.log(
+        f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {len(asked.index)} of {total} frames{limit}"
+        " (Ctrl-C goes on without it)"
+    )
+    deadline = None if budget is None else time.monotonic() + budget
+    try:
+        second = run(SECOND, asked, settings.model_copy(update={"deadline": deadline}))
+    except KeyboardInterrupt:
+        progress.log(f"{SECOND} was interrupted; going on with what {FIRST} found")
+        return results, None
+    except HaustraError as error:
+        progress.log(str(error))
+        return results, str(error)
+    results[SECOND] = second.together_with(sure)
     return results, None
 
 

@@ -20,8 +20,18 @@ PATIENCE_S = 20.0  # for a stopped process to end by itself
 SIGNAL_AT_PARENTS_DEATH = 1  # Linux, prctl(2): PR_SET_PDEATHSIG
 
 
-def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label: str, progress: Progress) -> None:
+def run_isolated(
+    module: str,
+    action: str,
+    job: dict[str, Any],
+    log: Path,
+    label: str,
+    progress: Progress,
+    deadline: float | None = None,
+) -> None:
     """`python -m module action job.json`; raises `HaustraError` naming the log if it fails.
+
+    deadline: time by `time.monotonic()` at which it is killed, which is a `HaustraError` of its own.
 
     The child writes "done total" lines to standard output. On Ctrl-C it is killed before the interrupt goes on; on
     Linux it also dies with a parent that is killed, so that nobody else writes where a resumed run goes on.
@@ -37,6 +47,8 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
             env=parent_bound_environment(),
             start_new_session=True,
         )
+        late = threading.Event()
+        alarm = _alarm(child, late, deadline)
         try:
             assert child.stdout is not None
             for line in child.stdout:
@@ -48,8 +60,26 @@ def run_isolated(module: str, action: str, job: dict[str, Any], log: Path, label
             child.kill()
             child.wait()
             raise
+        finally:
+            alarm.cancel()
+    if late.is_set():
+        raise HaustraError(f"{label} was stopped: the time that it was given is over")
     if code != 0:
         raise HaustraError(f"{label} failed (exit code {code}); its log is {log}")
+
+
+def _alarm(child: subprocess.Popen[str], late: threading.Event, deadline: float | None) -> threading.Timer:
+    """A timer that kills the child at the deadline and says so; without a deadline one that never runs."""
+
+    def ring() -> None:
+        late.set()
+        child.kill()
+
+    timer = threading.Timer(0.0 if deadline is None else max(0.0, deadline - time.monotonic()), ring)
+    timer.daemon = True
+    if deadline is not None:
+        timer.start()
+    return timer
 
 
 def parent_bound_command(module: str, *words: str) -> list[str]:

@@ -5,6 +5,7 @@ incremental one follows.
 """
 
 import shutil
+import time
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
@@ -37,11 +38,12 @@ class ColmapFrontEnd:
         self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
         job = colmap_job(frames, settings.seed, workspace)
-        run_isolated(COLMAP_WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
-        found = {"global": map_by_colmap("global", job, workspace, progress)}
+        end, log = settings.deadline, workspace.log / "match.log"
+        run_isolated(COLMAP_WORKER, "match", job, log, "features and matches", progress, end)
+        found = {"global": map_by_colmap("global", job, workspace, progress, end)}
         judged = candidates_of("global", found["global"], frames.camera, workspace)
-        if needs_second_opinion(judged, len(frames.index)):
-            found["incremental"] = map_by_colmap("incremental", job, workspace, progress)
+        if needs_second_opinion(judged, len(frames.index)) and (end is None or time.monotonic() < end):
+            found["incremental"] = map_by_colmap("incremental", job, workspace, progress, end)
         if not any(found.values()) and all((workspace.log / f"{mapper}.failed").exists() for mapper in found):
             raise HaustraError(f"COLMAP failed to map the frames; its logs are in {workspace.log}")
         return FrontEndResult(found)
@@ -67,10 +69,12 @@ def colmap_job(frames: Frames, seed: int, workspace: Workspace) -> dict[str, obj
     }
 
 
-def map_by_colmap(mapper: str, job: dict[str, object], workspace: Workspace, progress: Progress) -> list[FoundSubmap]:
+def map_by_colmap(
+    mapper: str, job: dict[str, object], workspace: Workspace, progress: Progress, deadline: float | None = None
+) -> list[FoundSubmap]:
     """All models of one mapper, most frames first.
 
-    A mapper that fails is logged, and what it wrote before is used; the other one may still succeed.
+    A mapper that fails or is late is logged, and what it wrote before is used; the other one may still succeed.
     """
     output = workspace.log / mapper
     shutil.rmtree(output, ignore_errors=True)
@@ -78,7 +82,8 @@ def map_by_colmap(mapper: str, job: dict[str, object], workspace: Workspace, pro
     failed.unlink(missing_ok=True)
     job = job | {"method": mapper, "output": str(output)}
     try:
-        run_isolated(COLMAP_WORKER, "map", job, workspace.log / f"{mapper}.log", f"structure ({mapper})", progress)
+        log, label = workspace.log / f"{mapper}.log", f"structure ({mapper})"
+        run_isolated(COLMAP_WORKER, "map", job, log, label, progress, deadline)
     except HaustraError as error:
         progress.log(str(error))
         failed.write_text(str(error))

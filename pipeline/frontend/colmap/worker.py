@@ -121,14 +121,53 @@ def map_scene(job: dict[str, Any]) -> None:
     mapper = {"global": _map_globally, "incremental": _map_incrementally}[job["method"]]
     models = mapper(job, output)
     for number, model in enumerate(models.values()):
-        folder = output / str(number)
-        folder.mkdir(exist_ok=True)
-        model.write_binary(folder)
-        np.savez(folder / "model.npz", allow_pickle=False, **model_arrays(model))
+        _write(model, output / str(number))
     if job["refine_camera"]:  # last, since models that are written survive its failure
-        for number, model in enumerate(models.values()):
-            sigma = " ".join(str(s) for s in camera_sigma(model))
-            (output / str(number) / "camera_sigma.txt").write_text(sigma)
+        sigmas = [camera_sigma(model) for model in models.values()]
+        if share_lens(list(models.values()), sigmas, job["camera"]["params"]):
+            for number, model in enumerate(models.values()):
+                _write(model, output / str(number))
+        best = sigmas[best_lens(list(models.values()), sigmas)] if sigmas else np.empty(0)
+        for number in range(len(models)):
+            (output / str(number) / "camera_sigma.txt").write_text(" ".join(map(str, best)))
+
+
+def _write(model: pycolmap.Reconstruction, folder: Path) -> None:
+    """As COLMAP's files and as plain arrays."""
+    folder.mkdir(exist_ok=True)
+    model.write_binary(folder)
+    np.savez(folder / "model.npz", allow_pickle=False, **model_arrays(model))
+
+
+def best_lens(models: list[pycolmap.Reconstruction], sigmas: list[NDArray[np.float64]]) -> int:
+    """Number of the model whose focal length is determined best; of the first, the largest, where none is."""
+    relative = [sigma[0] / camera_of(model).mean_focal_length() for model, sigma in zip(models, sigmas, strict=True)]
+    return int(np.argmin(np.where(np.isfinite(relative), relative, np.inf)))
+
+
+def share_lens(models: list[pycolmap.Reconstruction], sigmas: list[NDArray[np.float64]], guess: list[float]) -> bool:
+    """All models were filmed by one camera: those that determine its lens less well take it from the one that does
+    best, or all the guess where none does, and are adjusted with it. Whether any was changed."""
+    if len(models) < 2:
+        return False
+    best = best_lens(models, sigmas)
+    determined = bool(np.isfinite(sigmas[best][0]))
+    lens = np.array(camera_of(models[best]).params) if determined else np.array(guess, float)
+    for number, model in enumerate(models):
+        if number == best and determined:
+            continue
+        camera_of(model).params = lens.tolist()
+        options = pycolmap.BundleAdjustmentOptions()
+        options.refine_focal_length = options.refine_principal_point = options.refine_extra_params = False
+        options.print_summary = False
+        options.ceres.solver_options.num_threads = REPEATABLE_THREADS
+        pycolmap.bundle_adjustment(model, options)
+    return True
+
+
+def camera_of(model: pycolmap.Reconstruction) -> pycolmap.Camera:
+    """The one camera of a model."""
+    return next(iter(model.cameras.values()))
 
 
 def _map_globally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.Reconstruction]:
@@ -156,7 +195,7 @@ def _map_incrementally(job: dict[str, Any], output: Path) -> dict[int, pycolmap.
 def camera_sigma(model: pycolmap.Reconstruction) -> NDArray[np.float64]:
     """Standard deviations of the refined camera parameters (focal length first), from the bundle adjustment's
     covariance with one pixel of noise; NaN where the problem does not determine them."""
-    camera = next(iter(model.cameras.values()))
+    camera = camera_of(model)
     config = pycolmap.BundleAdjustmentConfig()
     for image in model.images.values():
         if image.has_pose:
@@ -184,7 +223,7 @@ def calibrate(job: dict[str, Any]) -> None:
     options.ceres.loss_function_scale = job["loss_px"]
     options.ceres.solver_options.num_threads = REPEATABLE_THREADS
     pycolmap.bundle_adjustment(model, options)
-    camera = next(iter(model.cameras.values()))
+    camera = camera_of(model)
     found = {"params": [float(p) for p in camera.params], "sigma": [float(s) for s in camera_sigma(model)]}
     Path(job["output"]).write_text(json.dumps(found))
 
@@ -217,7 +256,7 @@ def model_arrays(model: pycolmap.Reconstruction) -> dict[str, NDArray]:
                 observations.append((number, rows[point.point3D_id]))
                 pixels.append(point.xy)
     points = [model.points3D[point_id] for point_id in sorted(model.points3D)]
-    camera = next(iter(model.cameras.values()))
+    camera = camera_of(model)
     return {
         "names": np.array([image.name for image in images]),
         "world_from_camera": np.array(worlds_from_camera).reshape(-1, 4, 4),

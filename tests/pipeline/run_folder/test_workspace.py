@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.run_folder.lock import RunLock
+from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import create_workspace, open_workspace, resume_workspace
 from tests.helpers.processes import alive, wait_for
 from tests.helpers.sphere_views import RADIUS, fuse, sphere_depth, views
@@ -197,6 +200,16 @@ def test_a_worker_dies_with_the_run_that_is_killed(tmp_path):
     parent.kill()
     parent.wait()
     wait_for(lambda: alive(tmp_path) == [])
+
+
+def test_a_worker_that_is_late_is_stopped(tmp_path, monkeypatch):
+    (tmp_path / "sleeper.py").write_text(CHILD_OF_ISOLATION)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    begun = time.monotonic()
+    with pytest.raises(HaustraError, match="sleeping was stopped: the time that it was given is over"):
+        run_isolated("sleeper", "sleep", {}, tmp_path / "x.log", "sleeping", SilentProgress(), begun + 2.0)
+    assert time.monotonic() - begun < 60  # of the 600 s that it would sleep
+    assert alive(tmp_path) == []
 
 
 @pytest.mark.parametrize("distance", [3.0, 60.0, 1e4])

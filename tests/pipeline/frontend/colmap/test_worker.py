@@ -1,8 +1,11 @@
 """Submaps, their evidence and their sparse depth, on a made-up tube whose truth is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import cv2  # noqa: F401 - before pycolmap: see pipeline/frontend/colmap/worker.py
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -10,9 +13,10 @@ from haustra.core.camera import Camera
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
 from pipeline.frontend.base import disjoint
-from pipeline.frontend.colmap.worker import sequential_pairs
+from pipeline.frontend.colmap.worker import camera_of, sequential_pairs, share_lens
 from pipeline.frontend.scoring import Candidate, score
-from pipeline.mapping.lighting_check import LightingCheck, check_lighting
+from pipeline.mapping.colmap_io import write_model
+from pipeline.mapping.lighting_check import LightingCheck, check_lighting, same_point_correlation
 from pipeline.mapping.submap import Submap
 from pipeline.matching.place_recognition import loop_pairs
 
@@ -242,3 +246,45 @@ def test_loop_pairs_find_the_place_seen_before():
     assert (5, 55) in pairs
     assert all(b - a >= 20 for a, b in pairs)
     assert pairs == loop_pairs(places, stride=5, neighbours=1, min_gap=20, seed=0)
+
+
+def test_submaps_of_one_film_share_the_lens_that_is_determined_best(tmp_path):
+    """Two maps of one camera, of which one has settled on another focal length, as a short one may."""
+    true = Camera("RADIAL", 320, 320, (160.0, 160.0, 160.0, 0.0, 0.0))
+    wrong = (230.0, 160.0, 160.0, 0.05, 0.0)
+    whole = tube_submap(noise_px=0.2)
+    seen = np.flatnonzero(whole.track_lengths() >= 2)
+    mine = np.isin(whole.observations[:, 1], seen)
+    rows = np.column_stack([whole.observations[mine, 0], np.searchsorted(seen, whole.observations[mine, 1])])
+    submap = replace(
+        whole, points=whole.points[seen], error_px=whole.error_px[seen], observations=rows, pixels=whole.pixels[mine]
+    )
+    models = []
+    for name, params in (("a", true.params), ("b", wrong)):
+        write_model(replace(submap, camera_params=params), replace(true, params=params), tmp_path / name)
+        models.append(pycolmap.Reconstruction(tmp_path / name))
+    sigmas = [np.array([0.5, 0.001, 0.001]), np.array([9.0, 0.1, 0.1])]
+    assert share_lens(models, sigmas, [150.0, 160.0, 160.0, 0.0, 0.0])
+    for model in models:
+        np.testing.assert_allclose(camera_of(model).params, true.params, atol=1e-9)
+        assert model.compute_mean_reprojection_error() < 0.5
+    unknown = [np.array([np.nan] * 3)] * 2
+    assert share_lens(models, unknown, list(wrong))
+    np.testing.assert_allclose([camera_of(model).params for model in models], [wrong, wrong], atol=1e-9)
+    assert not share_lens(models[:1], sigmas[:1], list(wrong))
+
+
+def test_a_point_compared_with_itself_tells_light_from_colour(tube):
+    """Brightness falls with distance on a wall of two colours, five to one; and a wall lit the wrong way round."""
+    rng = np.random.default_rng(0)
+    frame, point = tube.observations.T
+    distance = np.linalg.norm(tube.points[point] - tube.centres[frame], axis=1)
+    colour, gain = rng.choice([0.2, 1.0], len(tube.points)), rng.uniform(0.5, 2, len(tube.frames))
+    noise = rng.normal(0, 0.02, len(point))
+    for exponent in (-2.0, 2.0):
+        brightness = np.log(colour[point] * gain[frame]) + exponent * np.log(distance) + noise
+        found = same_point_correlation(frame, point, np.log(distance), brightness)
+        assert found * np.sign(exponent) > 0.4  # shrunk: distances hardly change
+    still = same_point_correlation(frame, point, np.log(distance[point]), np.log(colour[point] * gain[frame]) + noise)
+    assert abs(still) < 0.05  # the camera that does not move has no evidence
+    assert same_point_correlation(frame[:3], point[:3], distance[:3], distance[:3]) == 0.0
