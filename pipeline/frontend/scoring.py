@@ -15,12 +15,13 @@ from haustra.core.camera import Camera
 from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_model
-from pipeline.mapping.lighting_check import LightingCheck, check_lighting
+from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 
 MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pieces is worth another opinion
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
+MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for that part of it to be kept
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
@@ -37,16 +38,27 @@ class Candidate:
 
 
 def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspace: Workspace) -> list[Candidate]:
-    """The submaps of one mapper without frames in common, most frames first, each checked and written."""
+    """The submaps of one mapper without frames in common, most frames first, each checked and written.
+
+    Of a submap that the light contradicts, the stretch of frames that agrees with it is kept, if that is most of it.
+    """
     ordered = sorted(found, key=lambda one: -len(one.submap.frames))
     images, candidates = _image_reader(workspace), []
     for number, (one, submap) in enumerate(zip(ordered, disjoint(o.submap for o in ordered), strict=True)):
         if len(submap.frames) < MIN_FRAMES:
             continue
-        folder = one.model or workspace.log / mapper / str(number)
-        if one.model is None:
+        correlations = lighting_correlations(submap, images)
+        check, model = summarised(submap, correlations), one.model
+        if check.inconsistent_share > MAX_INCONSISTENT:
+            begin, end = best_stretch(correlations)
+            if MIN_KEPT * len(submap.frames) <= end - begin < len(submap.frames):
+                submap = submap.without_frames(set(np.delete(submap.frames, np.s_[begin:end]).tolist()))
+                check, model = summarised(submap, correlations[begin:end]), None
+        part = "" if one.model is None else "_stretch"  # COLMAP's own model stays as it is
+        folder = model or workspace.log / mapper / f"{number}{part}"
+        if model is None:
             write_model(submap, camera, folder)
-        candidates.append(Candidate(submap, check_lighting(submap, images), folder))
+        candidates.append(Candidate(submap, check, folder))
     return candidates
 
 

@@ -16,10 +16,7 @@ from scipy.stats import spearmanr
 from pipeline.mapping.submap import Submap
 
 MIN_POINTS = 15  # fewer do not give a rank correlation worth asking
-DARKEST, BRIGHTEST = 8.0, 245.0  # grey levels between which brightness follows the light
-MIN_VIEWS = 3  # of a point that is compared with itself
-CENTRING_ROUNDS = 6  # alternating means of points and frames converge within a few
-TELLING_SPREAD = 0.05  # of log distance, about its means, from which a correlation is taken as it is
+CONTRADICTION = 5.0  # frames that agree, which one that contradicts its light outweighs
 
 
 @dataclass(frozen=True)
@@ -28,9 +25,8 @@ class LightingCheck:
 
     frames, points: counts. reprojection_px: mean. angle_deg: median triangulation angle. spearman: median over
     frames of the rank correlation of distance and brightness (-1 is perfect). inconsistent_share: share of the
-    checked frames whose correlation is positive. n_checked: frames with enough points for a correlation.
-    same_point: correlation of log distance and log brightness of each point with itself over time, 0 where the motion
-    does not tell (see `same_point_correlation`).
+    checked frames whose correlation is positive by more than chance has it. n_checked: frames with enough points for a
+    correlation.
     """
 
     frames: int
@@ -40,7 +36,6 @@ class LightingCheck:
     spearman: float
     inconsistent_share: float
     n_checked: int
-    same_point: float = 0.0
 
     def to_dict(self) -> dict[str, float]:
         """For run.yaml and metrics.json, whose keys are those of version 0.1."""
@@ -56,12 +51,17 @@ def brightness_of(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 def check_lighting(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> LightingCheck:
     """LightingCheck for a submap; `image_of(frame)` gives the (H,W,3) uint8 image."""
+    return summarised(submap, lighting_correlations(submap, image_of))
+
+
+def lighting_correlations(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]]) -> NDArray[np.float64]:
+    """Rank correlation (N,) of distance and brightness in each frame, NaN where it has too few points; 0 where it is
+    positive by no more than the standard deviation of the correlation of as many unrelated values, 1 / sqrt(n - 1)."""
     order, starts = submap.by_frame()
     frame, point = submap.observations[order].T
     pixels = submap.pixels[order]
     distance = np.linalg.norm(submap.points[point] - submap.centres[frame], axis=1)
-    correlations = []
-    logs = np.full((2, len(point)), np.nan)  # of distance and brightness, in the order of frames
+    correlations = np.full(len(submap.frames), np.nan)
     for row, index in enumerate(submap.frames):
         mine = slice(starts[row], starts[row + 1])
         if starts[row + 1] - starts[row] < MIN_POINTS:
@@ -70,46 +70,36 @@ def check_lighting(submap: Submap, image_of: Callable[[int], NDArray[np.uint8]])
         height, width = brightness.shape
         x, y = np.floor(pixels[mine]).astype(int).T
         values = brightness[y.clip(0, height - 1), x.clip(0, width - 1)]
-        told = (values > DARKEST) & (values < BRIGHTEST) & (distance[mine] > 0)
-        logs[:, mine][:, told] = np.log(distance[mine][told]), np.log(values[told])
-        correlation = spearmanr(distance[mine], values).statistic
-        if np.isfinite(correlation):
-            correlations.append(correlation)
+        correlation = float(spearmanr(distance[mine], values).statistic)
+        by_chance = 0 < correlation <= 1 / np.sqrt(len(values) - 1)
+        correlations[row] = 0.0 if by_chance else correlation
+    return correlations
+
+
+def summarised(submap: Submap, correlations: NDArray[np.float64]) -> LightingCheck:
+    """LightingCheck of a submap by its frames' correlations (N,)."""
+    known = correlations[np.isfinite(correlations)]
     angles = submap.triangulation_angles()
     return LightingCheck(
         frames=len(submap.frames),
         points=len(submap.points),
         reprojection_px=float(submap.error_px.mean()) if len(submap.points) else float("inf"),
         angle_deg=float(np.median(angles)) if len(angles) else 0.0,
-        spearman=float(np.median(correlations)) if correlations else 0.0,
-        inconsistent_share=float((np.array(correlations) > 0).mean()) if correlations else 0.0,
-        n_checked=len(correlations),
-        same_point=same_point_correlation(frame, point, *logs),
+        spearman=float(np.median(known)) if len(known) else 0.0,
+        inconsistent_share=float((known > 0).mean()) if len(known) else 0.0,
+        n_checked=len(known),
     )
 
 
-def same_point_correlation(
-    frame: NDArray[np.int64], point: NDArray[np.int64], distance: NDArray[np.float64], brightness: NDArray[np.float64]
-) -> float:
-    """Does a point get darker as the camera leaves it? Correlation of log distance and log brightness (M,), NaN where
-    unknown, after each point's and each frame's own mean is taken out of both; negative is right.
+def best_stretch(correlations: NDArray[np.float64], weight: float = CONTRADICTION) -> tuple[int, int]:
+    """First row and end of the frames in a row that agree best with their light: each frame that does counts 1, each
+    that contradicts it `weight` against.
 
-    A point's mean takes its colour with it, so that white and dark tissue side by side say nothing; a frame's mean, the
-    exposure. Shrunk towards 0 where distances hardly change: then it is noise that correlates.
+    A map that goes wrong does so from some frame on: what was right before is kept.
     """
-    known = np.isfinite(distance) & np.isfinite(brightness)
-    seen = np.bincount(point[known], minlength=int(point.max(initial=0)) + 1)
-    known &= seen[point] >= MIN_VIEWS
-    if known.sum() < MIN_POINTS:
-        return 0.0
-    rows, points = (np.unique(of[known], return_inverse=True)[1] for of in (frame, point))
-    left = [distance[known].copy(), brightness[known].copy()]
-    for _ in range(CENTRING_ROUNDS):
-        for group in (points, rows):
-            count = np.bincount(group)
-            left = [values - (np.bincount(group, values) / count)[group] for values in left]
-    spread = [float(np.sqrt((values**2).mean())) for values in left]
-    if min(spread) < 1e-9:
-        return 0.0
-    correlation = float((left[0] * left[1]).mean() / (spread[0] * spread[1]))
-    return correlation * min(1.0, spread[0] / TELLING_SPREAD)
+    with np.errstate(invalid="ignore"):
+        value = np.where(np.isfinite(correlations), np.where(correlations > 0, -weight, 1.0), 0.0)
+    total = np.concatenate([[0.0], np.cumsum(value)])
+    lowest = np.minimum.accumulate(total)
+    end = int(np.argmax(total - lowest))
+    return int(np.argmin(total[: end + 1])), end

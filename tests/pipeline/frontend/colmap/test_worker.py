@@ -16,7 +16,7 @@ from pipeline.frontend.base import disjoint
 from pipeline.frontend.colmap.worker import camera_of, sequential_pairs, share_lens
 from pipeline.frontend.scoring import Candidate, score
 from pipeline.mapping.colmap_io import write_model
-from pipeline.mapping.lighting_check import LightingCheck, check_lighting, same_point_correlation
+from pipeline.mapping.lighting_check import LightingCheck, best_stretch, check_lighting
 from pipeline.mapping.submap import Submap
 from pipeline.matching.place_recognition import loop_pairs
 
@@ -274,17 +274,13 @@ def test_submaps_of_one_film_share_the_lens_that_is_determined_best(tmp_path):
     assert not share_lens(models[:1], sigmas[:1], list(wrong))
 
 
-def test_a_point_compared_with_itself_tells_light_from_colour(tube):
-    """Brightness falls with distance on a wall of two colours, five to one; and a wall lit the wrong way round."""
-    rng = np.random.default_rng(0)
-    frame, point = tube.observations.T
-    distance = np.linalg.norm(tube.points[point] - tube.centres[frame], axis=1)
-    colour, gain = rng.choice([0.2, 1.0], len(tube.points)), rng.uniform(0.5, 2, len(tube.frames))
-    noise = rng.normal(0, 0.02, len(point))
-    for exponent in (-2.0, 2.0):
-        brightness = np.log(colour[point] * gain[frame]) + exponent * np.log(distance) + noise
-        found = same_point_correlation(frame, point, np.log(distance), brightness)
-        assert found * np.sign(exponent) > 0.4  # shrunk: distances hardly change
-    still = same_point_correlation(frame, point, np.log(distance[point]), np.log(colour[point] * gain[frame]) + noise)
-    assert abs(still) < 0.05  # the camera that does not move has no evidence
-    assert same_point_correlation(frame[:3], point[:3], distance[:3], distance[:3]) == 0.0
+def test_of_a_map_that_goes_wrong_the_stretch_before_is_kept():
+    nan = float("nan")
+    right, wrong = [-0.8] * 40, [0.3] * 6
+    assert best_stretch(np.array(right + wrong)) == (0, 40)
+    assert best_stretch(np.array(wrong + right)) == (6, 46)
+    assert best_stretch(np.array([*right, 0.1, *right])) == (0, 81)  # one bad frame is no reason to part them
+    assert best_stretch(np.array(right + wrong * 2 + right[:30])) == (0, 40)
+    assert best_stretch(np.array([nan] * 5 + right)) == (0, 45)
+    begin, end = best_stretch(np.array(wrong))
+    assert begin == end
