@@ -56,6 +56,7 @@ class AppearanceConfig:
     tissue: Colour = (0.62, 0.23, 0.16)  # pink mucosa
     tissue_other: Colour = (0.70, 0.30, 0.17)  # paler, more orange mucosa it drifts into
     blotch_mm: float = 18.0  # size of the drift between the two
+    contrast: float = 1.0  # of reflectance between pale and dark patches: white gallbladder beside dark liver has 5
     mottle: float = 0.055  # relative standard deviation of reflectance at 1.5 to 8 mm
     grain: float = 0.018  # the same at 0.3 to 1.5 mm: what close-ups see
     erythema: float = 0.25  # strength of red patches

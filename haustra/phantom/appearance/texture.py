@@ -77,6 +77,10 @@ class SurfaceTexture:
         return x.astype(np.float32), np.clip(y, 0, height - 1).astype(np.float32)
 
 
+PATCH_EDGE = 8.0  # steepness of the border between pale and dark patches
+PALEST = 0.95  # reflectance
+
+
 def _sheet_shape(colon: Colon, texel_mm: float) -> tuple[int, int]:
     """Rows and columns of the finest level, multiples of the coarsest level's texel."""
     block = 2 ** (LEVELS - 1)
@@ -140,6 +144,10 @@ def _paint(
         tissue, other = appearance.tissue[channel], appearance.tissue_other[channel]
         base = (tissue + (other - tissue) * drift) * (1 - redness * red) * np.exp(response * mottle)
         sheet[..., channel] = base * (1 - vessels * (1 - appearance.vessel_colour[channel]))
+    if appearance.contrast > 1:  # drawn last, so that other walls keep their numbers
+        patches = SolidNoise(3 * appearance.blotch_mm, appearance.blotch_mm, rng).coarsely(points, 8)
+        pale = 1 / (1 + np.exp(-PATCH_EDGE * patches))
+        sheet = np.minimum(sheet * appearance.contrast ** (pale - 0.5)[..., None], PALEST).astype(np.float32)
     return sheet
 
 

@@ -55,6 +55,7 @@ RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
     "appearance.tissue": SHARE,
     "appearance.tissue_other": SHARE,
     "appearance.blotch_mm": (1.0, MANY),
+    "appearance.contrast": (1.0, 20.0),
     "appearance.mottle": (0.0, 1.0),
     "appearance.grain": (0.0, 1.0),
     "appearance.erythema": (0.0, 1.0),
