@@ -31,6 +31,7 @@ FRAME_STEP = 10  # frames between two of them at most; corners are followed over
 KEYFRAME_STEP = 3  # the same where the frames are keyframes; their features are found again in four, in the median
 MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
 ROUNDS = 3
+MOST_ASKED = 3  # maps; smaller ones hardly determine what the larger ones do not
 # Of the width, RMS, by which another lens shifts pixels: above the first the maps are adjusted to their corners again
 # before features are asked; below the second the lens has converged.
 LENS_RESTART, LENS_CONVERGED = 0.01, 0.001
@@ -55,14 +56,34 @@ def refine_intrinsics(
     workspace: Workspace,
     progress: Progress,
 ) -> tuple[Camera, tuple[float, ...], list[float | None]]:
-    """All maps adjusted with the lens that the largest one determines, or left with the guess if it does not; the lens,
-    its sigmas, and what holds the maps now.
+    """All maps adjusted with the lens that the largest determines, or the next of the `MOST_ASKED` largest that does;
+    left with the guess if none does. The lens, its sigmas, and what holds the maps now: one film has one lens.
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
     it, until it stays.
     """
-    largest = max(maps, key=lambda m: len(m.tracked_frames) + len(m.keyframes))
+    by_size = sorted(maps, key=lambda m: -len(m.tracked_frames) - len(m.keyframes))
+    first_sigma: tuple[float, ...] = ()
+    for local_map in by_size[:MOST_ASKED]:
+        camera, sigma, held = _refine_by(local_map, maps, held, guess, seed, find, workspace, progress)
+        if camera != guess:
+            return camera, sigma, held
+        first_sigma = first_sigma or sigma
+    return guess, first_sigma, held
+
+
+def _refine_by(
+    largest: LocalMap,
+    maps: list[LocalMap],
+    held: list[float | None],
+    guess: Camera,
+    seed: int,
+    find: FindFeatures,
+    workspace: Workspace,
+    progress: Progress,
+) -> tuple[Camera, tuple[float, ...], list[float | None]]:
+    """As `refine_intrinsics`, by what one of the maps determines."""
     camera = guess
     sigma: tuple[float, ...] = ()
     for _ in range(ROUNDS):
