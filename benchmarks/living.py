@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.record import ROOT, RunTable, print_row
+from benchmarks.common.record import ROOT, RunTable, environment, print_row
 from benchmarks.common.runner import add_folders, run
 from pipeline.climb import compare_climb
 from pipeline.compare import compare_run
@@ -45,7 +45,7 @@ def measure(arguments: argparse.Namespace) -> None:
     table, method = RunTable(arguments.json), f"{arguments.name}, {arguments.front_end}"
     for folder in arguments.folders:
         if not table.has(folder.name, arguments.seed, method):
-            figures = run_figures(folder, arguments)
+            figures = {"commit": environment(arguments.checkout)["commit"]} | run_figures(folder, arguments)
             table.add(folder.name, arguments.seed, {method: figures})
             print_row({"film": folder.name, "method": method} | figures)
 

@@ -20,9 +20,9 @@ def shown(of: dict[str, Any], form: str = ".4g") -> str:
     return f"{of['median']:{form}} [{of['min']:{form}}, {of['max']:{form}}]"
 
 
-def environment() -> dict[str, Any]:
-    """Commit (with "+" if the tree is changed), processor, number of cores, Python."""
-    git = ["git", "-C", str(ROOT)]
+def environment(checkout: Path = ROOT) -> dict[str, Any]:
+    """Commit of a checkout (with "+" if its tree is changed), processor, number of cores, Python."""
+    git = ["git", "-C", str(checkout)]
     commit = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     changed = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, check=False).stdout
     model = [line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")]
