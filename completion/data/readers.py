@@ -27,11 +27,11 @@ from haustra.core.text import read_json
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}  # of an RGB-D folder; its depth is always PNG
 SIMCOL_FULL_MM = 200.0  # full scale is 20 cm ...
 SIMCOL_STEPS = 256 * 255  # ... at this value, not at 65535: SimCol3D's own reader
-SIMCOL_LENS = (227.604, 227.604, 237.5, 237.5)  # cam.txt's third number is a known slip
+SIMCOL_LENS = (227.60416, 227.60416, 237.5, 237.5)  # cam.txt's third number is a known slip; 237.5 is half of 475
 C3VD_FULL_MM, C3VD_STEPS = 100.0, 65535  # the last step itself means "100 mm or more": no depth
 CSD_MM = 5.0  # per unit of the EXR
 CSD_LENS = (232.5045, 232.5045, 240.0, 320.0)
-VRCAPS_LENS = (472.65, 472.65, 479.5, 359.5)  # at 960 x 720
+VRCAPS_LENS = (472.64955, 472.64955, 480.0, 360.0)  # at 960 x 720; published as 479.5, 359.5, from the pixel's centre
 UNITYCAM_LENS = (156.0418, 155.7529, 178.5604, 181.8043)  # plus a radial term that is ignored here
 
 

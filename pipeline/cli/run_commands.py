@@ -11,7 +11,7 @@ from haustra.core.errors import HaustraError
 if TYPE_CHECKING:
     from pipeline.config import Config
 
-Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")]
+Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a calibration file")]
 FrontEnd = Annotated[str | None, typer.Option(help="auto: odometry, and sfm if that is doubtful; or one by name")]
 Model = Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")]
 LumenMm = Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")]

@@ -104,9 +104,9 @@ def test_unrelated_frames(run, tmp_path):
 
 def test_camera_file_for_another_resolution(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(6))
-    camera = {"model": "PINHOLE", "width": 320, "height": 320, "params": [160, 160, 160, 160]}
+    camera = {"model": "PINHOLE", "width": 320, "height": 240, "params": [160, 160, 160, 120]}
     (tmp_path / "camera.json").write_text(json.dumps(camera))
-    assert_one_sentence(run("a.mp4", "--camera", "camera.json"), "is for 320x320 pixels, but the frames have 160x160")
+    assert_one_sentence(run("a.mp4", "--camera", "camera.json"), "is for 320x240 pixels, but the frames have 160x160")
 
 
 def test_unknown_preset(run, tmp_path):

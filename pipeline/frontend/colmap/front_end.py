@@ -36,6 +36,8 @@ class ColmapFrontEnd:
     def run(
         self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
+        if not frames.camera.lens.in_colmap:
+            raise HaustraError(f"COLMAP has no lens model {frames.camera.model}; take --front-end odometry")
         job = colmap_job(frames, settings.seed, workspace)
         run_isolated(COLMAP_WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
         found = {"global": map_by_colmap("global", job, workspace, progress)}
