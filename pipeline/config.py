@@ -92,12 +92,28 @@ class OdometrySettings(Settings):
         return self
 
 
+class PoseSettings(Settings):
+    """Camera poses that are given, so that nothing is tracked."""
+
+    file: str | None = Field(None, description="TUM, KITTI or tracker CSV file, COLMAP model folder, transforms.json")
+    hand_eye: str | None = Field(None, description="file of sensor_from_camera, sixteen numbers; for a tracker's CSV")
+    refine: bool = Field(False, description="adjust the poses to the pictures; False: they stay to the last digit")
+    mm_per_unit: float | None = Field(None, gt=0, description="of the file; None: its unit is kept and not called mm")
+
+    @model_validator(mode="after")
+    def _has_a_file(self) -> "PoseSettings":
+        if self.file is None and (self.hand_eye is not None or self.refine or self.mm_per_unit is not None):
+            raise ValueError("what is said of poses needs a file of them (--poses)")
+        return self
+
+
 class FrontEndSettings(Settings):
     """What a front end is told: the settings of all of them, and the seed."""
 
     seed: int
     stride: int  # of the working frames in the source
     odometry: OdometrySettings
+    poses: PoseSettings = PoseSettings()
 
 
 class DepthSettings(Settings):
@@ -155,6 +171,7 @@ class Config(Settings):
     )
     frames: FrameSettings = FrameSettings()
     odometry: OdometrySettings = OdometrySettings()
+    poses: PoseSettings = PoseSettings()
     depth: DepthSettings = DepthSettings()
     loop_closing: LoopClosingSettings = LoopClosingSettings()
     consistency: ConsistencySettings = ConsistencySettings()
@@ -162,7 +179,7 @@ class Config(Settings):
 
     @property
     def front_end_settings(self) -> FrontEndSettings:
-        return FrontEndSettings(seed=self.seed, stride=self.frames.stride, odometry=self.odometry)
+        return FrontEndSettings(seed=self.seed, stride=self.frames.stride, odometry=self.odometry, poses=self.poses)
 
     def is_same_work(self, other: "Config") -> bool:
         """Whether a run with these settings gives what one with the others does, wherever it is computed."""

@@ -36,6 +36,14 @@ def reconstruct(
     model: Model = None,
     lumen_mm: LumenMm = None,
     scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
+    poses: Annotated[
+        str | None, typer.Option(help="camera poses: TUM, KITTI, tracker CSV, COLMAP model folder or transforms.json")
+    ] = None,
+    poses_mm: Annotated[float | None, typer.Option(help="mm per unit of the poses: 1, or 1000 of metres")] = None,
+    hand_eye: Annotated[str | None, typer.Option(help="file of sensor_from_camera, for a tracker's CSV")] = None,
+    refine_poses: Annotated[
+        bool, typer.Option("--refine-poses", help="adjust the given poses to the pictures")
+    ] = False,
     start: Start = None,
     end: End = None,
     stride: Stride = None,
@@ -74,6 +82,7 @@ def reconstruct(
         scale_file=scale,
         frames={"start_s": start, "end_s": end, "stride": stride},
         odometry=paced(fast) | {"chunks": chunks, "ray": ray},
+        poses={"file": poses, "mm_per_unit": poses_mm, "hand_eye": hand_eye, "refine": refine_poses or None},
         seed=seed,
         device=device,
     )

@@ -5,13 +5,14 @@ colmap.github.io/format.html.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import Submap, refined_camera
 
 CAMERA_ID = 1
 
@@ -19,7 +20,8 @@ CAMERA_ID = 1
 def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
     """cameras.txt, images.txt, points3D.txt, model.npz and, of a refined lens, camera_sigma.txt.
 
-    Image and point numbers are rows plus one.
+    Image and point numbers are rows plus one. A lens that COLMAP lacks is a pinhole in the text files, and pixels are
+    where that pinhole sees them; model.npz has the lens itself.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{index:06d}.jpg" for index in submap.frames]
@@ -38,12 +40,21 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
     )
     if submap.camera_sigma:
         (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
-    params = " ".join(repr(float(p)) for p in submap.camera_params)
-    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {camera.model} {camera.width} {camera.height} {params}\n")
+    seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
+    params = " ".join(repr(float(p)) for p in lens.params)
+    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
     with (folder / "images.txt").open("w") as file:
-        file.writelines(_image_lines(submap, names))
+        file.writelines(_image_lines(seen, names))
     with (folder / "points3D.txt").open("w") as file:
         file.writelines(_point_lines(submap))
+
+
+def _by_pinhole(submap: Submap, camera: Camera) -> tuple[Submap, Camera]:
+    """The same rays through a pinhole of the lens's focal length and centre."""
+    lens = refined_camera(camera, submap)
+    pinhole = replace(lens, model="PINHOLE", params=(*lens.focal, *lens.centre))
+    plane, _ = lens.unproject(submap.pixels)
+    return replace(submap, pixels=plane * np.array(lens.focal) + np.array(lens.centre)), pinhole
 
 
 def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:

@@ -20,13 +20,15 @@ def unit_label(unit: str) -> str:
 
 @dataclass(frozen=True)
 class ScaleSource:
-    """What sets millimetres: the lumen's median diameter, or a file, which goes before."""
+    """What sets millimetres: the lumen's median diameter, or a file, which goes before, or the unit of given poses,
+    which comes last."""
 
     lumen_mm: float | None = None
     file: Path | None = None
+    poses: "Scale | None" = None
 
     def without_file(self) -> "ScaleSource":
-        return ScaleSource(self.lumen_mm)
+        return ScaleSource(self.lumen_mm, poses=self.poses)
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,19 @@ class Scale:
 SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
 
 
+def scale_of_poses(unit: float, mm_per_unit: float | None) -> Scale:
+    """Of a submap made from given poses, one scene unit of which is `unit` of theirs."""
+    if mm_per_unit is None:
+        return Scale(unit, "scene", "the unit of the poses that were given; --poses-mm says how many mm that is")
+    return Scale(unit * mm_per_unit, "mm", f"poses that were given: {mm_per_unit:g} mm per unit")
+
+
 def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     """Scale of a submap whose mesh and poses are in scene units."""
     if source.file is not None:
         return _scale_from_file(source.file, submap)
     if source.lumen_mm is None:
-        return SCENE
+        return source.poses or SCENE
     # One median depth ahead: in a tube that is where the picture's middle ground lies.
     width = measure_lumen(mesh.vertices, mesh.faces, submap.world_from_camera, reach=1.0)
     if width is None:

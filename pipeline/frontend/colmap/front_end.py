@@ -36,8 +36,6 @@ class ColmapFrontEnd:
     def run(
         self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
-        if not frames.camera.lens.in_colmap:
-            raise HaustraError(f"COLMAP has no lens model {frames.camera.model}; take --front-end odometry")
         job = colmap_job(frames, settings.seed, workspace)
         run_isolated(COLMAP_WORKER, "match", job, workspace.log / "match.log", "features and matches", progress)
         found = {"global": map_by_colmap("global", job, workspace, progress)}
@@ -50,7 +48,9 @@ class ColmapFrontEnd:
 
 
 def colmap_job(frames: Frames, seed: int, workspace: Workspace) -> dict[str, object]:
-    """What COLMAP's worker must know of the run."""
+    """What COLMAP's worker must know of the run. HaustraError for a lens that COLMAP lacks."""
+    if not frames.camera.lens.in_colmap:
+        raise HaustraError(f"COLMAP has no lens model {frames.camera.model}; take --front-end odometry")
     return {
         "database": str(workspace.features),
         "image_folder": str(workspace.images),

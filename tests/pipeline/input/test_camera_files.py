@@ -9,7 +9,7 @@ import pytest
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
-from pipeline.frontend.colmap.front_end import ColmapFrontEnd
+from pipeline.frontend.colmap.front_end import colmap_job
 from pipeline.input.calibration import calibrate
 from pipeline.input.camera_files.registry import read_lens
 from tests.helpers.camera_files import FISHEYE, PINHOLE_RAYS, TERMS, K, fisheye_pixels, opencv_pixels, ray_error
@@ -177,4 +177,4 @@ def test_what_is_missing_is_one_sentence(tmp_path, name, text, message):
 def test_a_lens_that_colmap_lacks_is_kept_from_it():
     camera = Camera("SCARAMUZZA", 10, 10, (5.0, 5.0, 5.0, 0, 0, 0, 1, 0, 0))
     with pytest.raises(HaustraError, match="no lens model SCARAMUZZA; take --front-end odometry"):
-        ColmapFrontEnd().run(SimpleNamespace(camera=camera), None, None, None)
+        colmap_job(SimpleNamespace(camera=camera), 0, None)
