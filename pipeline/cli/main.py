@@ -38,23 +38,32 @@ class ExportCommand(TyperCommand):
 
         for parameter in self.params:
             if isinstance(parameter, TyperArgument) and parameter.name == "target":
-                parameter.help = f"file to write: {described_formats()}"
+                parameter.help = (
+                    f"file to write: {described_formats()}; with --nerfstudio, --colmap or --slicer a folder"
+                )
         super().format_help(ctx, formatter)
 
 
 @app.command(cls=ExportCommand)
 def export(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    target: Annotated[Path, typer.Argument(help="file to write")],
+    target: Annotated[Path, typer.Argument(help="file to write, or folder")],
     max_error: Annotated[
         float | None, typer.Option(help="fewer triangles, none farther off than this, in the run's unit")
     ] = None,
     texture: Annotated[bool, typer.Option(help="colours as a picture laid over the mesh; .glb and .obj")] = False,
+    nerfstudio: Annotated[bool, typer.Option("--nerfstudio", help="a folder with transforms.json")] = False,
+    colmap: Annotated[bool, typer.Option("--colmap", help="a folder with a COLMAP model of pinhole pictures")] = False,
+    slicer: Annotated[bool, typer.Option("--slicer", help="a folder with mesh and markups for 3D Slicer")] = False,
 ) -> None:
-    """Write a run's mesh in another format, or the whole run for another program, as a Rerun recording."""
-    from pipeline.report.exporters import export_run
+    """Write a run's mesh in another format, or the whole run for another program."""
+    from pipeline.report.exporters import export_folder, export_run
 
-    print(export_run(run, target, max_error, texture))
+    programs = {"nerfstudio": nerfstudio, "colmap": colmap, "slicer": slicer}
+    chosen = [name for name, wanted in programs.items() if wanted]
+    if len(chosen) + (max_error is not None or texture) > 1:
+        raise HaustraError("give only one of --nerfstudio, --colmap and --slicer, and with it no option of a mesh")
+    print(export_folder(run, target, chosen[0]) if chosen else export_run(run, target, max_error, texture))
 
 
 @app.command()
