@@ -21,6 +21,7 @@ ORDER = """
 pipeline.cli
 pipeline.demo
 pipeline.compare
+pipeline.truth
 pipeline.run
 pipeline.report
 pipeline.finished_run

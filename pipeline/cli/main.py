@@ -69,7 +69,9 @@ def export(
 @app.command()
 def compare(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    truth: Annotated[Path, typer.Argument(help="RGB-D folder or TUM trajectory with the truth")],
+    truth: Annotated[
+        Path, typer.Argument(help="RGB-D folder, TUM trajectory, or folder of C3VD, SimCol3D, EndoMapper-sim")
+    ],
     tau_mm: Annotated[float, typer.Option(help="distance of the F-score, in the truth's unit (mm)")] = 1.0,
     json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,
 ) -> None:

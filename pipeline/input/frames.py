@@ -41,6 +41,14 @@ class Frames:
     def seconds_of(self, index: int) -> float:
         return float(self.seconds[np.searchsorted(self.index, index)])
 
+    def seconds_of_numbers(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(N,) times of frames by their numbers in the source, (N,): between and beyond the working frames by their
+        mean interval."""
+        interval = (self.seconds[-1] - self.seconds[0]) / max(int(self.index[-1] - self.index[0]), 1)
+        within = np.interp(numbers, self.index, self.seconds)
+        beyond = np.where(numbers < self.index[0], numbers - self.index[0], np.maximum(numbers - self.index[-1], 0))
+        return np.asarray(within + interval * beyond)
+
 
 def read_frames(
     source: Source, camera: str, settings: FrameSettings, workspace: Workspace, progress: Progress
