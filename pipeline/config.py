@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
+from pydantic import Field, PositiveInt, ValidationError, model_validator
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
+from pipeline.given_settings import PoseSettings, SensorSettings, Settings, StereoSettings
 
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
@@ -57,10 +58,6 @@ RETIRED: dict[str, float] = {
 OLD_SECTIONS = ("structure", "sparse", "pose_graph")
 
 
-class Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
 class FrameSettings(Settings):
     """Which frames are read, and how large they are worked on."""
 
@@ -89,21 +86,6 @@ class OdometrySettings(Settings):
     def _has_chunks_for_ray(self) -> "OdometrySettings":
         if self.ray is not None and self.chunks == 1:
             raise ValueError("ray tracks chunks; say how many")
-        return self
-
-
-class PoseSettings(Settings):
-    """Camera poses that are given, so that nothing is tracked."""
-
-    file: str | None = Field(None, description="TUM, KITTI or tracker CSV file, COLMAP model folder, transforms.json")
-    hand_eye: str | None = Field(None, description="file of sensor_from_camera, sixteen numbers; for a tracker's CSV")
-    refine: bool = Field(False, description="adjust the poses to the pictures; False: they stay to the last digit")
-    mm_per_unit: float | None = Field(None, gt=0, description="of the file; None: its unit is kept and not called mm")
-
-    @model_validator(mode="after")
-    def _has_a_file(self) -> "PoseSettings":
-        if self.file is None and (self.hand_eye is not None or self.refine or self.mm_per_unit is not None):
-            raise ValueError("what is said of poses needs a file of them (--poses)")
         return self
 
 
@@ -172,6 +154,8 @@ class Config(Settings):
     frames: FrameSettings = FrameSettings()
     odometry: OdometrySettings = OdometrySettings()
     poses: PoseSettings = PoseSettings()
+    sensor: SensorSettings = SensorSettings()
+    stereo: StereoSettings = StereoSettings()
     depth: DepthSettings = DepthSettings()
     loop_closing: LoopClosingSettings = LoopClosingSettings()
     consistency: ConsistencySettings = ConsistencySettings()

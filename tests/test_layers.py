@@ -34,6 +34,7 @@ pipeline.matching
 pipeline.optimization pipeline.input
 pipeline.run_folder
 pipeline.config
+pipeline.given_settings
 completion.training completion.evaluation
 completion.inference
 completion.weights

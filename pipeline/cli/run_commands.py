@@ -44,6 +44,14 @@ def reconstruct(
     refine_poses: Annotated[
         bool, typer.Option("--refine-poses", help="adjust the given poses to the pictures")
     ] = False,
+    stereo: Annotated[str | None, typer.Option(help="calibration of a stereo endoscope: OpenCV YAML, or INI")] = None,
+    stereo_layout: Annotated[str | None, typer.Option(help="side-by-side, over-under or interlaced")] = None,
+    stereo_right: Annotated[str | None, typer.Option(help="film of the right eye, if it has its own")] = None,
+    depth: Annotated[
+        str | None, typer.Option(help="sensor: metric depth beside the pictures; none: leave it out")
+    ] = None,
+    depth_folder: Annotated[str | None, typer.Option(help="folder of the sensor's 16-bit depth images")] = None,
+    depth_unit_mm: Annotated[float | None, typer.Option(help="mm of a step of the depth images")] = None,
     start: Start = None,
     end: End = None,
     stride: Stride = None,
@@ -83,6 +91,8 @@ def reconstruct(
         frames={"start_s": start, "end_s": end, "stride": stride},
         odometry=paced(fast) | {"chunks": chunks, "ray": ray},
         poses={"file": poses, "mm_per_unit": poses_mm, "hand_eye": hand_eye, "refine": refine_poses or None},
+        stereo={"calibration": stereo, "layout": stereo_layout, "right": stereo_right},
+        sensor={"depth": depth, "folder": depth_folder, "unit_mm": depth_unit_mm},
         seed=seed,
         device=device,
     )

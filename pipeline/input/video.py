@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, display_matrix, upper_field, upright
@@ -61,6 +62,23 @@ class Source:
             self._stream, streams, self.announced = film_stream(path)
             if streams > 1:
                 self._note(f"of {streams} video streams number {self._stream} was taken, which has most pictures")
+
+    @property
+    def camera(self) -> Camera | None:
+        """Of the frames, where the source knows it; a stereo source does once a frame was read."""
+        return None
+
+    @property
+    def depth_error_per_mm(self) -> float:
+        """Of `depth_mm`: standard deviation over the depth's square, 1/mm."""
+        return 0.0
+
+    def check(self) -> None:
+        """Raise `HaustraError` for pictures that cannot be what they are said to be."""
+
+    def depth_mm(self) -> NDArray[np.float64] | None:
+        """(h,w) z-depth of the frame given last, 0 = none; None where the source measures none."""
+        return None
 
     def __iter__(self) -> Iterator[RawFrame]:
         return self._read_folder() if self.is_folder else self._read_video()

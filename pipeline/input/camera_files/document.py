@@ -12,7 +12,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 
 LARGEST = 64 << 20  # bytes; transforms.json of a long film has some megabytes
-OPENCV_MARKS = ("%YAML:1.", "<?xml", "<opencv_storage")
+OPENCV_MARKS = ("%YAML", "<?xml", "<opencv_storage")  # its YAML begins with %YAML:1.0, of OpenCV 5 with %YAML 1.2
 MATRIX = {"rows", "cols", "dt", "data"}
 
 

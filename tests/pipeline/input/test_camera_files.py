@@ -4,6 +4,7 @@ import json
 import struct
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -46,6 +47,19 @@ def test_one_fisheye_in_many_files(tmp_path, name):
     camera = calibrate(str(tmp_path / name), tmp_path, (640, 480), (0, 0, 640, 480)).camera
     rays = PINHOLE_RAYS * [2.0, 2.0, 1.0]  # to 70 degrees off the axis
     assert ray_error(camera, fisheye_pixels(rays, K, FISHEYE), rays) < MOST
+
+
+@pytest.mark.parametrize("name", ["written.yaml", "written.xml", "written.json"])
+def test_what_opencv_itself_writes(tmp_path, name):
+    """The first line of its YAML is another one from version 5 on."""
+    storage = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("camera_matrix", K)
+    storage.write("distortion_coefficients", np.array([TERMS]))
+    storage.release()
+    camera = calibrate(str(tmp_path / name), tmp_path, (640, 480), (0, 0, 640, 480)).camera
+    assert ray_error(camera, opencv_pixels(PINHOLE_RAYS, K, TERMS), PINHOLE_RAYS) < MOST
 
 
 def test_colmap_in_binary(tmp_path):
