@@ -67,7 +67,7 @@ class SensorDepth:
         return np.where(inside, depth[row, column], 0.0)
 
     def points(self, frame: int, lens: Camera, pinhole: Camera, mm_per_unit: float) -> SparseDepth:
-        """Points of a frame in the pinhole's picture and in scene units, one a cell, those of the least error.
+        """Points of a frame in the pinhole's picture and in scene units, one a cell, those nearest to its middle.
 
         lens: of the working picture.
         """
@@ -84,7 +84,7 @@ class SensorDepth:
         good &= (pixels >= 0).all(axis=1) & (pixels < [pinhole.width, pinhole.height]).all(axis=1)
         known, pixels = known[good], pixels[good]
         error = sigma[known] / depth[known]
-        chosen = _one_a_cell(pixels, error, max(2.0, CELL * pinhole.width))
+        chosen = _one_a_cell(pixels, max(2.0, CELL * pinhole.width))
         return SparseDepth(pixels[chosen], depth[known][chosen] / mm_per_unit, error[chosen])
 
     def _centres(self, shape: tuple[int, ...]) -> Array:
@@ -112,9 +112,11 @@ def _confidence(path: Path, shape: tuple[int, ...]) -> Array:
     return image / 255.0
 
 
-def _one_a_cell(pixels: Array, error: Array, side: float) -> NDArray[np.int64]:
-    """Rows of the least error in each square of the picture."""
-    order = np.lexsort((pixels[:, 0], pixels[:, 1], error))
+def _one_a_cell(pixels: Array, side: float) -> NDArray[np.int64]:
+    """Rows of the pixel nearest to the middle in each square of the picture: to choose by the error would choose by the
+    depth, and at the edge of a fold always the same side of it."""
+    off = np.linalg.norm(pixels / side - np.floor(pixels / side) - 0.5, axis=1)
+    order = np.lexsort((pixels[:, 0], pixels[:, 1], off))
     cell = np.floor(pixels[order] / side).astype(np.int64)
     _, first = np.unique(cell[:, 1] * 100_000 + cell[:, 0], return_index=True)
     return np.sort(order[first])
