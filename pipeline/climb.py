@@ -30,7 +30,7 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
     if reference.name == "images.txt":
         truth = read_numbered_images(reference)
     else:
-        true_seconds, poses = load_path(reference)
+        true_seconds, poses = load_path(reference, finished)
         spacing = float(np.median(np.diff(seconds)))
         mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * spacing)
         truth = frames[mine] + 1, poses[theirs]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
+from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
@@ -79,7 +80,7 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     finished = open_run(run)
     metrics = finished.metrics
     seconds, world_from_camera = finished.trajectory()
-    true_seconds, true_world_from_camera, points = _load_truth(truth)
+    true_seconds, true_world_from_camera, points = _load_truth(truth, finished)
     if len(true_seconds) < 3:
         raise HaustraError(f"{truth} has {len(true_seconds)} poses; three are needed")
     mine, theirs = paired(seconds, true_seconds, truth)
@@ -142,18 +143,24 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
     return coverage_errors(coverage.transformed(truth_from_run), wall)
 
 
-def load_path(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def load_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Seconds (N,) and world_from_camera (N,4,4), mm, of an RGB-D folder or a TUM file."""
-    seconds, world_from_camera, _ = _load_truth(truth)
+    seconds, world_from_camera, _ = _load_truth(truth, run)
     return seconds, world_from_camera
 
 
-def _load_truth(truth: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], ReferenceSurface | None]:
+def _load_truth(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64], ReferenceSurface | None]:
     """Seconds, poses, and the surface if there is one."""
+    if truth.is_dir() and (known := read_data_set_truth(truth)) is not None:
+        seconds = known.seconds
+        if seconds is None:  # a pose for each frame: at the time that the run gives it
+            seconds = run.frames.seconds_of_numbers(np.arange(len(known.world_from_camera)))
+        return seconds, known.world_from_camera, known.surface()
     if truth.is_dir():
         trajectory = truth / "trajectory.txt"
         if not trajectory.exists():
-            raise HaustraError(f"{truth} is no RGB-D folder with truth: it has no trajectory.txt")
+            others = ", ".join(TRUTH_READERS)
+            raise HaustraError(f"{truth} has no truth: neither trajectory.txt of an RGB-D folder, nor one of {others}")
         has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
         return *read_tum(trajectory), read_reference_surface(truth) if has_surface else None
     if truth.suffix in (".tum", ".txt") and truth.is_file():

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
+from pydantic import Field, PositiveInt, ValidationError, model_validator
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
+from pipeline.given_settings import PoseSettings, SensorSettings, Settings, StereoSettings
 
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
@@ -57,10 +58,6 @@ RETIRED: dict[str, float] = {
 OLD_SECTIONS = ("structure", "sparse", "pose_graph")
 
 
-class Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
 class FrameSettings(Settings):
     """Which frames are read, and how large they are worked on."""
 
@@ -98,6 +95,7 @@ class FrontEndSettings(Settings):
     seed: int
     stride: int  # of the working frames in the source
     odometry: OdometrySettings
+    poses: PoseSettings = PoseSettings()
     second_opinion: float = 1.0  # see `Config`
     deadline: float | None = None  # by time.monotonic(): when a front end that may be late is stopped
 
@@ -162,6 +160,9 @@ class Config(Settings):
     )
     frames: FrameSettings = FrameSettings()
     odometry: OdometrySettings = OdometrySettings()
+    poses: PoseSettings = PoseSettings()
+    sensor: SensorSettings = SensorSettings()
+    stereo: StereoSettings = StereoSettings()
     depth: DepthSettings = DepthSettings()
     loop_closing: LoopClosingSettings = LoopClosingSettings()
     consistency: ConsistencySettings = ConsistencySettings()
@@ -173,6 +174,7 @@ class Config(Settings):
             seed=self.seed,
             stride=self.frames.stride,
             odometry=self.odometry,
+            poses=self.poses,
             second_opinion=self.second_opinion,
         )
 

@@ -1,25 +1,31 @@
 """The whole journey: an endoscope's video to a surface, one line a stage."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from completion.inference.completer import choose_device
 from completion.weights.shipped_weights import validate_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.multiview_stage import refine_depth
+from pipeline.depth.sensor.sensor_depth import check_sensor, open_sensor
+from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
 from pipeline.frontend.registry import check_front_end
-from pipeline.frontend.structure_stage import solve_structure
+from pipeline.frontend.structure_stage import scene_unit, solve_structure
 from pipeline.input.calibration import check_choice
-from pipeline.input.frames import read_frames
+from pipeline.input.frames import Frames, read_frames
+from pipeline.input.pose_files.registry import lens_beside
+from pipeline.input.stereo.stereo_source import open_source
 from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.report import write_report
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
-from pipeline.surface.scale import ScaleSource, check_scale_file
+from pipeline.surface.scale import Scale, ScaleSource, check_scale_file, scale_of_poses, scale_of_sensor
 
 
 def reconstruct(
@@ -36,8 +42,8 @@ def reconstruct(
     Finished stages stay on disk whatever happens, and `resume` goes on from them. Raises `HaustraError` (one
     sentence) for input that cannot be reconstructed.
     """
-    config, progress = config or Config(), progress or SilentProgress()
-    video, scale = Source(Path(source)), ScaleSource(config.lumen_mm, _path(config.scale_file))
+    config, progress = _with_lens_of_poses(config or Config()), progress or SilentProgress()
+    video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
     with _workspace(video, Path(output), config, resume, overwrite) as workspace:  # nobody else works in it meanwhile
         frames = read_frames(video, config.camera, config.frames, workspace, progress)
@@ -45,6 +51,7 @@ def reconstruct(
         completed = complete_depth(frames, submaps, config.model, config.device, config.depth, workspace, progress)
         completed = refine_depth(completed, config.model, config.device, config.depth, workspace, progress)
         completed = close_loops_stage(frames, completed, config.loop_closing, config.seed, workspace, progress)
+        scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
         surfaces = fuse_depth(completed, surface, workspace, progress)
         coverage = coverage_stage(frames, completed, surfaces, workspace)
@@ -54,10 +61,31 @@ def reconstruct(
         return run
 
 
+def _given_scales(
+    config: Config, frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace
+) -> tuple[Scale | None, ...]:
+    """Of each submap as it is fused: from a sensor's depth, or from the unit of poses."""
+    sensor = open_sensor(workspace, frames.camera.width)
+    if sensor is not None:
+        return tuple(scale_of_sensor(sensor_scale(one.submap, sensor)) for one in submaps)
+    if config.poses.file is not None:
+        return (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit),)
+    return ()
+
+
+def _with_lens_of_poses(config: Config) -> Config:
+    """A COLMAP model and transforms.json have the lens beside the poses; it is taken where no other is named."""
+    if config.poses.file is None or config.camera != "auto":
+        return config
+    beside = lens_beside(Path(config.poses.file))
+    return config if beside is None else config.model_copy(update={"camera": str(beside)})
+
+
 def _check(config: Config, video: Source, scale: ScaleSource) -> None:
     """Refuse what cannot work before any work is done."""
     check_front_end(config.front_end, config.front_end_settings)
     check_choice(config.camera, video.path)
+    check_sensor(video.path, config.sensor)
     validate_weights(config.model, config.depth.iterations)
     choose_device(config.device)
     if scale.file is not None:

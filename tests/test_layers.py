@@ -22,6 +22,7 @@ pipeline.cli
 pipeline.demo
 pipeline.climb
 pipeline.compare
+pipeline.truth
 pipeline.run
 pipeline.report
 pipeline.finished_run
@@ -34,6 +35,7 @@ pipeline.matching
 pipeline.optimization pipeline.input
 pipeline.run_folder
 pipeline.config
+pipeline.given_settings
 completion.training completion.evaluation
 completion.inference
 completion.weights

@@ -14,5 +14,6 @@ if __name__ == "__main__":
             "real_endoscopy",
             "depth_against_truth",
             "phantom_sfm",
+            "kiss_icp",
         ],
     )

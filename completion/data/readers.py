@@ -9,29 +9,35 @@ c3vdv2      C3VDv2: rgb/0000.png, depth/0000_depth.tiff
 unitycam    EndoSLAM's UnityCam (VR-Caps): Frames/image_0000.png, Pixelwise Depths/aov_image_0000.png
 vrcaps      VR-Caps with EXR depth, as EndoMapper's simulated sequences: rgb/*.png, depth/*.exr
 ccd         UCL Colonoscopy CG Dataset: *.png with *_depth.png, or images/ and depths/
+ccd_flat    the same as it is handed out: T1_FrameBuffer_0000.png beside T1_Depth_0000.png
 csd         Colonoscopy Simulator Dataset (Zhang): SUK_L00001.png, SUK_L_depth00001.exr
+csd_cases   the same in its second repository: Case1/rgb/*.png, Case1/depth_gt/*.exr
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from completion.data.evaluation_frame import EvaluationFrame, partner, read_depth16, read_exr, read_rgb
+from completion.data.evaluation_frame import EvaluationFrame, partner, read_depth16, read_exr, read_image, read_rgb
 from haustra.core.errors import CompletionError
 from haustra.core.text import read_json
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}  # of an RGB-D folder; its depth is always PNG
 SIMCOL_FULL_MM = 200.0  # full scale is 20 cm ...
 SIMCOL_STEPS = 256 * 255  # ... at this value, not at 65535: SimCol3D's own reader
-SIMCOL_LENS = (227.604, 227.604, 237.5, 237.5)  # cam.txt's third number is a known slip
+SIMCOL_LENS = (227.60416, 227.60416, 237.5, 237.5)  # cam.txt's third number is a known slip; 237.5 is half of 475
 C3VD_FULL_MM, C3VD_STEPS = 100.0, 65535  # the last step itself means "100 mm or more": no depth
+CCD_PICTURES = "*_FrameBuffer_*.png"
 CSD_MM = 5.0  # per unit of the EXR
 CSD_LENS = (232.5045, 232.5045, 240.0, 320.0)
-VRCAPS_LENS = (472.65, 472.65, 479.5, 359.5)  # at 960 x 720
+CSD_CASES_LENS = (155.0029785575049, 155.0029785575049, 120.0, 160.0)  # at 240 x 320
+VRCAPS_LENS = (472.64955, 472.64955, 480.0, 360.0)  # at 960 x 720; published as 479.5, 359.5, from the pixel's centre
 UNITYCAM_LENS = (156.0418, 155.7529, 178.5604, 181.8043)  # plus a radial term that is ignored here
 
 
@@ -100,6 +106,29 @@ def _ccd(folder: Path) -> Iterator[EvaluationFrame]:
         yield EvaluationFrame(path.stem, read_rgb(path), depth, "mm", lens, folder.name)
 
 
+def _ccd_flat(folder: Path) -> Iterator[EvaluationFrame]:
+    """The set as it is handed out: 8- or 16-bit depth, 20 cm at full scale."""
+    by_number = {path: [int(digits) for digits in re.findall(r"\d+", path.stem)] for path in folder.glob(CCD_PICTURES)}
+    for path in sorted(by_number, key=lambda path: (by_number[path], path.name)):
+        raw = read_image(partner(path, folder, path.name.replace("FrameBuffer", "Depth")), cv2.IMREAD_UNCHANGED)
+        raw = raw if raw.ndim == 2 else raw[..., 0]
+        depth = raw.astype(np.float32) * np.float32(SIMCOL_FULL_MM / np.iinfo(raw.dtype).max)
+        lens = np.array(SIMCOL_LENS) * raw.shape[1] / 475
+        yield EvaluationFrame(path.stem, read_rgb(path), depth, "mm", lens, path.name.split("_FrameBuffer")[0])
+
+
+def _csd_cases(folder: Path) -> Iterator[EvaluationFrame]:
+    """zsustc/synthetic_colonoscopy_datasets: Case#/rgb and Case#/depth_gt, in order of their names."""
+    pictures, depths = (
+        sorted((folder / name).glob(end)) for name, end in (("rgb", "[!.]*.png"), ("depth_gt", "*.exr"))
+    )
+    if len(pictures) != len(depths):
+        raise CompletionError(f"{folder} has {len(pictures)} pictures in rgb/ and {len(depths)} in depth_gt/")
+    for path, truth in zip(pictures, depths, strict=True):
+        depth = _positive(read_exr(truth)) * np.float32(CSD_MM)
+        yield EvaluationFrame(path.stem, read_rgb(path), depth, "mm", _lens(CSD_CASES_LENS), folder.name)
+
+
 def _csd(folder: Path) -> Iterator[EvaluationFrame]:
     for path in sorted(folder.glob("SUK_L[0-9]*.png")):
         number = path.stem.removeprefix("SUK_L")
@@ -122,6 +151,8 @@ READERS = {
     "unitycam": Reader("Pixelwise Depths/aov_image_*.png", _unitycam),
     "vrcaps": Reader("depth/*.exr", _vrcaps),
     "ccd": Reader("depths/*.png", _ccd),
+    "ccd_flat": Reader(CCD_PICTURES, _ccd_flat),
+    "csd_cases": Reader("depth_gt/*.exr", _csd_cases),
     "csd": Reader("SUK_L_depth*.exr", _csd),
     "rgbd": Reader("camera.json", _rgbd),  # last: others have such a file too, for `reconstruct`
 }

@@ -81,11 +81,17 @@ class Camera:
     def unproject(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
         """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them.
 
-        Newton's method from the lens model's first guess; not farther off the axis than `WIDEST`.
+        In closed form where the lens model has one, else by Newton's method from its first guess; not farther off the
+        axis than `WIDEST`.
         """
-        plane = self.lens.first_guess((pixels - np.array(self.centre)) / np.array(self.focal))
+        distorted = (pixels - np.array(self.centre)) / np.array(self.focal)
+        exact = self.is_pinhole or self.lens.undistort is not None
+        if self.lens.undistort is None:
+            plane = self.lens.first_guess(distorted)
+        else:
+            plane = self.lens.undistort(distorted, self.distortion)
         left = np.arange(len(pixels))  # rows that have not converged
-        for _ in range(0 if self.is_pinhole else NEWTON_STEPS):
+        for _ in range(0 if exact else NEWTON_STEPS):
             off = pixels[left] - self.project(_on_plane(plane[left]))
             far = np.abs(off).max(axis=1) > CONVERGED_PX
             left, off = left[far], off[far]

@@ -38,31 +38,47 @@ class ExportCommand(TyperCommand):
 
         for parameter in self.params:
             if isinstance(parameter, TyperArgument) and parameter.name == "target":
-                parameter.help = f"file to write: {described_formats()}"
+                parameter.help = (
+                    f"file to write: {described_formats()}; with --nerfstudio, --colmap or --slicer a folder"
+                )
         super().format_help(ctx, formatter)
 
 
 @app.command(cls=ExportCommand)
 def export(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    target: Annotated[Path, typer.Argument(help="file to write; with --climb a folder")],
+    target: Annotated[Path, typer.Argument(help="file to write, or folder")],
     max_error: Annotated[
         float | None, typer.Option(help="fewer triangles, none farther off than this, in the run's unit")
     ] = None,
     texture: Annotated[bool, typer.Option(help="colours as a picture laid over the mesh; .glb and .obj")] = False,
-    climb: Annotated[bool, typer.Option("--climb", help="poses and points as CLiMB's submissions have them")] = False,
+    nerfstudio: Annotated[bool, typer.Option("--nerfstudio", help="a folder with transforms.json")] = False,
+    colmap: Annotated[bool, typer.Option("--colmap", help="a folder with a COLMAP model of pinhole pictures")] = False,
+    slicer: Annotated[bool, typer.Option("--slicer", help="a folder with mesh and markups for 3D Slicer")] = False,
+    climb: Annotated[bool, typer.Option("--climb", help="a folder as CLiMB's submissions have it")] = False,
 ) -> None:
-    """Write a run's mesh in another format, or the whole run for another program, as a Rerun recording."""
+    """Write a run's mesh in another format, or the whole run for another program."""
     from pipeline.climb import write_submission
-    from pipeline.report.exporters import export_run
+    from pipeline.report.exporters import export_folder, export_run
 
-    print(write_submission(run, target) if climb else export_run(run, target, max_error, texture))
+    programs = {"nerfstudio": nerfstudio, "colmap": colmap, "slicer": slicer, "climb": climb}
+    chosen = [name for name, wanted in programs.items() if wanted]
+    if len(chosen) + (max_error is not None or texture) > 1:
+        raise HaustraError(
+            "give only one of --nerfstudio, --colmap, --slicer and --climb, and with it no option of a mesh"
+        )
+    if climb:
+        print(write_submission(run, target))
+    else:
+        print(export_folder(run, target, chosen[0]) if chosen else export_run(run, target, max_error, texture))
 
 
 @app.command()
 def compare(
     run: Annotated[Path, typer.Argument(help="run folder")],
-    truth: Annotated[Path, typer.Argument(help="RGB-D folder or TUM trajectory with the truth")],
+    truth: Annotated[
+        Path, typer.Argument(help="RGB-D folder, TUM trajectory, or folder of C3VD, SimCol3D, EndoMapper-sim")
+    ],
     tau_mm: Annotated[float, typer.Option(help="distance of the F-score, in the truth's unit (mm)")] = 1.0,
     protocol: Annotated[
         str, typer.Option(help="haustra; or climb: CLiMB's, one Sim(3) a submap; TRUTH may be images.txt of COLMAP")

@@ -11,7 +11,7 @@ from haustra.core.errors import HaustraError
 if TYPE_CHECKING:
     from pipeline.config import Config
 
-Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a camera.json")]
+Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a calibration file")]
 FrontEnd = Annotated[str | None, typer.Option(help="auto: odometry, and sfm if that is doubtful; or one by name")]
 Model = Annotated[str | None, typer.Option(help="completion model: mscsa, or a weight file")]
 LumenMm = Annotated[float | None, typer.Option(help="median lumen diameter in mm; sets the scale")]
@@ -36,6 +36,22 @@ def reconstruct(
     model: Model = None,
     lumen_mm: LumenMm = None,
     scale: Annotated[str | None, typer.Option(help="scale file: mm_per_unit, or frame_a, frame_b, distance_mm")] = None,
+    poses: Annotated[
+        str | None, typer.Option(help="camera poses: TUM, KITTI, tracker CSV, COLMAP model folder or transforms.json")
+    ] = None,
+    poses_mm: Annotated[float | None, typer.Option(help="mm per unit of the poses: 1, or 1000 of metres")] = None,
+    hand_eye: Annotated[str | None, typer.Option(help="file of sensor_from_camera, for a tracker's CSV")] = None,
+    refine_poses: Annotated[
+        bool, typer.Option("--refine-poses", help="adjust the given poses to the pictures")
+    ] = False,
+    stereo: Annotated[str | None, typer.Option(help="calibration of a stereo endoscope: OpenCV YAML, or INI")] = None,
+    stereo_layout: Annotated[str | None, typer.Option(help="side-by-side, over-under or interlaced")] = None,
+    stereo_right: Annotated[str | None, typer.Option(help="film of the right eye, if it has its own")] = None,
+    depth: Annotated[
+        str | None, typer.Option(help="sensor: metric depth beside the pictures; none: leave it out")
+    ] = None,
+    depth_folder: Annotated[str | None, typer.Option(help="folder of the sensor's 16-bit depth images")] = None,
+    depth_unit_mm: Annotated[float | None, typer.Option(help="mm of a step of the depth images")] = None,
     start: Start = None,
     end: End = None,
     stride: Stride = None,
@@ -74,6 +90,9 @@ def reconstruct(
         scale_file=scale,
         frames={"start_s": start, "end_s": end, "stride": stride},
         odometry=paced(fast) | {"chunks": chunks, "ray": ray},
+        poses={"file": poses, "mm_per_unit": poses_mm, "hand_eye": hand_eye, "refine": refine_poses or None},
+        stereo={"calibration": stereo, "layout": stereo_layout, "right": stereo_right},
+        sensor={"depth": depth, "folder": depth_folder, "unit_mm": depth_unit_mm},
         seed=seed,
         device=device,
     )

@@ -1,5 +1,6 @@
 """Stage 3: dense depth and confidence of every keyframe, from its picture and its sparse depth."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.rectification import make_rectifier
-from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.depth.sensor.joined_points import points_of
+from pipeline.depth.sensor.sensor_depth import open_sensor
+from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run_folder.stage import load_or_make
@@ -86,7 +89,7 @@ def _complete_all(
     progress: Progress,
 ) -> None:
     planned = [_plan(frames, submap, settings, workspace) for submap in submaps]
-    store = DiskKeyframes(workspace, settings.multiview)
+    store, sensor = DiskKeyframes(workspace, settings.multiview), open_sensor(workspace, frames.camera.width)
     for number, submap in enumerate(planned):
         write_json(camera_path(workspace, number), submap.camera.to_dict())
     total, done = sum(len(submap) for submap in planned), 0
@@ -94,9 +97,9 @@ def _complete_all(
     with progress.bar("depth completion", total) as advance:
         for submap in planned:
             kept.append([])
-            maker, content = SparseDepthMaker(submap.submap, submap.camera), submap.rectifier.mask(frames.content)
+            points, content = points_of(submap, frames, sensor, progress), submap.rectifier.mask(frames.content)
             for row in map(int, submap.rows):
-                if _complete(submap, row, maker, content, completer, store):
+                if _complete(submap, row, points, content, completer, store):
                     kept[-1].append(row)
                 done += 1
                 advance(done)
@@ -108,14 +111,14 @@ def _complete_all(
 def _complete(
     submap: CompletedSubmap,
     row: int,
-    maker: SparseDepthMaker,
+    points: Callable[[int], SparseDepth],
     content: NDArray[np.uint8],
     completer: DepthCompleter,
     store: DiskKeyframes,
 ) -> bool:
     """Complete one keyframe and write it; False if it has too few points."""
     index = int(submap.submap.frames[row])
-    sparse = maker.sparse_depth(row)
+    sparse = points(row)
     if len(sparse.depth) < MIN_POINTS:
         return False
     if store.has_depth(index):

@@ -15,7 +15,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
-from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
+from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND, chosen
 from pipeline.frontend.scoring import (
     MAX_INCONSISTENT,
     MIN_STRETCH,
@@ -44,7 +44,7 @@ def solve_structure(
         workspace,
         STAGE,
         lambda: load_structure(workspace),
-        lambda: _solve(frames, front_end, settings, workspace, progress),
+        lambda: _solve(frames, chosen(front_end, settings), settings, workspace, progress),
     )
 
 
@@ -66,6 +66,11 @@ def front_end_of(workspace: Workspace) -> str:
 def closes_loops(workspace: Workspace) -> bool:
     """Whether the front end of a finished stage closed the loops itself."""
     return FRONT_ENDS[front_end_of(workspace)].closes_loops
+
+
+def scene_unit(workspace: Workspace) -> float:
+    """How much one scene unit of the first submap is in the unit in which its front end found it."""
+    return float(workspace.result(STAGE)["units"][0])
 
 
 def camera_trust(guess: Camera, submap: Submap) -> str:

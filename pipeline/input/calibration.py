@@ -4,9 +4,13 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from haustra.core.camera import Camera, guess_camera, read_camera
+from haustra.core.camera import Camera, guess_camera
 from haustra.core.errors import HaustraError
+from pipeline.input.camera_files.registry import read_lens
 from pipeline.input.camera_presets import PRESETS
+
+# From the middle, as a share of the side; pyslam's real files go to 0.14. Farther off, it is of another size or crop.
+FARTHEST_CENTRE = 0.2
 
 
 @dataclass(frozen=True)
@@ -35,30 +39,53 @@ def check_choice(choice: str, source: Path) -> None:
     if choice == "auto":
         beside = source / "camera.json"
         if source.is_dir() and beside.exists():
-            read_camera(beside)
+            read_lens(beside)
     elif choice not in PRESETS:
         if not Path(choice).is_file():
             raise HaustraError(f"--camera '{choice}' is neither 'auto', a file, nor a preset ({', '.join(PRESETS)})")
-        read_camera(Path(choice))
+        read_lens(Path(choice))
 
 
 def _from_file(path: Path, size: tuple[int, int]) -> Calibration:
-    camera = read_camera(path)
-    if (camera.width, camera.height) != size:
+    """A file's lens scales with the picture too; one without a size is taken for these frames where that can be."""
+    kind, lens = read_lens(path)
+    known = path.name + (f", {kind}" if kind != path.name else "") + (f" ({lens.note})" if lens.note else "")
+    if lens.size is None:
+        camera = Camera(lens.model, *size, lens.params, lens.trusted)
+        if any(abs(at / side - 0.5) > FARTHEST_CENTRE for at, side in zip(camera.centre, size, strict=True)):
+            raise HaustraError(
+                f"{path} names no picture size, and its centre ({camera.centre[0]:.0f}, {camera.centre[1]:.0f}) is not "
+                f"that of frames of {size[0]}x{size[1]} pixels; say in a camera.json for which size it is"
+            )
+        return Calibration(camera, f"file {known}, which names no size: taken for {size[0]}x{size[1]} pixels")
+    camera = Camera(lens.model, *lens.size, lens.params, lens.trusted)
+    if lens.size == size:
+        return Calibration(camera, f"file {known}")
+    scaled = scaled_to(camera, size)
+    if scaled is None:
         raise HaustraError(
-            f"{path} is for {camera.width}x{camera.height} pixels, but the frames have {size[0]}x{size[1]}"
+            f"{path} is for {camera.width}x{camera.height} pixels, but the frames have {size[0]}x{size[1]}, "
+            "which is another crop and not another scale"
         )
-    return Calibration(camera, f"file {path.name}")
+    return Calibration(scaled, f"file {known}, scaled from {camera.width}x{camera.height} pixels")
 
 
 def _from_preset(name: str, size: tuple[int, int]) -> Calibration:
-    """A preset scales with the image, since recorders halve the size; another aspect ratio means another crop."""
     camera = PRESETS[name].camera
-    scale = size[0] / camera.width
-    if not math.isclose(size[1], camera.height * scale, abs_tol=1.5):
+    scaled = scaled_to(camera, size)
+    if scaled is None:
         raise HaustraError(
             f"preset {name} is for {camera.width}x{camera.height} pixels; "
             f"frames of {size[0]}x{size[1]} are cropped otherwise and need a camera file"
         )
+    return Calibration(scaled, f"preset {name}: {PRESETS[name].source}")
+
+
+def scaled_to(camera: Camera, size: tuple[int, int]) -> Camera | None:
+    """The camera of its pictures brought to `size`, as recorders do; None where the sides' ratio is another, which
+    means another crop."""
+    scale = size[0] / camera.width
+    if not math.isclose(size[1], camera.height * scale, abs_tol=1.5):
+        return None
     scaled = camera.cropped_and_scaled(0, 0, camera.width, camera.height, scale)
-    return Calibration(replace(scaled, width=size[0], height=size[1]), f"preset {name}: {PRESETS[name].source}")
+    return replace(scaled, width=size[0], height=size[1])

@@ -15,7 +15,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import FrameSettings
-from pipeline.input.calibration import calibrate
+from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.video import RawFrame, Source
@@ -26,6 +26,7 @@ CONTENT_SAMPLES = 24  # frames looked at for the content area,
 CONTENT_STRIDE = 25  # of which 25 apart are 20 s: long enough for the view to move over all of it
 STAGE = "frames"
 MIN_FRAMES = 3
+SENSED_MM = 0.01  # mm of a step of depth that the source measured
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,14 @@ class Frames:
 
     def seconds_of(self, index: int) -> float:
         return float(self.seconds[np.searchsorted(self.index, index)])
+
+    def seconds_of_numbers(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(N,) times of frames by their numbers in the source, (N,): between and beyond the working frames by their
+        mean interval."""
+        interval = (self.seconds[-1] - self.seconds[0]) / max(int(self.index[-1] - self.index[0]), 1)
+        within = np.interp(numbers, self.index, self.seconds)
+        beyond = np.where(numbers < self.index[0], numbers - self.index[0], np.maximum(numbers - self.index[-1], 0))
+        return np.asarray(within + interval * beyond)
 
 
 def read_frames(
@@ -57,8 +66,12 @@ def read_frames(
 def _read(source: Source, choice: str, settings: FrameSettings, workspace: Workspace, progress: Progress) -> None:
     for folder in (workspace.images, workspace.masks):
         folder.mkdir(exist_ok=True)
+    source.check()
     area, size = _find_area(source, settings)
-    calibration = calibrate(choice, source.path, size, area.box)
+    known = source.camera
+    calibration = (
+        calibrate(choice, source.path, size, area.box) if known is None else Calibration(known, "left eye, rectified")
+    )
     scale = _working_scale(area.box[2:], settings.long_side)
     camera = calibration.camera.cropped_and_scaled(*area.box, scale)
     verdicts = _store_frames(source, settings, area, camera, workspace, progress)
@@ -68,7 +81,14 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
     cv2.imwrite(str(workspace.masks / "content.png"), content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
-    workspace.finish(STAGE, camera_origin=calibration.origin, notes=source.notes, content_box=list(area.box))
+    workspace.finish(
+        STAGE,
+        camera_origin=calibration.origin,
+        notes=source.notes,
+        content_box=list(area.box),
+        source_size=list(size),
+        depth_error_per_mm=source.depth_error_per_mm,
+    )
     for note in (f"camera: {calibration.origin}", *source.notes):
         progress.log(note)
 
@@ -138,6 +158,7 @@ def _store_frames(
                 write_image(workspace.image_path(frame.index), rgb)
                 mask = np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8)
                 cv2.imwrite(str(workspace.mask_path(frame.index)), mask)
+                write_sensed(workspace.sensor_path(frame.index), source.depth_mm())
     return verdicts
 
 
@@ -156,6 +177,13 @@ def write_image(path: Path, rgb: NDArray[np.uint8]) -> None:
     options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     if not cv2.imwrite(str(path), rgb[..., ::-1], options):
         raise HaustraError(f"cannot write {path}; is the disk full?")
+
+
+def write_sensed(path: Path, depth_mm: NDArray[np.float64] | None) -> None:
+    """Depth (h,w) as 16-bit PNG in steps of `SENSED_MM`; nothing where there is none."""
+    if depth_mm is not None:
+        path.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(path), np.clip(np.rint(depth_mm / SENSED_MM), 0, 65535).astype(np.uint16))
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:

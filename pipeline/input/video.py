@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
+from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, display_matrix, upper_field, upright
 from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture
 
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
-NO_TIMES = "avi"  # FFmpeg's name of a format that stores a frame rate and no times: what it derives runs backwards
+# FFmpeg's names of formats that store a frame rate at most, and no times: what it derives runs backwards, or is none.
+NO_TIMES = ("avi", "h264", "hevc", "mjpeg")
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,29 @@ class Source:
         if not self.is_folder and path.stat().st_size == 0:
             raise HaustraError(f"the file {path} is empty")
         self.announced = len(self.images)
+        self._rate = 0.0  # frames/s that a DICOM file says
         if not self.is_folder:
+            self._rate = read_dicom_video(path).rate if is_dicom(path) else 0.0
             self._stream, streams, self.announced = film_stream(path)
             if streams > 1:
                 self._note(f"of {streams} video streams number {self._stream} was taken, which has most pictures")
+
+    @property
+    def camera(self) -> Camera | None:
+        """Of the frames, where the source knows it; a stereo source does once a frame was read."""
+        return None
+
+    @property
+    def depth_error_per_mm(self) -> float:
+        """Of `depth_mm`: standard deviation over the depth's square, 1/mm."""
+        return 0.0
+
+    def check(self) -> None:
+        """Raise `HaustraError` for pictures that cannot be what they are said to be."""
+
+    def depth_mm(self) -> NDArray[np.float64] | None:
+        """(h,w) z-depth of the frame given last, 0 = none; None where the source measures none."""
+        return None
 
     def __iter__(self) -> Iterator[RawFrame]:
         return self._read_folder() if self.is_folder else self._read_video()
@@ -81,7 +103,8 @@ class Source:
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            clock = Clock(float(stream.average_rate or 30), container.format.name != NO_TIMES)
+            rate, has_times = float(stream.average_rate or 30), container.format.name not in NO_TIMES
+            clock = Clock(self._rate or rate, has_times and not self._rate)
             aspect = stream.sample_aspect_ratio or Fraction(1)
             for frame in self._decode(container, stream):
                 rgb = self._upright(frame, aspect)
@@ -149,8 +172,11 @@ def open_video(path: Path) -> "InputContainer":
     """An open PyAV container with a video stream; one sentence if there is none."""
     import av
 
+    film = read_dicom_video(path) if is_dicom(path) else None
+    # "10:30.mp4" alone would be read as the address of a protocol.
+    file, kind = (str(path.absolute()), None) if film is None else (film.stream, film.kind)
     try:
-        container = av.open(str(path.absolute()))  # "10:30.mp4" alone would be read as the address of a protocol
+        container = av.open(file, "r", format=kind)
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise HaustraError(f"{path} is not a video that FFmpeg can read (or its index is cut off)") from error
     if not container.streams.video:

@@ -5,21 +5,24 @@ colmap.github.io/format.html.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import Submap, refined_camera
 
 CAMERA_ID = 1
 
 
-def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
+def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[np.uint8] | None = None) -> None:
     """cameras.txt, images.txt, points3D.txt, model.npz and, of a refined lens, camera_sigma.txt.
 
-    Image and point numbers are rows plus one.
+    colours (P,3): of the points; grey if there are none. Image and point numbers are rows plus one. A lens that COLMAP
+    lacks is a pinhole in the text files, and pixels are where that pinhole sees them; model.npz has the lens itself.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{index:06d}.jpg" for index in submap.frames]
@@ -38,12 +41,21 @@ def write_model(submap: Submap, camera: Camera, folder: Path) -> None:
     )
     if submap.camera_sigma:
         (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
-    params = " ".join(repr(float(p)) for p in submap.camera_params)
-    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {camera.model} {camera.width} {camera.height} {params}\n")
+    seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
+    params = " ".join(repr(float(p)) for p in lens.params)
+    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
     with (folder / "images.txt").open("w") as file:
-        file.writelines(_image_lines(submap, names))
+        file.writelines(_image_lines(seen, names))
     with (folder / "points3D.txt").open("w") as file:
-        file.writelines(_point_lines(submap))
+        file.writelines(_point_lines(submap, colours))
+
+
+def _by_pinhole(submap: Submap, camera: Camera) -> tuple[Submap, Camera]:
+    """The same rays through a pinhole of the lens's focal length and centre."""
+    lens = refined_camera(camera, submap)
+    pinhole = replace(lens, model="PINHOLE", params=(*lens.focal, *lens.centre))
+    plane, _ = lens.unproject(submap.pixels)
+    return replace(submap, pixels=plane * np.array(lens.focal) + np.array(lens.centre)), pinhole
 
 
 def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
@@ -60,7 +72,8 @@ def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
         yield " ".join(f"{u:.4f} {v:.4f} {p + 1}" for (u, v), p in zip(pixels[mine], point[mine], strict=True)) + "\n"
 
 
-def _point_lines(submap: Submap) -> Iterator[str]:
+def _point_lines(submap: Submap, colours: NDArray[np.uint8] | None) -> Iterator[str]:
+    shades = np.full((len(submap.points), 3), 128) if colours is None else colours
     order, first = submap.by_frame()
     frame, point = submap.observations[order].T
     place = np.arange(len(frame)) - first[frame]  # of each observation within its image
@@ -69,4 +82,5 @@ def _point_lines(submap: Submap) -> Iterator[str]:
     for row, (x, y, z) in enumerate(submap.points):
         mine = by_point[starts[row] : starts[row + 1]]
         track = " ".join(f"{f + 1} {k}" for f, k in zip(frame[mine], place[mine], strict=True))
-        yield f"{row + 1} {x:.17g} {y:.17g} {z:.17g} 128 128 128 {submap.error_px[row]:.6g} {track}\n"
+        red, green, blue = shades[row]
+        yield f"{row + 1} {x:.17g} {y:.17g} {z:.17g} {red} {green} {blue} {submap.error_px[row]:.6g} {track}\n"

@@ -19,11 +19,13 @@ def to_submap(
     camera_params: tuple[float, ...],
     camera_sigma: tuple[float, ...] = (),
     kind: TrackKind | None = None,
+    refit: bool = True,
 ) -> Submap | None:
-    """The submap; None if no frame sees enough. kind: of keyframes and tracks of this kind alone."""
+    """The submap; None if no frame sees enough. kind: of keyframes and tracks of this kind alone. refit: fit the poses
+    once more to the points; False: they stay as they are."""
     frames, cameras_from_world, counts, ids, pixels = _gather(local_map, kind)
     row = np.repeat(np.arange(len(frames)), counts)
-    cameras_from_world, error = _refine(local_map, cameras_from_world, row, ids, pixels)
+    cameras_from_world, error = _refine(local_map, cameras_from_world, row, ids, pixels, refit)
     good = error < MAX_ERROR_PX
     while True:  # frames with too few points, and points with too few frames, until neither is left
         views = np.bincount(ids[good], minlength=len(local_map.tracks))
@@ -72,16 +74,23 @@ def _gather(
 
 
 def _refine(
-    local_map: LocalMap, cameras_from_world: Array, row: NDArray[np.int64], ids: NDArray[np.int64], pixels: NDArray
+    local_map: LocalMap,
+    cameras_from_world: Array,
+    row: NDArray[np.int64],
+    ids: NDArray[np.int64],
+    pixels: NDArray,
+    refit: bool,
 ) -> tuple[Array, Array]:
-    """All poses fitted once more to the final points, and the error of each observation in pixels."""
+    """All poses fitted once more to the final points, unless they stay, and the error of each observation in pixels."""
     cameras_from_world, errors = cameras_from_world.copy(), np.zeros(len(ids))
     for first in range(0, len(cameras_from_world), CHUNK):
         part = slice(*np.searchsorted(row, [first, first + CHUNK]))
         block = cameras_from_world[first : first + CHUNK]
         xy, jacobian = local_map.rays.unproject(pixels[part])
         points, mine = local_map.tracks.points[ids[part]], row[part] - first
-        rotation, shift = refine_poses(block[:, :3, :3], block[:, :3, 3], mine, points, xy, jacobian, LOSS_PX)
+        rotation, shift = block[:, :3, :3], block[:, :3, 3]
+        if refit:
+            rotation, shift = refine_poses(rotation, shift, mine, points, xy, jacobian, LOSS_PX)
         cameras_from_world[first : first + CHUNK] = [compose(r, t) for r, t in zip(rotation, shift, strict=True)]
         local = np.einsum("mij,mj->mi", rotation[mine], points) + shift[mine]
         off = np.linalg.norm(reprojections(local, xy, jacobian), axis=1)

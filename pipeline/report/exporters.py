@@ -41,6 +41,14 @@ def export_run(run: Path, target: Path, max_error: float | None = None, texture:
     return export_mesh(run, target, max_error, texture)
 
 
+def export_folder(run: Path, target: Path, program: str) -> str:
+    """Write a finished run's first submap as a folder for a program of `FOLDER_EXPORTERS`, and say what was written."""
+    from pipeline.finished_run import open_run
+    from pipeline.report.folder_exports.registry import FOLDER_EXPORTERS
+
+    return str(FOLDER_EXPORTERS[program](open_run(run), target))
+
+
 def described_formats() -> str:
     """The suffixes of both tables, for help and refusals."""
     return f"{_listed(tuple(MESH_FORMATS))} (the mesh), or {_listed(tuple(EXPORTERS))} (the whole run)"

@@ -37,10 +37,15 @@ def changed_inputs(source: Path, config: Config, record: Record, trust_stamps: b
 
 def _inputs(source: Path, config: Config) -> dict[str, Path]:
     named = {"camera file": config.camera, "scale file": config.scale_file, "model file": config.model}
+    named |= {"poses": config.poses.file, "hand-eye transform": config.poses.hand_eye}
+    named |= {"depth folder": config.sensor.folder, "stereo calibration": config.stereo.calibration}
+    named |= {"right eye": config.stereo.right}
     if source.is_dir():
         named["camera file"] = str(source / "camera.json") if config.camera == "auto" else config.camera
     files = {name: Path(path) for name, path in named.items() if path is not None}
-    return {"source": source} | {name: path for name, path in files.items() if path.is_file()}
+    return {"source": source} | {
+        name: path for name, path in files.items() if path.is_file() or name in ("poses", "depth folder", "right eye")
+    }
 
 
 def _stamp(path: Path) -> list[int] | None:

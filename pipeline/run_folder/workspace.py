@@ -38,6 +38,7 @@ class Workspace:
         self.root = root
         self.images = root / "images"
         self.masks = root / "masks"
+        self.sensor = root / "sensor"  # depth of a stereo endoscope
         self.log = root / "log"
         self.frames = root / "frames.json"
         self.camera = root / "camera.json"
@@ -77,6 +78,9 @@ class Workspace:
 
     def confidence_path(self, index: int, first: bool = False) -> Path:
         return self.first_depth / f"{index:06d}_confidence.png" if first else self.confidence / f"{index:06d}.png"
+
+    def sensor_path(self, index: int) -> Path:
+        return self.sensor / f"{index:06d}.png"
 
     def is_done(self, stage: str) -> bool:
         return stage in self.record["stages"]

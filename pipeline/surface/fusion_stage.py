@@ -65,8 +65,7 @@ def _fuse_all(
 ) -> None:
     surfaces = []
     for number, submap in enumerate(submaps):
-        # A scale file speaks of the first submap: the others have units of their own.
-        own = settings if number == 0 else replace(settings, scale=settings.scale.without_file())
+        own = replace(settings, scale=settings.scale.of_submap(number))
         surface = _fuse(submap, own, f"fusion of submap {number}", progress)
         if number == 0 and len(surface.mesh.faces) == 0:
             raise HaustraError(

@@ -8,6 +8,7 @@ import yaml
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
+from pipeline.depth.sensor.sensor_scale import SensorScale
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -20,13 +21,16 @@ def unit_label(unit: str) -> str:
 
 @dataclass(frozen=True)
 class ScaleSource:
-    """What sets millimetres: the lumen's median diameter, or a file, which goes before."""
+    """What sets millimetres: a file, the lumen's median diameter, or what the poses or a sensor say of each submap
+    (`given`, by their numbers), in this order."""
 
     lumen_mm: float | None = None
     file: Path | None = None
+    given: "tuple[Scale | None, ...]" = ()
 
-    def without_file(self) -> "ScaleSource":
-        return ScaleSource(self.lumen_mm)
+    def of_submap(self, number: int) -> "ScaleSource":
+        """What speaks of one submap: a file does of the first alone, since the others have units of their own."""
+        return ScaleSource(self.lumen_mm, self.file if number == 0 else None, self.given[number : number + 1])
 
 
 @dataclass(frozen=True)
@@ -41,12 +45,24 @@ class Scale:
 SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
 
 
+def scale_of_poses(unit: float, mm_per_unit: float | None) -> Scale:
+    """Of a submap made from given poses, one scene unit of which is `unit` of theirs."""
+    if mm_per_unit is None:
+        return Scale(unit, "scene", "the unit of the poses that were given; --poses-mm says how many mm that is")
+    return Scale(unit * mm_per_unit, "mm", f"poses that were given: {mm_per_unit:g} mm per unit")
+
+
+def scale_of_sensor(found: SensorScale | None) -> Scale | None:
+    """Of a submap whose depth a sensor measured; None where it saw too little."""
+    return None if found is None else Scale(found.mm_per_unit, "mm", str(found))
+
+
 def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     """Scale of a submap whose mesh and poses are in scene units."""
     if source.file is not None:
         return _scale_from_file(source.file, submap)
     if source.lumen_mm is None:
-        return SCENE
+        return next((scale for scale in source.given if scale is not None), SCENE)
     # One median depth ahead: in a tube that is where the picture's middle ground lies.
     width = measure_lumen(mesh.vertices, mesh.faces, submap.world_from_camera, reach=1.0)
     if width is None:

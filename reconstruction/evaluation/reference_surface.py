@@ -10,7 +10,7 @@ of a third of the spacing, the distance to the nearest of such points.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,9 +50,16 @@ def read_reference_surface(
     folder = Path(folder)
     if not (folder / "depth").is_dir() or (folder / "wall_motion.json").exists():
         return reference_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
+    return reference_from_views(_views(folder, every), max_depth_mm, spacing_mm)
+
+
+def reference_from_views(
+    views: Iterable[tuple[Array, Array]], max_depth_mm: float = 60.0, spacing_mm: float = 0.5
+) -> ReferenceSurface:
+    """Reference surface of the world points (N,3) that each of many views saw, at their z-depths (N,), mm."""
     # Thinned to half the spacing on the way, so that memory follows the surface and not the length of the video.
     pending: list[tuple[Array, Array]] = []
-    for points_and_depth in _views(folder, every):
+    for points_and_depth in views:
         pending.append(points_and_depth)
         if len(pending) > FRAMES_PER_THINNING:
             pending = [_thin_views(pending, spacing_mm / 2)]

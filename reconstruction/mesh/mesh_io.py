@@ -81,6 +81,9 @@ def _load(path: Path) -> Any:
     import trimesh
 
     row = _format_of(path, "read from")
+    if row.write_only:
+        able = ", ".join(suffix for suffix, other in MESH_FORMATS.items() if not other.write_only)
+        raise ReconstructionError(f"{path.name}: meshes are read from {able}; {path.suffix} is only written")
     if not path.is_file():
         raise ReconstructionError(f"there is no mesh at {path}")
     try:

@@ -104,9 +104,16 @@ def test_unrelated_frames(run, tmp_path):
 
 def test_camera_file_for_another_resolution(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(6))
-    camera = {"model": "PINHOLE", "width": 320, "height": 320, "params": [160, 160, 160, 160]}
+    camera = {"model": "PINHOLE", "width": 320, "height": 240, "params": [160, 160, 160, 120]}
     (tmp_path / "camera.json").write_text(json.dumps(camera))
-    assert_one_sentence(run("a.mp4", "--camera", "camera.json"), "is for 320x320 pixels, but the frames have 160x160")
+    assert_one_sentence(run("a.mp4", "--camera", "camera.json"), "is for 320x240 pixels, but the frames have 160x160")
+
+
+def test_poses_that_are_none_or_of_another_film(run, tmp_path):
+    write_video(tmp_path / "a.mp4", textured_frames(6))
+    assert_one_sentence(run("a.mp4", "--poses", "poses.txt"), "there is no file or folder poses.txt")
+    (tmp_path / "poses.txt").write_text("".join(f"{100 + k} 0 0 {k} 0 0 0 1\n" for k in range(6)))
+    assert_one_sentence(run("a.mp4", "--poses", "poses.txt"), "only 0 of the 6 poses of poses.txt are of the time of a")
 
 
 def test_unknown_preset(run, tmp_path):

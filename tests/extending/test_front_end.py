@@ -61,7 +61,7 @@ def test_it_is_accepted_and_its_own_check_is_asked(in_folder):
     (in_folder / "slam.npz").unlink()
     with pytest.raises(HaustraError, match=r"the front end slam needs the file slam\.npz"):
         check_front_end("slam", SETTINGS)
-    with pytest.raises(HaustraError, match="known: auto, odometry, sfm, slam"):
+    with pytest.raises(HaustraError, match="known: auto, odometry, sfm, poses, slam"):
         check_front_end("slma", SETTINGS)
 
 

@@ -20,6 +20,8 @@ class LensModel:
     valid_angle: angle off the axis, rad, beyond which the model turns back on itself; infinite if nowhere.
     widest: angle, rad, up to which the field of view is searched.
     straight_at_zero: whether it is a pinhole where all distortion is zero.
+    in_colmap: whether COLMAP has it by this name.
+    undistort: (N,2) distorted -> (N,2) x/z and y/z, where that has a closed form; None: by Newton's method.
     """
 
     parameters: int
@@ -29,3 +31,5 @@ class LensModel:
     valid_angle: Callable[[Distortion], float]
     widest: float = 1.5
     straight_at_zero: bool = True
+    in_colmap: bool = True
+    undistort: Callable[[Array, Distortion], Array] | None = None

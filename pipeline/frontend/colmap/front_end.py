@@ -50,7 +50,9 @@ class ColmapFrontEnd:
 
 
 def colmap_job(frames: Frames, seed: int, workspace: Workspace) -> dict[str, object]:
-    """What COLMAP's worker must know of the run."""
+    """What COLMAP's worker must know of the run. HaustraError for a lens that COLMAP lacks."""
+    if not frames.camera.lens.in_colmap:
+        raise HaustraError(f"COLMAP has no lens model {frames.camera.model}; take --front-end odometry")
     return {
         "database": str(workspace.features),
         "image_folder": str(workspace.images),

@@ -22,3 +22,4 @@ class MeshFormat:
     without_faces: bool = False  # it can hold a mesh that has no faces
     srgb: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None  # of colours as the file has them; None: sRGB
     repeats_corners: bool = False  # each face has vertices of its own, which a reader must merge
+    write_only: bool = False  # no reader is at hand that needs no large package

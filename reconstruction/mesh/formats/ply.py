@@ -20,8 +20,8 @@ PLY_FACE = np.dtype([("count", "u1"), ("vertex_indices", "<i4", (3,))])
 PLY_NAME = {"<f4": "float", "|u1": "uchar", "<i4": "int"}  # numpy type -> PLY type
 
 
-def write_ply(mesh: SurfaceMesh, path: Path) -> None:
-    """Write vertices as PLY_VERTEX and faces as PLY_FACE, little-endian."""
+def write_ply(mesh: SurfaceMesh, path: Path, comments: tuple[str, ...] = ()) -> None:
+    """Write vertices as PLY_VERTEX and faces as PLY_FACE, little-endian; comments go into the header."""
     vertices = np.empty(len(mesh.vertices), PLY_VERTEX)
     for place, axis in enumerate("xyz"):
         vertices[axis], vertices[f"n{axis}"] = mesh.vertices[:, place], mesh.normals[:, place]
@@ -30,16 +30,17 @@ def write_ply(mesh: SurfaceMesh, path: Path) -> None:
     faces = np.empty(len(mesh.faces), PLY_FACE)
     faces["count"], faces["vertex_indices"] = 3, mesh.faces
     with path.open("wb") as file:
-        file.write(_header(len(vertices), len(faces)))
+        file.write(_header(len(vertices), len(faces), comments))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())
 
 
-def _header(vertices: int, faces: int) -> bytes:
+def _header(vertices: int, faces: int, comments: tuple[str, ...]) -> bytes:
     properties = [f"property {PLY_NAME[PLY_VERTEX[name].str]} {name}" for name in PLY_VERTEX.names or ()]
     lines = [
         "ply",
         "format binary_little_endian 1.0",
+        *(f"comment {text}" for text in comments),
         f"element vertex {vertices}",
         *properties,
         f"element face {faces}",

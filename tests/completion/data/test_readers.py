@@ -66,6 +66,12 @@ def make(kind: str, folder: Path) -> None:
             case "ccd":
                 write_rgb(folder / f"images/{number:04d}.png")
                 write_16(folder / f"depths/{number:04d}.png", 65535 // 5)
+            case "ccd_flat":
+                write_rgb(folder / f"T1_L1_{number}_FrameBuffer_{number:04d}.png")
+                write_16(folder / f"T1_L1_{number}_Depth_{number:04d}.png", 65535 // 5)
+            case "csd_cases":
+                write_rgb(folder / f"rgb/{number:05d}.png")
+                write_exr(folder / f"depth_gt/{number:05d}.exr", 7.0)
             case "csd":
                 write_rgb(folder / f"SUK_L{number:05d}.png")
                 write_exr(folder / f"SUK_L_depth{number:05d}.exr", 7.0)
@@ -79,7 +85,9 @@ EXPECTED = {
     "unitycam": (200 / 255, "scene"),  # never millimetres: the unit is not documented
     "vrcaps": (0.5, "scene"),
     "ccd": (40.0, "mm"),
+    "ccd_flat": (40.0, "mm"),
     "csd": (35.0, "mm"),  # five millimetres a unit
+    "csd_cases": (35.0, "mm"),
 }
 
 
@@ -90,7 +98,7 @@ def test_each_layout_is_recognised_and_decoded(kind: str, tmp_path: Path) -> Non
     assert recognise(folder) == kind
     frames = list(read_evaluation_frames(folder))
     value, unit = EXPECTED[kind]
-    assert [int(frame.name) for frame in frames] == [2, 10]
+    assert [int(frame.name.split("_")[-1]) for frame in frames] == [2, 10]
     for frame in frames:
         assert frame.unit == unit
         assert frame.depth.dtype == np.float32

@@ -135,3 +135,21 @@ def test_a_guessed_lens_can_become_a_fisheye():
         lambda x: replace(one, params=(x[0], 160.0, 160.0, x[1])).project(rays)[:, 0] - true, [150, -0.1]
     )
     assert np.abs(best.fun).max() > 5.0
+
+
+def test_the_mean_colonoscope_has_the_mean_radius():
+    """At each angle off the axis, of the eighteen; it is a start and no calibration."""
+    mean = PRESETS["colonoscope"].camera
+    assert not mean.trusted
+    theta = np.radians(np.linspace(1, 75, 20))
+    rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+    cameras = [PRESETS[f"endomapper-{number:02d}"].camera for number in range(1, 19)]
+    radii = np.mean([camera.project(rays)[:, 0] - camera.centre[0] for camera in cameras], axis=0)
+    np.testing.assert_allclose(mean.project(rays)[:, 0] - mean.centre[0], radii, rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["simcol3d", "endomapper-sim", "vr-caps", "csd"])
+def test_rendered_pictures_have_their_centre_in_the_middle(name):
+    """A renderer's frustum is symmetric; COLMAP's middle of 475 px is 237.5, of 960 px 480."""
+    camera = PRESETS[name].camera
+    assert camera.centre == (camera.width / 2, camera.height / 2)

@@ -1,4 +1,7 @@
-"""Mesh files read back by us, by trimesh and by Open3D."""
+"""Mesh files read back by us, by trimesh, by Open3D and by VTK."""
+
+import base64
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from reconstruction.mesh.open3d_import import import_open3d
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 from reconstruction.mesh.textured_mesh import TexturedMesh
 
-SUFFIXES = list(MESH_FORMATS)
+SUFFIXES = [suffix for suffix, row in MESH_FORMATS.items() if not row.write_only]
 
 
 @pytest.fixture
@@ -68,6 +71,46 @@ def test_reading_gives_back_what_the_format_holds(mesh, tmp_path, suffix):
     else:
         assert np.isnan(again.confidence).all()
         assert not again.observations.any()
+
+
+def test_open3d_reads_the_point_cloud(mesh, tmp_path):
+    cloud = import_open3d().io.read_point_cloud(str(write_mesh(mesh, tmp_path / "cloud.pcd")))
+    np.testing.assert_allclose(np.asarray(cloud.points), mesh.vertices, atol=1e-5)
+    np.testing.assert_allclose(np.asarray(cloud.normals), mesh.normals, atol=1e-6)
+    np.testing.assert_array_equal(np.rint(255 * np.asarray(cloud.colors)), mesh.colours)
+    with pytest.raises(ReconstructionError, match=r"\.pcd is only written"):
+        read_mesh(tmp_path / "cloud.pcd")
+
+
+def vtp_arrays(path):
+    """Name and numbers of every array, by the definition of VTK's XML: base64 of a length in eight bytes, then data."""
+    kinds = {"Float32": "<f4", "Float64": "<f8", "Int32": "<i4", "Int64": "<i8", "UInt8": "u1"}
+    for array in ElementTree.parse(path).iter("DataArray"):
+        data = base64.b64decode(array.text)
+        assert int.from_bytes(data[:8], "little") == len(data) - 8
+        yield array.get("Name"), np.frombuffer(data[8:], kinds[array.get("type")])
+
+
+def test_vtp_holds_all_that_paraview_shows(mesh, tmp_path):
+    found = dict(vtp_arrays(write_mesh(mesh, tmp_path / "mesh.vtp")))
+    np.testing.assert_array_equal(found["Points"].reshape(-1, 3), mesh.vertices)
+    np.testing.assert_array_equal(found["connectivity"].reshape(-1, 3), mesh.faces)
+    np.testing.assert_array_equal(found["offsets"], 3 * np.arange(1, len(mesh.faces) + 1))
+    np.testing.assert_array_equal(found["RGB"].reshape(-1, 3), mesh.colours)
+    np.testing.assert_allclose(found["Normals"].reshape(-1, 3), mesh.normals, atol=1e-6)
+    np.testing.assert_array_equal(found["confidence"], mesh.confidence)
+    np.testing.assert_array_equal(found["observations"], mesh.observations)
+
+
+def test_vtk_reads_vtp(mesh, tmp_path):
+    reader = pytest.importorskip("vtkmodules.vtkIOXML", reason="vtk is not installed").vtkXMLPolyDataReader()
+    reader.SetFileName(str(write_mesh(mesh, tmp_path / "mesh.vtp")))
+    reader.Update()
+    found = reader.GetOutput()
+    assert (found.GetNumberOfPoints(), found.GetNumberOfPolys()) == (len(mesh.vertices), len(mesh.faces))
+    np.testing.assert_array_equal(found.GetPoint(7), mesh.vertices[7])
+    assert found.GetPointData().GetArray("observations").GetValue(7) == mesh.observations[7]
+    assert found.GetPointData().GetArray("RGB").GetTuple(7) == tuple(mesh.colours[7])
 
 
 def test_glb_colours_are_linear(mesh, tmp_path):
@@ -131,10 +174,10 @@ def test_a_new_format_is_one_row_for_plain_and_textured_export(mesh, tmp_path, m
     laid = TexturedMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.vertices[:, :2], np.zeros((8, 8, 3), np.uint8))
     check_textured(tmp_path / "c.toy")
     assert write_textured(laid, tmp_path / "c.toy").read_text() == f"{len(mesh.vertices)} {len(mesh.faces)} 8"
-    with pytest.raises(ReconstructionError, match=r"meshes are written as \.ply, \.glb, \.obj, \.stl, \.toy"):
+    with pytest.raises(ReconstructionError, match=r"written as \.ply, \.glb, \.obj, \.stl, \.vtp, \.pcd, \.toy"):
         write_mesh(mesh, tmp_path / "mesh.fbx")
     with pytest.raises(ReconstructionError, match=r"\.glb or \.obj or \.toy"):
         check_textured(tmp_path / "mesh.stl")
     monkeypatch.setitem(MESH_FORMATS, ".bare", MeshFormat(write))
-    with pytest.raises(ReconstructionError, match=r"without faces can be written as \.ply, \.toy only"):
+    with pytest.raises(ReconstructionError, match=r"without faces can be written as \.ply, \.pcd, \.toy only"):
         write_mesh(SurfaceMesh.from_triangles([], []), tmp_path / "b.bare")

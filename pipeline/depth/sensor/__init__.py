@@ -1,0 +1,1 @@
+"""Metric depth of a sensor beside the pictures: read, tested against the map, its scale, and its points."""

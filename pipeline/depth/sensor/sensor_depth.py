@@ -1,0 +1,196 @@
+"""Depth images of a sensor that looks through the camera's lens: sparse, holed and noisy, in millimetres.
+
+One uint16 PNG a frame, 0 = none; its grid covers the whole source picture, however coarse it is. A value is z-depth
+along the camera's axis.
+"""
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.errors import HaustraError
+from haustra.core.text import read_json
+from pipeline.config import SensorSettings
+from pipeline.depth.sparse_depth import SparseDepth
+from pipeline.input.frames import SENSED_MM
+from pipeline.input.image_folder import images_of, in_natural_order
+from pipeline.run_folder.workspace import Workspace
+
+Array = NDArray[np.float64]
+SENSOR = "sensor"  # what an RGB-D folder's camera.json calls depth that is no truth
+CELL = 1 / 36  # of the width, side of a cell that gives one point to completion, which was trained on a few hundred
+LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
+CACHED = 8
+
+
+@dataclass(frozen=True)
+class SensorDepth:
+    """files: depth image by frame number. settings: unit and error. box: x, y, width, height of the content in the
+    source picture; scale: from it to the working picture; size: (width, height) of the source picture."""
+
+    files: dict[int, Path]
+    settings: SensorSettings
+    unit_mm: float
+    box: tuple[int, int, int, int]
+    scale: float
+    size: tuple[int, int]
+
+    def image(self, frame: int) -> tuple[Array, Array] | None:
+        """(h,w) depth in mm, 0 = none, and (h,w) its standard deviation, mm; None for a frame without an image."""
+        path = self.files.get(frame)
+        if path is None:
+            return None
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
+            raise HaustraError(f"{path} is no 16-bit depth image")
+        depth = raw * self.unit_mm
+        sigma = self.settings.error_mm + self.settings.error_relative * depth + self.settings.error_per_mm * depth**2
+        trust = _confidence(path, raw.shape)
+        return np.where(trust >= LEAST_CONFIDENCE, depth, 0.0), sigma / np.maximum(trust, LEAST_CONFIDENCE)
+
+    def at(self, frame: int, pixels: Array) -> Array:
+        """(K,) depth in mm at working pixels (K,2), of the sensor's cell there; 0 = none."""
+        found = _cached_image(self, frame)
+        if found is None:
+            return np.zeros(len(pixels))
+        depth = found[0]
+        source = pixels / self.scale + np.array(self.box[:2])
+        cell = np.floor(source / np.array(self.size) * np.array(depth.shape[::-1])).astype(int)
+        inside = ((cell >= 0) & (cell < depth.shape[::-1])).all(axis=1)
+        column, row = np.where(inside[:, None], cell, 0).T
+        return np.where(inside, depth[row, column], 0.0)
+
+    def points(self, frame: int, lens: Camera, pinhole: Camera, mm_per_unit: float) -> SparseDepth:
+        """Points of a frame in the pinhole's picture and in scene units, one a cell, those nearest to its middle.
+
+        lens: of the working picture.
+        """
+        found = self.image(frame)
+        if found is None:
+            return SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        depth, sigma = (values.ravel() for values in found)
+        known = np.flatnonzero(depth > 0)
+        working = (self._centres(found[0].shape)[known] - np.array(self.box[:2])) * self.scale
+        inside = ((working >= 0) & (working < [lens.width, lens.height])).all(axis=1)
+        known, working = known[inside], working[inside]
+        plane, good = lens.unproject(working)
+        pixels = plane * np.array(pinhole.focal) + np.array(pinhole.centre)
+        good &= (pixels >= 0).all(axis=1) & (pixels < [pinhole.width, pinhole.height]).all(axis=1)
+        known, pixels = known[good], pixels[good]
+        error = sigma[known] / depth[known]
+        chosen = _one_a_cell(pixels, max(2.0, CELL * pinhole.width))
+        return SparseDepth(pixels[chosen], depth[known][chosen] / mm_per_unit, error[chosen])
+
+    def _centres(self, shape: tuple[int, ...]) -> Array:
+        """(h*w,2) source pixels of the sensor's cells."""
+        y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+        return np.stack([x.ravel() / shape[1] * self.size[0], y.ravel() / shape[0] * self.size[1]], axis=1)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+
+@lru_cache(CACHED)
+def _cached_image(sensor: SensorDepth, frame: int) -> tuple[Array, Array] | None:
+    return sensor.image(frame)
+
+
+def _confidence(path: Path, shape: tuple[int, ...]) -> Array:
+    """(h,w) of `confidence/` beside the depth folder, in [0,1]; 1 where there is none."""
+    beside = path.parent.parent / "sensor_confidence" / path.name
+    if not beside.is_file():
+        return np.ones(shape)
+    image = cv2.imread(str(beside), cv2.IMREAD_GRAYSCALE)
+    if image is None or image.shape != shape:
+        raise HaustraError(f"{beside} is no 8-bit confidence of the size of its depth")
+    return image / 255.0
+
+
+def _one_a_cell(pixels: Array, side: float) -> NDArray[np.int64]:
+    """Rows of the pixel nearest to the middle in each square of the picture: to choose by the error would choose by the
+    depth, and at the edge of a fold always the same side of it."""
+    off = np.linalg.norm(pixels / side - np.floor(pixels / side) - 0.5, axis=1)
+    order = np.lexsort((pixels[:, 0], pixels[:, 1], off))
+    cell = np.floor(pixels[order] / side).astype(np.int64)
+    _, first = np.unique(cell[:, 1] * 100_000 + cell[:, 0], return_index=True)
+    return np.sort(order[first])
+
+
+def depth_folder(source: Path, settings: SensorSettings) -> Path | None:
+    """Where the sensor's depth of a source lies; None where there is none, or it is not to be used."""
+    if settings.depth == "none":
+        return None
+    if settings.folder is not None:
+        return Path(settings.folder)
+    described = source / "camera.json"
+    says = source.is_dir() and described.is_file() and read_json(described).get("depth") == SENSOR
+    if says or (settings.depth == SENSOR and (source / "depth").is_dir()):
+        return source / "depth"
+    if settings.depth == SENSOR:
+        raise HaustraError(f"{source} has no depth/ of a sensor; say where it is by --depth-folder")
+    return None
+
+
+def check_sensor(source: Path, settings: SensorSettings) -> None:
+    """Refuse what cannot work before any work is done."""
+    folder = depth_folder(source, settings)
+    if folder is not None:
+        _unit(source, folder, settings)
+        if not list(folder.glob("[!.]*.png")):
+            raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
+
+
+def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
+    """The sensor of a run, whose working pictures have that width; None where it has none."""
+    source, settings = Path(workspace.record["source"]["path"]), workspace.config.sensor
+    folder = depth_folder(source, settings)
+    if workspace.config.stereo.calibration is not None and settings.depth != "none":
+        folder, settings = workspace.sensor, _stereo_settings(workspace)
+    if folder is None:
+        return None
+    told = workspace.result("frames")
+    box = tuple(told["content_box"])
+    return SensorDepth(
+        _by_frame(source, folder, folder != workspace.sensor),
+        settings,
+        _unit(source, folder, settings),
+        (box[0], box[1], box[2], box[3]),
+        width / box[2],
+        (told["source_size"][0], told["source_size"][1]),
+    )
+
+
+def _stereo_settings(workspace: Workspace) -> SensorSettings:
+    """Unit and error of the depth that the frames stage wrote: its error grows with the square."""
+    per_mm = float(workspace.result("frames")["depth_error_per_mm"])
+    return SensorSettings(unit_mm=SENSED_MM, error_mm=0.0, error_relative=0.003, error_per_mm=per_mm)
+
+
+def _by_frame(source: Path, folder: Path, by_name: bool) -> dict[int, Path]:
+    """By the name of a folder's picture, else by the number in the name, from 0."""
+    files = in_natural_order(list(folder.glob("[!.]*.png")))
+    names = (
+        {path.stem: number for number, path in enumerate(images_of(source)[0])} if by_name and source.is_dir() else {}
+    )
+    if any(path.stem in names for path in files):
+        return {names[path.stem]: path for path in files if path.stem in names}
+    numbered = {int(found[-1]): path for path in files if (found := re.findall(r"\d+", path.stem))}
+    if not numbered:
+        raise HaustraError(f"the depth images in {folder} carry no frame numbers in their names")
+    return numbered
+
+
+def _unit(source: Path, folder: Path, settings: SensorSettings) -> float:
+    """Millimetres of one step of the PNGs."""
+    if settings.unit_mm is not None:
+        return settings.unit_mm
+    for described in (source / "camera.json", folder.parent / "camera.json", folder / "camera.json"):
+        if described.is_file() and "depth_unit_mm" in (about := read_json(described)):
+            return float(about["depth_unit_mm"])
+    raise HaustraError(f"the unit of the depth in {folder} is not known: say it by --depth-unit-mm")

@@ -1,0 +1,112 @@
+"""The scale of a submap by a sensor's depth, and whether the two agree: unit, calibration, time.
+
+Each observation of a triangulated point has a depth in the map and, where the sensor saw something, one in millimetres.
+Their ratio is the scale; its median over all is exact to a few thousandths, whatever the noise. What is left of the
+ratios after each frame's own median says how well the two agree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import HaustraError
+from pipeline.depth.sensor.sensor_depth import SensorDepth
+from pipeline.depth.sparse_depth import reliable_points
+from pipeline.mapping.submap import Submap
+
+Array = NDArray[np.float64]
+MOST_FRAMES = 120  # spread over the submap
+FEWEST = 30  # ratios, without which there is no scale
+FEWEST_IN_FRAME = 8
+SHIFTS = (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)  # frames by which the sensor may be off
+BETTER = 0.9  # a shift must lower the disagreement to this part of it
+MOST_DISAGREEMENT = 0.12  # median absolute log ratio; 3 % of noise and the map's own error leave 0.03 to 0.05
+NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
+
+
+@dataclass(frozen=True)
+class SensorScale:
+    """mm_per_unit; count: ratios that it is the median of; disagreement: median absolute log ratio within the frames;
+    drift: standard deviation of the frames' own log scales."""
+
+    mm_per_unit: float
+    count: int
+    disagreement: float
+    drift: float
+
+    def __str__(self) -> str:
+        return (
+            f"depth of the sensor: {self.mm_per_unit:.4g} mm per scene unit, median of {self.count} points; within the "
+            f"frames the two differ by {100 * self.disagreement:.1f} % in the median, from frame to frame the scale by "
+            f"{100 * self.drift:.1f} %"
+        )
+
+
+def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
+    """Scale of a submap in scene units; None where too little of it has depth. HaustraError, one sentence, where the
+    sensor's unit, lens or clock cannot be right."""
+    log_ratio, row = _log_ratios(submap, sensor, 0)
+    if len(log_ratio) < FEWEST:
+        return None
+    disagreement, medians = _disagreement(log_ratio, row)
+    _check_time(submap, sensor, disagreement)
+    if disagreement > MOST_DISAGREEMENT:
+        raise HaustraError(
+            f"the sensor's depth and the pictures' geometry differ by {100 * disagreement:.0f} % in the median within "
+            "a frame: is the sensor registered to this camera, and the camera's calibration right? --depth none leaves "
+            "it out"
+        )
+    scale = float(np.exp(np.median(log_ratio)))
+    depths = submap.depths()
+    median_mm = scale * float(np.median(depths[depths > 0]))
+    if not NEAREST_MM <= median_mm <= FARTHEST_MM:
+        raise HaustraError(
+            f"by the sensor's depth the wall is {median_mm:.3g} mm away in the median, which no endoscope's view is: "
+            "check its unit (--depth-unit-mm)"
+        )
+    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)))
+
+
+def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> None:
+    """Refuse depth that fits other frames than its own clearly better."""
+    found = {}
+    for shift in SHIFTS:
+        log_ratio, row = _log_ratios(submap, sensor, shift)
+        if len(log_ratio) >= FEWEST:
+            found[shift] = _disagreement(log_ratio, row)[0]
+    best = min(found, key=lambda shift: (found[shift], abs(shift)), default=0)
+    if best != 0 and found[best] < BETTER * disagreement:
+        when = f"{abs(best)} frame(s) {'late' if best > 0 else 'early'}"
+        raise HaustraError(
+            f"the sensor's depth is {when}: taken so, it differs from the geometry by {100 * found[best]:.1f} % "
+            f"instead of {100 * disagreement:.1f} %; number its images anew"
+        )
+
+
+def _log_ratios(submap: Submap, sensor: SensorDepth, shift: int) -> tuple[Array, NDArray[np.int64]]:
+    """(K,) log of mm over scene units, and (K,) rows of the frames; shift: the sensor's frames are so many later."""
+    good, _ = reliable_points(submap, submap.triangulation_angles(), submap.camera_params[0])
+    rows = np.unique(np.linspace(0, len(submap.frames) - 1, min(MOST_FRAMES, len(submap.frames))).round().astype(int))
+    depths, ratios, found = submap.depths(), [np.zeros(0)], [np.zeros(0, np.int64)]
+    order, starts = submap.by_frame()
+    for row in rows.tolist():
+        mine = order[starts[row] : starts[row + 1]]
+        mine = mine[good[submap.observations[mine, 1]] & (depths[mine] > 0)]
+        measured = sensor.at(int(submap.frames[row]) + shift, submap.pixels[mine])
+        known = measured > 0
+        ratios.append(np.log(measured[known] / depths[mine][known]))
+        found.append(np.full(int(known.sum()), row))
+    return np.concatenate(ratios), np.concatenate(found)
+
+
+def _disagreement(log_ratio: Array, row: NDArray[np.int64]) -> tuple[float, Array]:
+    """Median absolute deviation from each frame's median, and those medians, of frames with enough points."""
+    medians, off = [], [np.zeros(0)]
+    for one in np.unique(row):
+        mine = log_ratio[row == one]
+        if len(mine) >= FEWEST_IN_FRAME:
+            medians.append(float(np.median(mine)))
+            off.append(np.abs(mine - medians[-1]))
+    every = np.concatenate(off)
+    return (float(np.median(every)) if len(every) else 0.0), np.array(medians or [0.0])

@@ -1,0 +1,163 @@
+"""Whether given poses are those of the pictures, and in which axes: by the epipolar lines of matched features.
+
+Each pair of frames has matches. A reading of the poses puts an epipolar plane through each match and says where its
+point lies: the second ray must lie in the plane, and the point before both cameras. Wrong axes, inverted poses and
+poses of another film put a small part of the matches there.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import HaustraError
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array
+from pipeline.matching.descriptor_matching import match_descriptors
+from pipeline.matching.sift import FindFeatures, rootsift
+
+PAIRS = 12  # spread over the film
+GAPS = (2, 4, 8, 16, 32)  # posed frames between the two of a pair, until the picture has moved
+LEAST_MOTION = 0.02  # of the width, in the median: less says nothing
+FEWEST_MATCHES = 15  # of a pair
+OFF_PLANE_PX, OFF_PLANE_SHARE = 1.5, 0.15  # of an inlier's second ray, the larger of px and share of its way
+FITS = 0.5  # share of inliers from which on a reading can be the right one; wrong ones have a tenth
+ROUGHLY_FITS = 0.2  # the same of poses that are to be adjusted, as a tracker's, off by a millimetre and a degree
+CLEARLY = 0.15  # by which another reading must fit better
+Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class MatchedPair:
+    """Two posed frames, by their rows, and the unit rays (K,3), (K,3) of what is the same in both; way (K,) in px."""
+
+    rows: tuple[int, int]
+    first: Array
+    second: Array
+    way: Array
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """matches: how many were asked. inliers: share that the poses as given explain. depth: median depth of those, in
+    the poses' unit."""
+
+    matches: int
+    inliers: float
+    depth: float
+
+
+def _inverted(poses: Array) -> Array:
+    turned = np.swapaxes(poses[:, :3, :3], 1, 2)
+    result = np.tile(np.eye(4), (len(poses), 1, 1))
+    result[:, :3, :3], result[:, :3, 3] = turned, -np.einsum("nij,nj->ni", turned, poses[:, :3, 3])
+    return result
+
+
+def _scalar_first(poses: Array) -> Array:
+    """As if the file's quaternions had w before x y z."""
+    w, x, y, z = Rotation.from_matrix(poses[:, :3, :3]).as_quat().T
+    result = poses.copy()
+    result[:, :3, :3] = Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix()
+    return result
+
+
+AS_GIVEN = "world_from_camera in OpenCV's axes"
+READINGS: dict[str, Callable[[Array], Array]] = {
+    AS_GIVEN: lambda poses: poses,
+    "camera_from_world, that is, inverted": _inverted,
+    "world_from_camera in OpenGL's axes (y up, z backwards)": lambda poses: poses @ Y_UP,
+    "camera_from_world in OpenGL's axes": lambda poses: _inverted(poses) @ Y_UP,
+    "world_from_camera of a left-handed world (y down in the camera, up in the file)": lambda p: MIRROR @ p @ MIRROR,
+    "world_from_camera with w before x y z in its quaternions": _scalar_first,
+}
+
+
+def check_poses(
+    path: Path, frames: Sequence[int], poses: Array, rays: RayTable, find: FindFeatures, fits: float = FITS
+) -> PoseCheck:
+    """Test world_from_camera (N,4,4) of frames. HaustraError, one sentence, where another reading of the file fits the
+    pictures, or none does; fits: the share of inliers that is asked for."""
+    pairs = matched_pairs(frames, rays, find)
+    asked = sum(len(pair.first) for pair in pairs)
+    if asked < FEWEST_MATCHES:
+        raise HaustraError(
+            f"the poses of {path} cannot be tested: no two of {len(frames)} posed frames show the same from places "
+            "apart"
+        )
+    share = {name: _inlier_share(pairs, read(poses), rays.focal_px) for name, read in READINGS.items()}
+    given, best = share[AS_GIVEN], max(share, key=lambda name: share[name])
+    counted = f"{100 * share[best]:.0f} % of {asked} matches lie on their epipolar lines"
+    if share[best] >= fits and share[best] > given + CLEARLY:
+        raise HaustraError(
+            f"the poses of {path} fit the pictures as {best}: so read, {counted}, and as {AS_GIVEN} "
+            f"{100 * given:.0f} %; convert them"
+        )
+    if given < fits:
+        raise HaustraError(
+            f"the poses of {path} are not those of these pictures: read in any axes, at most {counted}; are they of "
+            "another film, shifted in time, or is the lens another one (--camera)?"
+        )
+    return PoseCheck(asked, given, _median_depth(pairs, poses, rays.focal_px))
+
+
+def matched_pairs(frames: Sequence[int], rays: RayTable, find: FindFeatures) -> list[MatchedPair]:
+    """Pairs of posed frames, spread over the film, between which the picture has moved."""
+    pairs = []
+    for row in np.unique(np.linspace(0, len(frames) - 1 - GAPS[0], PAIRS).round().astype(int)):
+        for gap in GAPS:
+            if row + gap >= len(frames):
+                break
+            pair = _matched(int(row), int(row + gap), frames, rays, find)
+            if pair is not None and np.median(pair.way) >= LEAST_MOTION * rays.camera.width:
+                pairs.append(pair)
+                break
+    return pairs
+
+
+def _matched(row: int, other: int, frames: Sequence[int], rays: RayTable, find: FindFeatures) -> MatchedPair | None:
+    here, there = find(frames[row]), find(frames[other])
+    same = match_descriptors(rootsift(here.descriptors), rootsift(there.descriptors))
+    if len(same) < FEWEST_MATCHES:
+        return None
+    first, second = here.pixels[same[:, 0]], there.pixels[same[:, 1]]
+    way = np.linalg.norm(second - first, axis=1)
+    return MatchedPair((row, other), unit_rays(rays, first), unit_rays(rays, second), way)
+
+
+def unit_rays(rays: RayTable, pixels: Array) -> Array:
+    """(N,2) pixels -> (N,3) in the camera's axes."""
+    plane, _ = rays.unproject(pixels)
+    found = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def _inlier_share(pairs: list[MatchedPair], poses: Array, focal_px: float) -> float:
+    good = np.concatenate([inliers(pair, poses, focal_px)[0] for pair in pairs])
+    return float(good.mean())
+
+
+def _median_depth(pairs: list[MatchedPair], poses: Array, focal_px: float) -> float:
+    found = [inliers(pair, poses, focal_px) for pair in pairs]
+    return float(np.median(np.concatenate([depth[good] for good, depth in found])))
+
+
+def inliers(pair: MatchedPair, poses: Array, focal_px: float) -> tuple[NDArray[np.bool_], Array]:
+    """(K,) whether each match lies on its epipolar line and before both cameras, and (K,) its depth in the first."""
+    here, there = poses[pair.rows[0]], poses[pair.rows[1]]
+    turn = there[:3, :3].T @ here[:3, :3]
+    shift = there[:3, :3].T @ (here[:3, 3] - there[:3, 3])
+    turned = pair.first @ turn.T
+    normal = np.cross(turned, shift)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    off_px = focal_px * np.abs(np.einsum("ki,ki->k", normal, pair.second))
+    across = np.cross(pair.second, turned)
+    square = np.maximum(np.einsum("ki,ki->k", across, across), 1e-12)
+    near = -np.einsum("ki,ki->k", across, np.cross(pair.second, shift)) / square
+    far = -np.einsum("ki,ki->k", across, np.cross(turned, shift)) / square
+    fits = off_px < np.maximum(OFF_PLANE_PX, OFF_PLANE_SHARE * pair.way)
+    return fits & (near > 0) & (far > 0), near * pair.first[:, 2]

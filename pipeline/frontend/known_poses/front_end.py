@@ -1,0 +1,111 @@
+"""Front end `poses`: no tracking; the frames' poses are read from a file, and their features triangulated.
+
+The world and the unit stay those of the file. Poses are tested against the pictures first (`epipolar_check`).
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, inverse
+from pipeline.config import FrontEndSettings
+from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, FrontEndResult
+from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
+from pipeline.frontend.known_poses.posed_map import build_map, choose_frames
+from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
+from pipeline.input.frames import Frames
+from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
+from pipeline.input.pose_files.registry import read_poses
+from pipeline.mapping.local_map import LocalMap
+from pipeline.mapping.map_adjustment import adjust_all
+from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.sift_cache import SiftCache
+from pipeline.run_folder.workspace import Workspace
+
+NAME = "poses"
+
+
+class KnownPosesFrontEnd:
+    """One submap, in the world and the unit of the poses' file."""
+
+    closes_loops = True  # the poses are given: there is nothing to close
+
+    def check(self, settings: FrontEndSettings) -> None:
+        if settings.poses.file is None:
+            raise HaustraError("the front end poses needs a file of poses: --poses FILE")
+        read_poses(Path(settings.poses.file), _path(settings.poses.hand_eye))
+
+    def run(
+        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    ) -> FrontEndResult:
+        table = read_poses(Path(settings.poses.file or ""), _path(settings.poses.hand_eye))
+        by_frame = poses_by_frame(table, FilmFrames.of(workspace))
+        index = np.array([frame for frame in frames.index.tolist() if frame in by_frame], np.int64)
+        if len(index) < MIN_FRAMES:
+            raise HaustraError(
+                f"{table.path} has poses of {len(index)} of the {len(frames.index)} usable frames; three are needed"
+            )
+        poses = np.stack([by_frame[frame] for frame in index.tolist()])
+        rays, refine = RayTable(frames.camera), settings.poses.refine
+        with single_threaded(), SiftCache(frame_reader(workspace)) as find:
+            check = check_poses(table.path, index.tolist(), poses, rays, find, ROUGHLY_FITS if refine else FITS)
+            progress.log(
+                f"poses of {table.path.name}: {len(index)} of {len(frames.index)} frames; "
+                f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"
+            )
+            motion = settings.odometry.keyframe_motion * frames.camera.width
+            rows = choose_frames(poses, check.depth, rays.focal_px, motion)
+            with progress.bar("triangulation", len(rows)) as advance:
+                local_map = build_map(index[rows].tolist(), poses[rows], rays, find, refine, advance)
+                if refine:
+                    adjust_all(local_map, True, advance)
+        submap = to_submap(local_map, frames.camera.params, refit=refine)
+        if submap is None:
+            raise HaustraError(f"the poses of {table.path} triangulate no points that {MIN_FRAMES} frames see")
+        whole = _with_all_frames(submap, index, _moved(local_map, poses, rows) if refine else poses)
+        if refine:
+            whole = in_world_of(whole, poses)
+        return FrontEndResult({NAME: [FoundSubmap(whole)]}, {"inliers": check.inliers})
+
+
+def _moved(local_map: LocalMap, poses: Array, rows: NDArray[np.int64]) -> Array:
+    """All poses (N,4,4) after the keyframes, at `rows`, were adjusted: frames between them follow the last one."""
+    now = np.stack([inverse(keyframe.camera_from_world) for keyframe in local_map.keyframes])
+    last = np.maximum(np.searchsorted(rows, np.arange(len(poses)), side="right") - 1, 0)
+    return np.stack([now[k] @ inverse(poses[rows[k]]) @ pose for k, pose in zip(last, poses, strict=True)])
+
+
+def _with_all_frames(submap: Submap, index: NDArray[np.int64], poses: Array) -> Submap:
+    """The submap with every frame that has a pose; those between keyframes saw no point."""
+    observations = submap.observations.copy()
+    observations[:, 0] = np.searchsorted(index, submap.frames)[observations[:, 0]]
+    world_from_camera = np.array(poses, np.float64)
+    world_from_camera[np.searchsorted(index, submap.frames)] = submap.world_from_camera
+    return replace(submap, frames=index, world_from_camera=world_from_camera, observations=observations)
+
+
+def in_world_of(submap: Submap, poses: Array) -> Submap:
+    """The adjusted submap brought back to the world and the unit of the poses given (N,4,4).
+
+    The turn is the mean one of the cameras', which a straight path tells, too; scale and shift are of their centres.
+    """
+    centres, given = submap.centres, poses[:, :3, 3]
+    turn = Rotation.from_matrix(poses[:, :3, :3] @ np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)).mean()
+    spread, wanted = turn.apply(centres - centres.mean(axis=0)), given - given.mean(axis=0)
+    scale = float((spread * wanted).sum() / np.maximum((spread**2).sum(), 1e-300))
+    shift = given.mean(axis=0) - scale * turn.apply(centres.mean(axis=0))
+    moved = submap.world_from_camera.copy()
+    moved[:, :3, :3] = turn.as_matrix() @ moved[:, :3, :3]
+    moved[:, :3, 3] = scale * turn.apply(centres) + shift
+    return replace(submap, world_from_camera=moved, points=scale * turn.apply(submap.points) + shift)
+
+
+def _path(name: str | None) -> Path | None:
+    return None if name is None else Path(name)

@@ -1,0 +1,49 @@
+"""Settings of what is given beside the pictures: poses, a sensor's depth, a second eye. Part of `pipeline.config`."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class PoseSettings(Settings):
+    """Camera poses that are given, so that nothing is tracked."""
+
+    file: str | None = Field(None, description="TUM, KITTI or tracker CSV file, COLMAP model folder, transforms.json")
+    hand_eye: str | None = Field(None, description="file of sensor_from_camera, sixteen numbers; for a tracker's CSV")
+    refine: bool = Field(False, description="adjust the poses to the pictures; False: they stay to the last digit")
+    mm_per_unit: float | None = Field(None, gt=0, description="of the file; None: its unit is kept and not called mm")
+
+    @model_validator(mode="after")
+    def _has_a_file(self) -> "PoseSettings":
+        if self.file is None and (self.hand_eye is not None or self.refine or self.mm_per_unit is not None):
+            raise ValueError("what is said of poses needs a file of them (--poses)")
+        return self
+
+
+class SensorSettings(Settings):
+    """Metric depth of a sensor beside the pictures; its standard deviation is the sum of three terms."""
+
+    depth: Literal["auto", "sensor", "none"] = Field(
+        "auto", description='`auto`: used where an RGB-D folder\'s camera.json says `"depth": "sensor"`'
+    )
+    folder: str | None = Field(None, description="of 16-bit PNGs, one a frame; None: `depth/` of an RGB-D folder")
+    unit_mm: float | None = Field(None, gt=0, description="mm of a step of the PNGs; None: as camera.json says")
+    error_mm: float = Field(0.2, ge=0, description="mm, whatever the depth")
+    error_relative: float = Field(0.02, ge=0, description="share of the depth")
+    error_per_mm: float = Field(0.0, ge=0, description="of the depth's square, 1/mm")
+
+
+class StereoSettings(Settings):
+    """A stereo endoscope; its depth is used as a sensor's."""
+
+    calibration: str | None = Field(
+        None, description="file of the rig: OpenCV's stereo YAML or XML, or StereoMIS's INI"
+    )
+    layout: Literal["side-by-side", "over-under", "interlaced"] = Field(
+        "side-by-side", description="of the two eyes in a picture, the left one first"
+    )
+    right: str | None = Field(None, description="film of the right eye, where it has one of its own")

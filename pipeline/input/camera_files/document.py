@@ -1,0 +1,81 @@
+"""A camera file as text and, where it is JSON, YAML or OpenCV's storage, as names and values."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import yaml
+
+from haustra.core.errors import HaustraError
+from haustra.core.text import read_text
+
+LARGEST = 64 << 20  # bytes; transforms.json of a long film has some megabytes
+OPENCV_MARKS = ("%YAML", "<?xml", "<opencv_storage")  # its YAML begins with %YAML:1.0, of OpenCV 5 with %YAML 1.2
+MATRIX = {"rows", "cols", "dt", "data"}
+
+
+@dataclass(frozen=True)
+class CameraDocument:
+    """text: empty for a binary file. fields: empty where the text is no mapping of names to values."""
+
+    path: Path
+    text: str = ""
+    fields: dict[str, Any] = field(default_factory=dict)
+
+
+def open_document(path: Path) -> CameraDocument:
+    """The file's contents. HaustraError, one sentence, where it cannot be read."""
+    if path.is_file() and path.stat().st_size > LARGEST:
+        raise HaustraError(f"{path} is no camera file: it has {path.stat().st_size >> 20} MB")
+    if path.suffix.lower() == ".mat":
+        raise HaustraError(
+            f"{path} holds MATLAB objects, which only MATLAB can read: save jsonencode(toStruct(params)) as a .json"
+        )
+    if path.suffix.lower() == ".bin":
+        return CameraDocument(path)
+    text = read_text(path)
+    if text.lstrip().startswith(OPENCV_MARKS):
+        return CameraDocument(path, text, _opencv_fields(text))
+    return CameraDocument(path, text, _fields(path, text))
+
+
+def _fields(path: Path, text: str) -> dict[str, Any]:
+    if path.suffix.lower() == ".json" or text.lstrip().startswith("{"):
+        try:
+            found = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
+            raise HaustraError(f"{path} is not whole JSON{where}") from error
+        if not isinstance(found, dict):
+            raise HaustraError(f"{path} must hold a JSON object with names, not {type(found).__name__}")
+        return found
+    try:
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _opencv_fields(text: str) -> dict[str, Any]:
+    """Of OpenCV's own YAML and XML, whose tags no other library knows; nothing where it is other XML."""
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        root = storage.root()
+        return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 - a FileNode is no dict
+    except (cv2.error, SystemError, UnicodeDecodeError):
+        return {}
+
+
+def _value(node: cv2.FileNode) -> Any:
+    if node.isMap():
+        names = set(node.keys())
+        if names >= MATRIX:
+            return node.mat()
+        return {name: _value(node.getNode(name)) for name in names}
+    if node.isSeq():
+        return [_value(node.at(k)) for k in range(node.size())]
+    if node.isString():
+        return node.string()
+    return node.real()

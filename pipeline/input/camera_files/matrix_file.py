@@ -1,0 +1,75 @@
+"""A camera matrix and distortion by name: OpenCV's YAML and XML, and JSON or YAML of Python programs.
+
+Names differ from program to program by case and underscores: camera_matrix, Camera_Matrix, cameraMatrix, K. A stereo
+rig (M1 D1 M2 D2, as SCARED has them) gives its first camera.
+"""
+
+import re
+from typing import Any
+
+import numpy as np
+
+from haustra.core.errors import HaustraError
+from pipeline.input.camera_files.calibrated_lens import CalibratedLens, from_matrix
+from pipeline.input.camera_files.document import CameraDocument
+
+MATRICES = ("cameramatrix", "k", "intrinsicmatrix", "mtx", "m1", "k1", "cameramatrixleft", "cameramatrix1")
+TERMS = (
+    "distortioncoefficients",
+    "distcoeffs",
+    "distcoeff",
+    "distortion",
+    "dist",
+    "d",
+    "d1",
+    "distortioncoefficientsleft",
+    "distcoeffs1",
+)
+WIDTHS, HEIGHTS, SIZES = ("imagewidth", "width", "w"), ("imageheight", "height", "h"), ("imagesize", "size")
+AREAS = ("full", "roi")  # x, y, width, height
+FISHEYE = ("fisheye", "equidistant", "kannala")
+
+
+def read_matrix_file(document: CameraDocument) -> CalibratedLens | None:
+    fields = {re.sub(r"[_\W]", "", name).lower(): value for name, value in document.fields.items()}
+    matrix = next((fields[name] for name in MATRICES if name in fields and _is_matrix(fields[name])), None)
+    if matrix is None:
+        return None
+    found = next((fields[name] for name in TERMS if name in fields), None)
+    if found is None:
+        raise HaustraError("it has a camera matrix but no distortion coefficients; write zeros if there is none")
+    said = " ".join(str(fields.get(name, "")) for name in ("distortionmodel", "cameramodel", "model", "type")).lower()
+    fisheye = any(word in said for word in FISHEYE) or bool(fields.get("fisheyemodel", 0))
+    note = "the first camera of the rig" if {"m2", "k2", "d2"} & fields.keys() else ""
+    return from_matrix(_numbers(matrix).reshape(3, 3), _numbers(found).ravel().tolist(), _size(fields), fisheye, note)
+
+
+def _is_matrix(value: Any) -> bool:
+    try:
+        return _numbers(value).size == 9
+    except (TypeError, ValueError):
+        return False
+
+
+def _numbers(value: Any) -> Any:
+    """Of an array, nested lists, `{data: [...]}`, or NumPy's printed form."""
+    if isinstance(value, dict):
+        value = value["data"]
+    if isinstance(value, str):
+        value = re.findall(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", value)
+    return np.asarray(value, np.float64)
+
+
+def _size(fields: dict[str, Any]) -> tuple[int, int] | None:
+    for width, height in zip(WIDTHS, HEIGHTS, strict=True):
+        if width in fields and height in fields:
+            return int(fields[width]), int(fields[height])
+    for name in SIZES:
+        if name in fields and _numbers(fields[name]).size == 2:
+            width, height = _numbers(fields[name]).ravel()
+            return int(width), int(height)
+    for name in AREAS:
+        if name in fields and _numbers(fields[name]).size == 4:
+            x, y, width, height = _numbers(fields[name]).ravel()
+            return (int(width), int(height)) if x == y == 0 else None
+    return None

@@ -1,0 +1,35 @@
+"""ROS: the YAML of `camera_calibration`, and a printed `sensor_msgs/CameraInfo` (ROS 1: D K, ROS 2: d k)."""
+
+from typing import Any
+
+from haustra.core.errors import HaustraError
+from pipeline.input.camera_files.calibrated_lens import CalibratedLens, array_of, from_matrix
+from pipeline.input.camera_files.document import CameraDocument
+
+BROWN = ("plumb_bob", "rational_polynomial")
+FISHEYE = ("equidistant", "fisheye")
+
+
+def read_camera_info(document: CameraDocument) -> CalibratedLens | None:
+    fields = document.fields
+    if "distortion_model" not in fields:
+        return None
+    model = str(fields["distortion_model"])
+    if model not in (*BROWN, *FISHEYE):
+        raise HaustraError(f"its distortion_model {model!r} is none of {', '.join((*BROWN, *FISHEYE))}")
+    matrix, terms = _first(fields, "camera_matrix", "K", "k"), _first(fields, "distortion_coefficients", "D", "d")
+    width, height = _first(fields, "image_width", "width"), _first(fields, "image_height", "height")
+    return from_matrix(
+        _data(matrix).reshape(3, 3), _data(terms).ravel().tolist(), (int(width), int(height)), model in FISHEYE
+    )
+
+
+def _first(fields: dict[str, Any], *names: str) -> Any:
+    for name in names:
+        if name in fields:
+            return fields[name]
+    raise HaustraError(f"it lacks {names[0]}")
+
+
+def _data(value: Any) -> Any:
+    return array_of(value["data"] if isinstance(value, dict) else value)

@@ -1,0 +1,72 @@
+"""A COLMAP model: images.txt or images.bin, camera_from_world, named by picture (colmap.github.io/format.html)."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import HaustraError
+from haustra.core.text import read_text
+from pipeline.input.pose_files.pose_table import Array, PoseTable
+
+HEAD = struct.Struct("<I7dI")  # number, quaternion w x y z, translation, number of the camera
+POINT_BYTES = 24  # x, y and the number of the 3-D point
+
+
+def read_colmap_poses(path: Path) -> PoseTable | None:
+    folder = path if path.is_dir() else path.parent
+    if path.is_file() and path.name not in ("images.txt", "images.bin"):
+        return None
+    if (folder / "images.bin").is_file() and path.name != "images.txt":
+        found = _binary(folder / "images.bin")
+    elif (folder / "images.txt").is_file():
+        found = _text(folder / "images.txt")
+    else:
+        return None
+    if not found:
+        raise HaustraError(f"{path} holds a COLMAP model without images")
+    names = sorted(found)
+    return PoseTable(path, np.stack([_world_from_camera(*found[name]) for name in names]), names=tuple(names))
+
+
+def _text(path: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Every other line is an image, the next one its points, and may be empty."""
+    lines = [line for line in read_text(path).splitlines() if not line.startswith("#")]
+    found = {}
+    for line in lines[::2]:
+        words = line.split(maxsplit=9)
+        if len(words) < 10:
+            continue
+        try:
+            numbers = [float(word) for word in words[1:8]]
+        except ValueError as error:
+            raise HaustraError(f"{path} is no images.txt of COLMAP: {line.strip()[:60]!r} is no image") from error
+        found[words[9]] = (numbers[:4], numbers[4:])
+    return found
+
+
+def _binary(path: Path) -> dict[str, tuple[list[float], list[float]]]:
+    data, found, place = path.read_bytes(), {}, 8
+    try:
+        (count,) = struct.unpack_from("<Q", data)
+        for _ in range(count):
+            _, *numbers, _ = HEAD.unpack_from(data, place)
+            place += HEAD.size
+            end = data.index(b"\0", place)
+            found[data[place:end].decode()] = (numbers[:4], numbers[4:])
+            (points,) = struct.unpack_from("<Q", data, end + 1)
+            place = end + 9 + POINT_BYTES * points
+        if place > len(data):
+            raise ValueError
+    except (struct.error, ValueError) as error:
+        raise HaustraError(f"{path} is cut off") from error
+    return found
+
+
+def _world_from_camera(quaternion: list[float], shift: list[float]) -> Array:
+    w, x, y, z = quaternion
+    rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ np.array(shift)
+    return pose

@@ -1,0 +1,121 @@
+"""Poses that a file gives, and which frames of a film they belong to."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.errors import HaustraError
+from pipeline.input.image_folder import images_of
+from pipeline.run_folder.workspace import Workspace
+from reconstruction.evaluation.trajectory_metrics import associate
+
+Array = NDArray[np.float64]
+MIN_PAIRED = 0.5  # share of the fewer, poses or frames, that must belong together
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class PoseTable:
+    """world_from_camera (N,4,4), OpenCV's axes. They belong to frames by seconds (N,), by the names of pictures, or,
+    where both are None, by their order. path: of the file, for sentences."""
+
+    path: Path
+    world_from_camera: Array
+    seconds: Array | None = None
+    names: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class FilmFrames:
+    """A film's frames that were looked at: numbers in the source (K,), seconds (K,), names of a folder's pictures."""
+
+    index: NDArray[np.int64]
+    seconds: Array
+    names: tuple[str, ...] | None
+
+    @staticmethod
+    def of(workspace: Workspace) -> "FilmFrames":
+        listed = json.loads(workspace.frames.read_text())["frames"]
+        source = Path(workspace.record["source"]["path"])
+        names = tuple(path.name for path in images_of(source)[0]) if source.is_dir() else None
+        return FilmFrames(
+            np.array([index for index, _, _ in listed]), np.array([seconds for _, seconds, _ in listed]), names
+        )
+
+
+def poses_by_frame(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
+    """world_from_camera (4,4) by frame number, of the frames that have one. HaustraError where the poses are of another
+    film by their number, names or times."""
+    if table.names is not None:
+        found = _by_name(table, table.names, film)
+    elif table.seconds is not None:
+        found = _by_time(table, table.seconds, film)
+    else:
+        found = _by_order(table, film)
+    looked_at = set(film.index.tolist())
+    found = {frame: pose for frame, pose in found.items() if frame in looked_at}
+    if len(found) < max(FEWEST, MIN_PAIRED * min(len(film.index), len(table.world_from_camera))):
+        raise HaustraError(
+            f"only {len(found)} of the {len(table.world_from_camera)} poses of {table.path} belong to one of the "
+            f"{len(film.index)} frames: they are of another film, or its frames have other names"
+        )
+    return found
+
+
+def _by_order(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
+    count, frames = len(table.world_from_camera), int(film.index.max()) + 1
+    if count < frames:
+        raise HaustraError(
+            f"{table.path} has {count} poses without times, and the film {frames} frames: one for each frame is needed"
+        )
+    return dict(enumerate(table.world_from_camera))
+
+
+def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict[int, Array]:
+    """By the names of a folder's pictures; of a film, by the number in the name, counted from 0, or from 1 where the
+    film has no frame of the last number."""
+    by_stem = {Path(name).stem: number for number, name in enumerate(film.names or ())}
+    stems = [Path(name).stem for name in names]
+    if any(stem in by_stem for stem in stems):
+        return {by_stem[s]: pose for s, pose in zip(stems, table.world_from_camera, strict=True) if s in by_stem}
+    numbers = [re.findall(r"\d+", stem) for stem in stems]
+    if not all(numbers):
+        raise HaustraError(f"the pictures that {table.path} names are not those of the film, and carry no numbers")
+    last = [int(found[-1]) for found in numbers]
+    first = 1 if max(last) == int(film.index.max()) + 1 and min(last) > 0 else 0
+    return {number - first: pose for number, pose in zip(last, table.world_from_camera, strict=True)}
+
+
+def _by_time(table: PoseTable, seconds: Array, film: FilmFrames) -> dict[int, Array]:
+    spacing = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    try:
+        mine, theirs = associate(film.seconds, seconds, max_difference=0.5 * spacing + 1e-6)
+    except HaustraError:
+        mine = theirs = np.empty(0, np.int64)
+    if len(mine) < MIN_PAIRED * min(len(seconds), len(film.seconds)):
+        times = f"{seconds[0]:g} to {seconds[-1]:g} s, the film's from {film.seconds[0]:g} to {film.seconds[-1]:g} s"
+        numbers = np.allclose(seconds, np.round(seconds), rtol=0, atol=1e-6) and len(seconds) > 1
+        hint = "; they look like frame numbers: divide them by the film's frames a second" if numbers else ""
+        raise HaustraError(
+            f"only {len(mine)} of the {len(seconds)} poses of {table.path} are of the time of a frame: their times go "
+            f"from {times}{hint}"
+        )
+    return {int(film.index[m]): table.world_from_camera[t] for m, t in zip(mine, theirs, strict=True)}
+
+
+def rigid(matrices: Array, where: str) -> Array:
+    """(N,4,4) checked: finite, with a rotation, which is brought to the nearest exact one."""
+    matrices = np.asarray(matrices, np.float64)
+    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or len(matrices) == 0 or not np.isfinite(matrices).all():
+        raise HaustraError(f"{where} must hold poses as finite 4x4 matrices")
+    u, size, vt = np.linalg.svd(matrices[:, :3, :3])
+    if np.abs(size - 1).max() > 1e-2 or (np.linalg.det(matrices[:, :3, :3]) < 0).any():
+        raise HaustraError(f"{where}: the left upper 3x3 of a pose is no rotation (its stretch is {size.max():.3g})")
+    result = matrices.copy()
+    result[:, :3, :3] = u @ vt
+    result[:, 3] = [0, 0, 0, 1]
+    return result

@@ -1,0 +1,44 @@
+"""The formats of pose files by name. A new one is a file with its reader and a row here."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from haustra.core.errors import HaustraError
+from pipeline.input.pose_files.colmap_poses import read_colmap_poses
+from pipeline.input.pose_files.pose_table import Array, PoseTable
+from pipeline.input.pose_files.text_poses import read_text_poses
+from pipeline.input.pose_files.tracker_csv import read_hand_eye, read_tracker
+from pipeline.input.pose_files.transforms_poses import read_transforms_poses
+
+# A reader gives None for a file of another format; the second argument is sensor_from_camera (4,4) of a tracker.
+Reader = Callable[[Path, Array | None], PoseTable | None]
+
+POSE_FORMATS: dict[str, Reader] = {
+    "tracker CSV": read_tracker,
+    "COLMAP model folder": lambda path, _: read_colmap_poses(path),
+    "nerfstudio transforms.json": lambda path, _: read_transforms_poses(path),
+    "TUM or KITTI text": lambda path, _: read_text_poses(path),
+}
+
+
+def read_poses(path: Path, hand_eye: Path | None = None) -> PoseTable:
+    """The poses of a file or model folder. HaustraError, one sentence, for what no reader knows or can read."""
+    if not path.exists():
+        raise HaustraError(f"there is no file or folder {path} of poses")
+    sensor_from_camera = None if hand_eye is None else read_hand_eye(hand_eye)
+    for read in POSE_FORMATS.values():
+        table = read(path, sensor_from_camera)
+        if table is not None:
+            return table
+    raise HaustraError(f"{path} holds no poses that can be read; looked for {', '.join(POSE_FORMATS)}")
+
+
+def lens_beside(path: Path) -> Path | None:
+    """The camera file that comes with poses: of a COLMAP model or of transforms.json; None where there is none."""
+    if path.name in ("images.txt", "images.bin"):
+        path = path.parent
+    if path.is_file():
+        return path if path.suffix.lower() == ".json" else None
+    return next(
+        (path / name for name in ("cameras.bin", "cameras.txt", "transforms.json") if (path / name).is_file()), None
+    )

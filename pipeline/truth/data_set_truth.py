@@ -1,0 +1,68 @@
+"""What a reader of a data set's truth gives: poses by frame, and the surface that depth images show."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.errors import HaustraError
+from haustra.core.ray_table import RayTable
+from haustra.core.text import read_text
+from reconstruction.evaluation.reference_surface import ReferenceSurface, reference_from_views
+
+Array = NDArray[np.float64]
+MOST_VIEWS = 100  # depth images that make the surface, spread over the film
+
+
+@dataclass(frozen=True)
+class DataSetTruth:
+    """world_from_camera (N,4,4), OpenCV's axes, mm; row k is of frame k of the film, or of time seconds (N,) where
+    there are any. depths: z-depth (H,W) in mm of each frame, 0 = none; camera: of them, at its own size; None without
+    depth."""
+
+    world_from_camera: Array
+    seconds: Array | None = None
+    depths: Iterable[NDArray[np.float32]] = field(default_factory=tuple)
+    camera: Camera | None = None
+
+    def surface(self) -> ReferenceSurface | None:
+        """Reference surface from the depth images; None without any."""
+        return None if self.camera is None else reference_from_views(self._views(self.camera))
+
+    def _views(self, camera: Camera) -> Iterator[tuple[Array, Array]]:
+        rays, step = None, max(1, len(self.world_from_camera) // MOST_VIEWS)
+        for number, (depth, pose) in enumerate(zip(self.depths, self.world_from_camera, strict=False)):
+            if number % step:
+                continue
+            rays = _rays(camera, depth.shape) if rays is None else rays
+            known = (depth > 0) & (rays[1] > 0)
+            points = rays[0][known] * depth[known, None].astype(np.float64)
+            yield points @ pose[:3, :3].T + pose[:3, 3], depth[known].astype(np.float64)
+
+
+def _rays(camera: Camera, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.uint8]]:
+    """Rays (H,W,3) of z = 1 through the pixels' centres, and which pixels (H,W) have one."""
+    height, width = shape
+    scale = width / camera.width
+    if abs(camera.height * scale - height) > 1.5:
+        raise HaustraError(f"depth of {width}x{height} pixels is not of the lens for {camera.width}x{camera.height}")
+    camera = camera.cropped_and_scaled(0, 0, camera.width, camera.height, scale)
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    plane, _ = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1))
+    usable = RayTable(camera).usable
+    return np.column_stack([plane, np.ones(len(plane))]).reshape(height, width, 3), usable[:height, :width]
+
+
+def table_of(path: Path, columns: int, delimiter: str | None = None, skip: int = 0) -> Array:
+    """Numbers (N,columns) of a text file, after `skip` lines. HaustraError, one sentence, for any other content."""
+    rows = [line.split(delimiter) for line in read_text(path).splitlines()[skip:] if line.strip()]
+    try:
+        table = np.array(rows, np.float64)
+    except ValueError as error:
+        raise HaustraError(f"{path} must have {columns} numbers on each line") from error
+    if table.ndim != 2 or table.shape[1] != columns or not np.isfinite(table).all():
+        raise HaustraError(f"{path} must have {columns} finite numbers on each line")
+    return table

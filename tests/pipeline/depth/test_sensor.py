@@ -1,0 +1,196 @@
+"""Depth of a sensor in a tube whose wall is known: its scale, its points, and what it says when it cannot be right."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from haustra.core.camera import Camera
+from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
+from pipeline.config import Config, SensorSettings
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.keyframe_store import DiskKeyframes
+from pipeline.depth.rectification import make_rectifier
+from pipeline.depth.sensor.joined_points import join, points_of
+from pipeline.depth.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
+from pipeline.depth.sensor.sensor_scale import sensor_scale
+from pipeline.depth.sparse_depth import SparseDepth
+from pipeline.input.frames import Frames
+from pipeline.mapping.submap import Submap
+from pipeline.run_folder.workspace import Workspace
+from pipeline.surface.scale import ScaleSource, find_scale, scale_of_sensor
+
+SOURCE, BOX, SCALE = (240, 200), (20, 10, 200, 180), 0.5  # the content is cut out and halved
+CAMERA = Camera("OPENCV", 100, 90, (50.0, 50.0, 52.0, 44.0, -0.05, 0.0, 0.0, 0.0))
+FULL = CAMERA.cropped_and_scaled(-10, -5, 120, 100, 2.0)  # of the source picture
+RADIUS_MM, MM_PER_UNIT, COUNT, STEP_MM = 22.0, 31.0, 20, 2.0
+BUMPS = 4 * gaussian_filter(np.random.default_rng(3).normal(size=(90, 120)), 4.0, mode="wrap")
+BUMPS *= 2.0 / BUMPS.std()
+
+
+def pose(k):
+    """Along the tube, beside its axis."""
+    found = np.eye(4)
+    found[:3, 3] = 3 * np.sin(0.4 * k), 2 * np.cos(0.3 * k), STEP_MM * k
+    return found
+
+
+def wall_depth(rays, k):
+    """z-depth (N,) in mm where rays (N,3) of z = 1 meet the tube, whose radius has bumps."""
+    centre, radius = pose(k)[:3, 3], np.full(len(rays), RADIUS_MM)
+    for _ in range(6):
+        a = (rays[:, :2] ** 2).sum(axis=1)
+        b = (rays[:, :2] * centre[:2]).sum(axis=1)
+        depth = (-b + np.sqrt(b * b - a * ((centre[:2] ** 2).sum() - radius**2))) / np.maximum(a, 1e-9)
+        hit = centre + depth[:, None] * rays
+        turn = (np.arctan2(hit[:, 1], hit[:, 0]) / (2 * np.pi) * 90).astype(int) % 90
+        radius = RADIUS_MM + BUMPS[turn, (hit[:, 2] / 2).astype(int) % 120]
+    return depth
+
+
+def through(camera, pixels):
+    plane, _ = camera.unproject(pixels)
+    return np.column_stack([plane, np.ones(len(plane))])
+
+
+def submap():
+    """Points of a grid of pixels of every third frame, seen by the frames around; in scene units, with 1 % of error."""
+    rng, points, observations, pixels = np.random.default_rng(0), [], [], []
+    x, y = np.meshgrid(np.arange(6, 100, 6.0), np.arange(6, 90, 6.0))
+    for k in range(0, COUNT, 3):
+        grid = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-2, 2, (x.size, 2))
+        rays = through(CAMERA, grid)
+        depth = wall_depth(rays, k)
+        near = depth < 90
+        for place in pose(k)[:3, 3] + rays[near] * (depth[near] * (1 + 0.01 * rng.normal(size=near.sum())))[:, None]:
+            for j in range(max(0, k - 3), min(COUNT, k + 4)):
+                local = place - pose(j)[:3, 3]
+                seen = CAMERA.project(local[None])[0] if local[2] > 5 else np.array([-1.0, -1.0])
+                if (seen > 0).all() and (seen < [100, 90]).all():
+                    observations.append((j, len(points)))
+                    pixels.append(seen)
+            points.append(place / MM_PER_UNIT)
+    poses = np.stack([pose(k) for k in range(COUNT)])
+    poses[:, :3, 3] /= MM_PER_UNIT
+    return Submap(
+        np.arange(COUNT), poses, np.array(points), np.full(len(points), 0.3), np.array(observations), np.array(pixels),
+        CAMERA.params,
+    )  # fmt: skip
+
+
+def write_sensor(folder, unit_mm=0.05, noise=0.02, zones=(48, 40)):
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(
+        (np.arange(zones[0]) + 0.5) * SOURCE[0] / zones[0], (np.arange(zones[1]) + 0.5) * SOURCE[1] / zones[1]
+    )
+    rays = through(FULL, np.column_stack([x.ravel(), y.ravel()]))
+    for k in range(COUNT):
+        depth = wall_depth(rays, k) * (1 + noise * rng.normal(size=len(rays)))
+        depth[(rng.random(len(rays)) < 0.2) | (depth > 150)] = 0
+        raw = np.clip(np.rint(depth / unit_mm), 0, 65535).astype(np.uint16).reshape(zones[1], zones[0])
+        cv2.imwrite(str(folder / f"{k:05d}.png"), raw)
+
+
+@pytest.fixture
+def workspace(tmp_path):
+    write_sensor(tmp_path / "depth")
+    found = Workspace(tmp_path / "run")
+    found.root.mkdir()
+    config = Config(sensor=SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05, error_mm=0.0))
+    found.record |= {"config": config.model_dump(mode="json"), "source": {"path": str(tmp_path / "film.mp4")}}
+    found.finish("frames", content_box=list(BOX), source_size=list(SOURCE))
+    return found
+
+
+@pytest.fixture
+def sensor(workspace):
+    return open_sensor(workspace, CAMERA.width)
+
+
+def test_the_scale_is_found_through_noise_holes_and_a_cropped_picture(sensor):
+    found = sensor_scale(submap(), sensor)
+    assert found.mm_per_unit == pytest.approx(MM_PER_UNIT, rel=0.005)
+    assert found.count > 1000
+    assert 0.01 < found.disagreement < 0.06
+    scale = find_scale(ScaleSource(given=(scale_of_sensor(found),)).of_submap(0), submap(), None)
+    assert (scale.unit, scale.factor) == ("mm", found.mm_per_unit)
+
+
+def test_its_points_lie_on_the_wall(sensor):
+    pinhole = make_rectifier(CAMERA).camera
+    found = sensor.points(7, CAMERA, pinhole, MM_PER_UNIT)
+    assert len(found.depth) > 300
+    np.testing.assert_allclose(found.error, 0.02, atol=1e-9)
+    true = wall_depth(through(pinhole, found.pixels), 7) / MM_PER_UNIT
+    off = np.log(found.depth / true)
+    assert abs(np.median(off)) < 0.004
+    assert np.median(np.abs(off)) < 0.02
+
+
+def test_they_join_those_of_the_map(sensor, workspace):
+    completed = CompletedSubmap(submap(), make_rectifier(CAMERA), np.arange(COUNT), DiskKeyframes(workspace))
+    frames = Frames(np.arange(COUNT), np.arange(COUNT) / 30, CAMERA, np.full((90, 100), 255, np.uint8), {})
+    alone = points_of(completed, frames, None, SilentProgress())(7)
+    both = points_of(completed, frames, sensor, SilentProgress())(7)
+    assert len(both.depth) > len(alone.depth) + 250
+    lone = SparseDepth(np.array([[50.0, 40.0]]), np.array([9.0]), np.array([0.01]))
+    assert 9.0 not in join(both, lone).depth  # nothing around is so deep
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_a_wrong_unit_is_one_sentence(sensor, factor):
+    with pytest.raises(HaustraError, match="which no endoscope's view is: check its unit"):
+        sensor_scale(submap(), replace(sensor, unit_mm=factor * sensor.unit_mm))
+
+
+@pytest.mark.parametrize(("shift", "told"), [(3, r"3 frame\(s\) late"), (-3, r"3 frame\(s\) early")])
+def test_depth_shifted_in_time_is_one_sentence(sensor, shift, told):
+    moved = {k: sensor.files[k - shift] for k in sensor.files if k - shift in sensor.files}
+    with pytest.raises(HaustraError, match=told):
+        sensor_scale(submap(), replace(sensor, files=moved))
+
+
+def test_depth_that_looks_elsewhere_is_one_sentence(sensor, tmp_path):
+    (tmp_path / "turned").mkdir()
+    for path in sensor.files.values():
+        cv2.imwrite(str(tmp_path / "turned" / path.name), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
+    turned = {k: tmp_path / "turned" / path.name for k, path in sensor.files.items()}
+    half = replace(sensor, files=turned, box=(90, 70, 200, 180))
+    with pytest.raises(HaustraError, match="registered to this camera"):
+        sensor_scale(submap(), half)
+
+
+def test_a_confidence_image_weighs_and_drops(sensor, tmp_path):
+    depth, sigma = sensor.image(5)
+    (tmp_path / "sensor_confidence").mkdir()
+    trust = np.full(depth.shape, 255, np.uint8)
+    trust[:10], trust[10:20] = 0, 51
+    cv2.imwrite(str(tmp_path / "sensor_confidence/00005.png"), trust)
+    weighed, doubt = sensor.image(5)
+    assert not weighed[:10].any()
+    np.testing.assert_array_equal(weighed[10:], depth[10:])
+    np.testing.assert_allclose(doubt[10:20], 5 * sigma[10:20])
+
+
+def test_what_a_sensor_must_have(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(HaustraError, match="unit of the depth"):
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty")))
+    with pytest.raises(HaustraError, match="no depth images"):
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty"), unit_mm=1))
+    with pytest.raises(HaustraError, match="no depth/ of a sensor"):
+        check_sensor(tmp_path, SensorSettings(depth="sensor"))
+    (tmp_path / "camera.json").write_text('{"depth": "sensor", "depth_unit_mm": 0.1}')
+    with pytest.raises(HaustraError, match="no depth images"):
+        check_sensor(tmp_path, SensorSettings())
+    check_sensor(tmp_path, SensorSettings(depth="none"))
+
+
+def test_a_sensor_that_sees_nothing_gives_no_scale(sensor):
+    nothing = SensorDepth({}, sensor.settings, 0.05, BOX, SCALE, SOURCE)
+    assert sensor_scale(submap(), nothing) is None
+    assert scale_of_sensor(None) is None

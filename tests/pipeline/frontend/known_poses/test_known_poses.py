@@ -1,0 +1,117 @@
+"""Poses that are given for the views of a tube: its wall is where the poses put it, and wrong ones are named."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
+from pipeline.config import Config, PoseSettings
+from pipeline.frontend.registry import check_front_end
+from pipeline.frontend.structure_stage import scene_unit, solve_structure
+from pipeline.surface.scale import scale_of_poses
+from reconstruction.evaluation.trajectory_io import write_tum
+from tests.helpers.textured_tube import RADIUS, camera_at, render, stored
+
+COUNT = 24
+POSES = np.stack([camera_at(k) for k in range(COUNT)])
+Y_UP = np.diag([1.0, -1, -1, 1])
+MIRROR = np.diag([1.0, -1, 1, 1])
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return [render(pose) for pose in POSES]
+
+
+def solved(tmp_path, pictures, poses, refine=False):
+    workspace, frames = stored(tmp_path, pictures)
+    listed = [[k, k / 30, "used"] for k in range(COUNT)]
+    workspace.frames.write_text(json.dumps({"camera": frames.camera.to_dict(), "frames": listed}))
+    workspace.record["source"] = {"path": "film.mp4"}
+    write_tum(tmp_path / "poses.txt", np.arange(COUNT) / 30, poses)
+    config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt"), refine=refine))
+    check_front_end(config.front_end, config.front_end_settings)
+    (submap,) = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
+    unit = scene_unit(workspace)
+    return submap.scaled(unit), unit
+
+
+def radius_error(submap):
+    """Of the points from the wall, median share of its radius; those at the far end, past the tube's texture, too."""
+    return np.median(np.abs(np.hypot(*submap.points[:, :2].T) / RADIUS - 1))
+
+
+def test_the_wall_is_where_the_poses_put_it(tmp_path, pictures):
+    submap, unit = solved(tmp_path, pictures, POSES)
+    np.testing.assert_array_equal(submap.frames, np.arange(COUNT))
+    np.testing.assert_allclose(submap.world_from_camera, POSES, atol=1e-6)  # they stay
+    assert len(submap.points) > 400
+    assert radius_error(submap) < 0.01
+    assert np.median(submap.error_px) < 0.4
+    assert scale_of_poses(unit, 1.0).factor == unit
+    assert (scale_of_poses(unit, 1.0).unit, scale_of_poses(unit, None).unit) == ("mm", "scene")
+
+
+def test_rough_poses_are_refined_in_their_own_world_and_unit(tmp_path, pictures):
+    rng = np.random.default_rng(0)
+    rough = POSES.copy()
+    rough[:, :3, 3] += rng.normal(0, 0.15, (COUNT, 3))
+    rough[:, :3, :3] = Rotation.from_rotvec(np.radians(rng.normal(0, 0.3, (COUNT, 3)))).as_matrix() @ rough[:, :3, :3]
+    submap, _ = solved(tmp_path, pictures, rough, refine=True)
+
+    def off(poses):
+        return np.sqrt(((poses[:, :3, 3] - POSES[:, :3, 3]) ** 2).sum(axis=1).mean())
+
+    assert off(submap.world_from_camera) < 0.5 * off(rough)
+    assert radius_error(submap) < 0.01  # the unit has not slid away
+
+
+def inverted(poses):
+    return np.linalg.inv(poses)
+
+
+def scalar_first(poses):
+    """The file has w x y z where x y z w is read."""
+    wrong = poses.copy()
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    wrong[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+    return wrong
+
+
+WRONG = {
+    "camera_from_world, that is, inverted": inverted(POSES),
+    "OpenGL's axes": POSES @ Y_UP,
+    "camera_from_world in OpenGL's axes": inverted(POSES @ Y_UP),
+    "left-handed world": MIRROR @ POSES @ MIRROR,
+    "w before x y z": scalar_first(POSES),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_axes_are_named_in_one_sentence(tmp_path, pictures, name):
+    with pytest.raises(HaustraError, match=r"fit the pictures as .*convert them") as refusal:
+        solved(tmp_path, pictures, WRONG[name])
+    assert name in str(refusal.value)
+    assert "poses.txt" in str(refusal.value)
+
+
+@pytest.mark.parametrize("how", ["shuffled", "of another path"])
+def test_poses_of_another_film_are_refused(tmp_path, pictures, how):
+    poses = POSES[np.random.default_rng(1).permutation(COUNT)]
+    if how == "of another path":
+        poses = np.stack([camera_at(7 * k + 400, step=0.3) for k in range(COUNT)])
+    with pytest.raises(HaustraError, match="not those of these pictures"):
+        solved(tmp_path, pictures, poses)
+
+
+def test_settings_that_contradict_each_other():
+    poses = PoseSettings(file="a.txt")
+    with pytest.raises(HaustraError, match="takes the place of the front end sfm"):
+        check_front_end("sfm", Config(poses=poses).front_end_settings)
+    with pytest.raises(HaustraError, match="needs a file of poses"):
+        check_front_end("poses", Config().front_end_settings)
+    with pytest.raises(ValueError, match="needs a file of them"):
+        PoseSettings(refine=True)

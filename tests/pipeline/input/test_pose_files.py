@@ -1,0 +1,147 @@
+"""Pose files in the encoding that each program documents, and which frames they belong to."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from haustra.core.errors import HaustraError
+from pipeline.input.pose_files.pose_table import FilmFrames, PoseTable, poses_by_frame
+from pipeline.input.pose_files.registry import lens_beside, read_poses
+
+COUNT = 5
+TURNS = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(COUNT, 3)))
+CENTRES = np.random.default_rng(1).normal(size=(COUNT, 3))
+NAMES = [f"{k:05d}.png" for k in range(COUNT)]
+SECONDS = np.arange(COUNT) / 30
+
+
+def film(names=None, count=COUNT):
+    return FilmFrames(np.arange(count), np.arange(count) / 30, names)
+
+
+def assert_right(table, frames=range(COUNT), names=None):
+    found = poses_by_frame(table, film(names))
+    assert sorted(found) == list(frames)
+    for frame in frames:
+        np.testing.assert_allclose(found[frame][:3, :3], TURNS[frame].as_matrix(), atol=1e-6)
+        np.testing.assert_allclose(found[frame][:3, 3], CENTRES[frame], atol=1e-6)
+
+
+def test_tum(tmp_path):
+    lines = [
+        " ".join(map(str, [t, *c, *q])) for t, c, q in zip(SECONDS, CENTRES, TURNS.as_quat(), strict=True)
+    ]  # x y z w
+    (tmp_path / "a.txt").write_text("# seconds tx ty tz qx qy qz qw\n" + "\n".join(lines) + "\n")
+    assert_right(read_poses(tmp_path / "a.txt"))
+
+
+def test_kitti(tmp_path):
+    rows = [np.column_stack([r, c]).ravel() for r, c in zip(TURNS.as_matrix(), CENTRES, strict=True)]
+    np.savetxt(tmp_path / "00.txt", rows)
+    assert_right(read_poses(tmp_path / "00.txt"))
+    with pytest.raises(HaustraError, match="5 poses without times, and the film 9 frames"):
+        poses_by_frame(read_poses(tmp_path / "00.txt"), film(count=9))
+
+
+def colmap(k):
+    """Quaternion w x y z and translation of camera_from_world."""
+    turn = TURNS[k].inv()
+    x, y, z, w = turn.as_quat()
+    return [w, x, y, z, *-turn.apply(CENTRES[k])]
+
+
+def test_colmap_text_and_binary(tmp_path):
+    lines = ["# Image list"]
+    for k in (3, 0, 4, 1, 2):  # COLMAP's order is not the names'
+        lines += [" ".join(map(str, [k + 1, *colmap(k), 1, NAMES[k]])), "" if k == 4 else "10.5 20.5 -1 3 4 7"]
+    (tmp_path / "images.txt").write_text("\n".join(lines) + "\n")
+    assert_right(read_poses(tmp_path), names=tuple(NAMES))
+    data = struct.pack("<Q", COUNT)
+    for k in (3, 0, 4, 1, 2):
+        data += struct.pack("<I7dI", k + 1, *colmap(k), 1) + NAMES[k].encode() + b"\0"
+        data += struct.pack("<Q", 2) + struct.pack("<ddqddq", 10.5, 20.5, -1, 3, 4, 7)
+    (tmp_path / "images.bin").write_bytes(data)
+    (tmp_path / "images.txt").unlink()
+    (tmp_path / "cameras.bin").touch()
+    assert_right(read_poses(tmp_path), names=tuple(NAMES))
+    assert_right(read_poses(tmp_path))  # a film's frames have no names, but numbers
+    assert lens_beside(tmp_path) == tmp_path / "cameras.bin"
+    (tmp_path / "images.bin").write_bytes(data[:-30])
+    with pytest.raises(HaustraError, match="cut off"):
+        read_poses(tmp_path)
+
+
+def test_names_that_count_from_one():
+    """FFmpeg's first picture is 0001: of a film of five frames the last is 0005."""
+    poses = np.tile(np.eye(4), (COUNT, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = TURNS.as_matrix(), CENTRES
+    assert_right(PoseTable(None, poses, names=tuple(f"{k + 1:04d}.jpg" for k in range(COUNT))))
+
+
+def test_transforms_json(tmp_path):
+    """x right, y up, z backwards: the second and third column are turned."""
+    frames = []
+    for k in range(COUNT):
+        matrix = np.eye(4)
+        matrix[:3, :3] = TURNS[k].as_matrix() * [1, -1, -1]
+        matrix[:3, 3] = CENTRES[k]
+        frames.append({"file_path": f"./images/{NAMES[k]}", "transform_matrix": matrix.tolist()})
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 100, "frames": frames}))
+    for path in (tmp_path, tmp_path / "transforms.json"):
+        assert_right(read_poses(path), names=tuple(NAMES))
+        assert lens_beside(path) == tmp_path / "transforms.json"
+    frames[0]["transform_matrix"][0][0] += 1
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with pytest.raises(HaustraError, match="is no rotation"):
+        read_poses(tmp_path)
+
+
+def test_a_trackers_csv(tmp_path):
+    """NDI: Q0 is w. The camera sits on the sensor by a transform that is not the identity."""
+    sensor_from_camera = np.eye(4)
+    sensor_from_camera[:3, :3] = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix()
+    sensor_from_camera[:3, 3] = 1, -2, 3
+    camera_from_sensor = np.linalg.inv(sensor_from_camera)
+    lines = ["Tools,Frame,State,Time,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"]
+    for k in range(COUNT):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = TURNS[k].as_matrix(), CENTRES[k]
+        pose = pose @ camera_from_sensor
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        lines.append(",".join(map(str, ["1", k, "OK", SECONDS[k], w, x, y, z, *pose[:3, 3], 0.1])))
+    lines.insert(3, "1,2,Missing,0.05,,,,,,,,")
+    (tmp_path / "ndi.csv").write_text("\n".join(lines) + "\n")
+    np.savetxt(tmp_path / "hand_eye.txt", sensor_from_camera)
+    assert_right(read_poses(tmp_path / "ndi.csv", tmp_path / "hand_eye.txt"))
+    with pytest.raises(HaustraError, match="--hand-eye"):
+        read_poses(tmp_path / "ndi.csv")
+    (tmp_path / "hand_eye.txt").write_text("1 2 3\n")
+    with pytest.raises(HaustraError, match="sixteen numbers"):
+        read_poses(tmp_path / "ndi.csv", tmp_path / "hand_eye.txt")
+
+
+def test_poses_of_another_film_by_their_times_and_names():
+    poses = np.tile(np.eye(4), (COUNT, 1, 1))
+    with pytest.raises(HaustraError, match=r"only 0 of the 5 poses .* 100 to 104 s.*frame numbers"):
+        poses_by_frame(PoseTable("a.txt", poses, 100.0 + np.arange(COUNT)), film())
+    with pytest.raises(HaustraError, match="only 0 of the 5 poses"):
+        poses_by_frame(PoseTable("a", poses, names=tuple(f"{900 + k}.png" for k in range(COUNT))), film())
+    with pytest.raises(HaustraError, match="carry no numbers"):
+        poses_by_frame(PoseTable("a", poses, names=tuple("abcde")), film())
+
+
+def test_what_is_no_pose_file(tmp_path):
+    (tmp_path / "a.txt").write_text("1 2 3\n")
+    (tmp_path / "b.json").write_text('{"frames": []}')
+    (tmp_path / "c.csv").write_text("a,b\n1,2\n")
+    for name, message in (
+        ("a.txt", "no poses that can be read"),
+        ("b.json", "no frames"),
+        ("c.csv", "no columns"),
+        ("d.txt", "there is no file"),
+    ):
+        with pytest.raises(HaustraError, match=message):
+            read_poses(tmp_path / name)
