@@ -40,7 +40,7 @@ class Candidate:
 def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspace: Workspace) -> list[Candidate]:
     """The submaps of one mapper without frames in common, most frames first, each checked and written.
 
-    Of a submap that the light contradicts, the stretch of frames that agrees with it is kept, if that is most of it.
+    Of a submap that the light contradicts, ends that mostly contradict it are cut off, if more is left than that.
     """
     ordered = sorted(found, key=lambda one: -len(one.submap.frames))
     images, candidates = _image_reader(workspace), []
@@ -52,7 +52,8 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
         if check.inconsistent_share > MAX_INCONSISTENT:
             begin, end = best_stretch(correlations)
             if MIN_KEPT * len(submap.frames) <= end - begin < len(submap.frames):
-                submap = submap.without_frames(set(np.delete(submap.frames, np.s_[begin:end]).tolist()))
+                few = submap.without_frames(set(np.delete(submap.frames, np.s_[begin:end]).tolist()))
+                submap = few.without_points(few.track_lengths() < 2)
                 check, model = summarised(submap, correlations[begin:end]), None
         part = "" if one.model is None else "_stretch"  # COLMAP's own model stays as it is
         folder = model or workspace.log / mapper / f"{number}{part}"

@@ -16,7 +16,7 @@ from scipy.stats import spearmanr
 from pipeline.mapping.submap import Submap
 
 MIN_POINTS = 15  # fewer do not give a rank correlation worth asking
-CONTRADICTION = 5.0  # frames that agree, which one that contradicts its light outweighs
+CONTRADICTION = 1.0  # frames that agree, which one that contradicts its light outweighs: ends that mostly do are cut
 
 
 @dataclass(frozen=True)

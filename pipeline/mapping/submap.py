@@ -110,6 +110,20 @@ class Submap:
             pixels=self.pixels[mine],
         )
 
+    def without_points(self, drop: NDArray[np.bool_]) -> "Submap":
+        """The same frames without the points of a mask (P,)."""
+        mine = ~drop[self.observations[:, 1]]
+        observations = self.observations[mine].copy()
+        observations[:, 1] = (np.cumsum(~drop) - 1)[observations[:, 1]]
+        return replace(
+            self,
+            points=self.points[~drop],
+            error_px=self.error_px[~drop],
+            observations=observations,
+            pixels=self.pixels[mine],
+            klt=self.is_klt[~drop],
+        )
+
     def scaled(self, factor: float) -> "Submap":
         """The same submap in another unit."""
         world_from_camera = self.world_from_camera.copy()

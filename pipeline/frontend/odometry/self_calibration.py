@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
@@ -166,7 +165,7 @@ def thinned(submap: Submap, most: int, widest_step: int = FRAME_STEP) -> Submap:
     rows = np.unique(np.linspace(first, min(first + reach, count) - 1, most).round().astype(int))
     dropped = np.setdiff1d(np.arange(count), rows)
     few = submap.without_frames(set(submap.frames[dropped].tolist()))
-    return _without_points(few, few.track_lengths() < MIN_VIEWS)
+    return few.without_points(few.track_lengths() < MIN_VIEWS)
 
 
 def _liveliest(submap: Submap, length: int) -> int:
@@ -176,17 +175,3 @@ def _liveliest(submap: Submap, length: int) -> int:
     turned = np.concatenate([[0], np.cumsum(np.arccos(np.clip(cosine, -1, 1)))])
     starts = np.append(np.arange(0, len(turns) - length, max(1, length // 2)), len(turns) - length)
     return int(starts[np.argmax(turned[starts + length - 1] - turned[starts])])
-
-
-def _without_points(submap: Submap, drop: NDArray[np.bool_]) -> Submap:
-    mine = ~drop[submap.observations[:, 1]]
-    observations = submap.observations[mine].copy()
-    observations[:, 1] = (np.cumsum(~drop) - 1)[observations[:, 1]]
-    return replace(
-        submap,
-        points=submap.points[~drop],
-        error_px=submap.error_px[~drop],
-        observations=observations,
-        pixels=submap.pixels[mine],
-        klt=submap.is_klt[~drop],
-    )

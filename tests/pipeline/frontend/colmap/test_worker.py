@@ -274,13 +274,24 @@ def test_submaps_of_one_film_share_the_lens_that_is_determined_best(tmp_path):
     assert not share_lens(models[:1], sigmas[:1], list(wrong))
 
 
-def test_of_a_map_that_goes_wrong_the_stretch_before_is_kept():
+def test_ends_of_a_map_that_mostly_contradict_the_light_are_cut():
     nan = float("nan")
     right, wrong = [-0.8] * 40, [0.3] * 6
     assert best_stretch(np.array(right + wrong)) == (0, 40)
     assert best_stretch(np.array(wrong + right)) == (6, 46)
     assert best_stretch(np.array([*right, 0.1, *right])) == (0, 81)  # one bad frame is no reason to part them
-    assert best_stretch(np.array(right + wrong * 2 + right[:30])) == (0, 40)
+    assert best_stretch(np.array(right + [0.3] * 50 + right)) == (0, 40)
+    assert best_stretch(np.array(right + [0.3, -0.2, 0.3] * 5)) == (0, 40)
     assert best_stretch(np.array([nan] * 5 + right)) == (0, 45)
     begin, end = best_stretch(np.array(wrong))
     assert begin == end
+
+
+def test_a_submap_without_points_keeps_the_others_observations(tube):
+    drop = np.arange(len(tube.points)) % 3 == 0
+    left = tube.without_points(drop)
+    np.testing.assert_array_equal(left.points, tube.points[~drop])
+    kept = ~drop[tube.observations[:, 1]]
+    np.testing.assert_array_equal(left.pixels, tube.pixels[kept])
+    np.testing.assert_array_equal(left.points[left.observations[:, 1]], tube.points[tube.observations[kept, 1]])
+    np.testing.assert_array_equal(left.observations[:, 0], tube.observations[kept, 0])
