@@ -15,6 +15,7 @@ from benchmarks.paper.frames import judged_frames, render
 from benchmarks.paper.plan import POINTS, UNTRAINED, Run
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.predictors import Predictor, load_predictor
+from completion.networks.checkpoint import read_metadata
 from completion.training.config import TrainConfig, make_config
 from completion.training.train import train
 
@@ -37,9 +38,10 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
         threads=1,
         **run.settings,
     )
-    start, wall = time.process_time(), time.monotonic()
-    predictor = load_predictor(UNTRAINED.get(run.model) or trained(config, run))
-    minutes, wall_minutes = (time.process_time() - start) / 60, (time.monotonic() - wall) / 60
+    start, steps = time.process_time(), run.steps - steps_done(config)
+    weights = UNTRAINED.get(run.model) or trained(config, run)
+    seconds = None if run.model in UNTRAINED or not steps else (time.process_time() - start) / steps
+    predictor = load_predictor(weights)
     scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
     about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change, "points": POINTS}
     about |= {"settings": json.loads(config.model_dump_json(exclude={"shards", "out", "init", "threads"}))}
@@ -48,11 +50,16 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
         "environment": environment,
         **about,
         "parameters": sum(p.numel() for p in network.parameters()) if network else 0,
-        "processor_minutes": minutes,
-        "wall_minutes": wall_minutes,
+        "processor_seconds_a_step": seconds,
         "frames_digest": {scene: digest(both) for scene, both in folders.items()},
         "scenes": scenes,
     }
+
+
+def steps_done(config: TrainConfig) -> int:
+    """Steps of an earlier call, whose time is not in this one's."""
+    checkpoint = config.out.with_suffix(".checkpoint")
+    return read_metadata(checkpoint)["step"] if checkpoint.exists() else 0
 
 
 def trained(config: TrainConfig, run: Run) -> Path:
