@@ -37,6 +37,11 @@ CHANGES: dict[str, dict[str, Any]] = {
     "constant rate": {"decay_at": 1.0},
     "a tenth of the rate after each third": {"schedule": "thirds"},
 }
+# Readings of what the paper calls features of its multi-scale module, on the same network.
+READINGS = {
+    "confidence at the last convolution too": "mscsa-early-fusion+confidence-last",
+    "all scales of the pyramid handed on": "mscsa-early-fusion+all-scales",
+}
 UNTRAINED = {"linear": "linear", "nearest": "nearest", "shipped": "mscsa"}  # label: name for `load_predictor`
 RIVALS = ("std18", "std50", "gaenet", "nlspn")
 DECAY_AT = 0.7  # of the run: a tenth of the rate from there on, since a run that ends at the full rate is judged at
@@ -96,6 +101,7 @@ def tables() -> dict[str, Table]:
     colon = [run for seed in range(SEEDS) for run in one_seed(seed)]
     intestine = list(ablation("small_intestine", range(SEEDS)))
     changes = [Run(("colon",), "mscsa-early-fusion", seed, change=change) for seed in range(2) for change in CHANGES]
+    changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
     four = tuple(SCENES)
     joint = [
         Run(four, m, s) for s in range(2) for m in (*RIVALS, "mscsa-plain", "mscsa-early-fusion", "mscsa+residual")

@@ -55,8 +55,8 @@ def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = 
     return Entry(MSCSANet, MSCSAConfig, switches, {"width": 8}, old_headers=("MSCSAModel",))
 
 
-def _early_fusion(use_msc: bool, use_sa: bool) -> Entry:
-    return Entry(EarlyFusionMSCSANet, EarlyFusionConfig, {"use_msc": use_msc, "use_sa": use_sa})
+def _early_fusion(use_msc: bool, use_sa: bool, **readings: bool) -> Entry:
+    return Entry(EarlyFusionMSCSANet, EarlyFusionConfig, {"use_msc": use_msc, "use_sa": use_sa, **readings})
 
 
 # "small": networks that one CPU thread can train at 160 to 192 px, of about the cost of MSCSA-Net at half its width
@@ -89,6 +89,8 @@ REGISTRY: dict[str, Entry] = {
     "early-fusion+sa": _early_fusion(False, True),
     "early-fusion+msc": _early_fusion(True, False),
     "mscsa-early-fusion": _early_fusion(True, True),
+    "mscsa-early-fusion+confidence-last": _early_fusion(True, True, confidence_last=True),
+    "mscsa-early-fusion+all-scales": _early_fusion(True, True, all_scales=True),
     "std18": Entry(SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 48}, old_headers=("StDNet",)),
     "std50": Entry(SparseToDense, SparseToDenseConfig, {"layers": 50}, {"base": 24}, old_headers=("StDNet",)),
     "nlspn": Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),

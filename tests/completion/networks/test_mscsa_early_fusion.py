@@ -6,6 +6,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from completion.networks.mscsa_early_fusion import EarlyFusionConfig, EarlyFusionMSCSANet
+from haustra.core.errors import CompletionError
 
 RELEASED = (
     484_203  # of guided_enc_dec.py of nconv-nyu a708c2d, counted there: five inputs, MSC's depth, RGB, confidence
@@ -35,13 +36,36 @@ def test_the_raw_sparse_depth_joins_before_the_last_convolution() -> None:
     assert torch.equal(network(torch.rand(2, 3, 50, 70), sparse), sparse)
 
 
+def test_confidence_joins_before_the_last_convolution_where_it_is_asked_for() -> None:
+    network = EarlyFusionMSCSANet(EarlyFusionConfig(confidence_last=True)).eval()
+    last = network.decoder[-1]
+    nn.init.zeros_(last.weight)
+    nn.init.zeros_(last.bias)
+    last.weight.data[0, -1, 1, 1] = 1.0
+    sparse = torch.rand(1, 1, 64, 64) * (torch.rand(1, 1, 64, 64) < 0.05)
+    _, confidence = network.msc(sparse, (sparse > 0).float())
+    assert torch.equal(network(torch.rand(1, 3, 64, 64), sparse), confidence)
+    with pytest.raises(CompletionError, match="this network has none"):
+        EarlyFusionConfig(use_msc=False, all_scales=True)
+
+
+def test_all_scales_add_three_levels_of_two_depths_and_two_confidences() -> None:
+    network = EarlyFusionMSCSANet(EarlyFusionConfig(all_scales=True))
+    assert count(network) == RELEASED + 9 * 80 * (1 + 3 * 4)
+    sparse = torch.rand(1, 1, 64, 64) * (torch.rand(1, 1, 64, 64) < 0.05)
+    levels = network.msc.scales(sparse, (sparse > 0).float())
+    assert [tuple(z.shape) for z, _ in levels] == [(1, 2, side, side) for side in (8, 16, 32, 64)]
+    for fine, expected in zip(network.msc.project(*levels[-1]), network.msc(sparse, (sparse > 0).float()), strict=True):
+        assert torch.equal(fine, expected)
+
+
 @pytest.mark.parametrize("size", [64, 96])
 def test_layers_follow_the_released_table(size: int) -> None:
     """Written down again with plain layers, without attention and MSC."""
     torch.manual_seed(0)
     network = EarlyFusionMSCSANet(EarlyFusionConfig(use_msc=False, use_sa=False)).eval()
     rgb, sparse = torch.rand(1, 3, size, size), torch.rand(1, 1, size, size)
-    levels = [torch.cat([rgb, sparse], dim=1)]
+    levels = [torch.cat([sparse, rgb], dim=1)]
     for conv in network.encoder:
         assert tuple(conv.weight.shape[2:]) == (3, 3)
         levels.append(F.conv2d(levels[-1], conv.weight, conv.bias, stride=2, padding=1).clamp_min(0))
