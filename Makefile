@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all lint install browser bench clean
+.PHONY: demo test test-all lint install browser bench paper clean
 
 # README command one: install, reconstruct the embedded clip, print its error against the truth.
 demo: $(STAMP)
@@ -38,6 +38,11 @@ $(STAMP): pyproject.toml constraints.txt scripts/system_libraries.sh
 # Speed and memory of `reconstruct` beside COLMAP + interpolation + TSDF, once on the embedded clip.
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.speed throughput --runs 1
+
+# The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
+paper: $(STAMP)
+	$(BIN)/python -m benchmarks.paper --work runs/paper
+	$(BIN)/python -m scripts.paper_page > docs/lab/paper.md
 
 clean:
 	rm -rf $(VENV) demo_run build *.egg-info

@@ -8,7 +8,7 @@ each without and with consistency between keyframes and confidence as weights, a
 without that. Surfaces are compared as `haustra compare` does. docs/lab/fusion.md explains the columns.
 
 A `--model` of the paper's kind is given the sparse points in true millimetres, which no run knows, on a picture of
-`--side` px, which must be what it was trained at (`paper_tables`: 160). It has no confidence, and neither have
+`--side` px, which must be what it was trained at (`benchmarks.paper`: 160). It has no confidence, and neither have
 interpolated and true depth.
 """
 

@@ -4,14 +4,17 @@
 structure from motion is `mscsa_sfm.ScaleInvariantMSCSANet`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from completion.networks.channel_attention import StructureAwareness
+from completion.networks.conv_blocks import LeakyDoubleConv
 from completion.networks.normalized_conv import MultiScaleConfidence
 from completion.networks.padding import pad_to_multiple
 from haustra.core.errors import CompletionError
@@ -34,17 +37,23 @@ class DoubleConv(nn.Sequential):
 class UNet(nn.Module):
     """U-Net with bilinear upsampling and an optional attention between encoder and decoder.
 
-    (B,in,H,W) -> (B,out,H,W); H and W divisible by 2**(len(widths)-1).
+    (B,in,H,W) -> (B,out,H,W); H and W divisible by 2**(len(widths)-1). block: makes the pair of convolutions of a
+    level from its numbers of input and output channels.
     """
 
     def __init__(
-        self, in_channels: int, out_channels: int, widths: tuple[int, ...], attention: nn.Module | None
+        self,
+        in_channels: int,
+        out_channels: int,
+        widths: tuple[int, ...],
+        attention: nn.Module | None,
+        block: Callable[[int, int], nn.Module] = DoubleConv,
     ) -> None:
         super().__init__()
-        self.encoder = nn.ModuleList(DoubleConv(a, b) for a, b in zip((in_channels, *widths[:-1]), widths, strict=True))
+        self.encoder = nn.ModuleList(block(a, b) for a, b in zip((in_channels, *widths[:-1]), widths, strict=True))
         self.attention = attention if attention is not None else nn.Identity()
         self.decoder = nn.ModuleList(
-            DoubleConv(coarse + fine, fine) for coarse, fine in zip(widths[:0:-1], widths[-2::-1], strict=True)
+            block(coarse + fine, fine) for coarse, fine in zip(widths[:0:-1], widths[-2::-1], strict=True)
         )
         self.head = nn.Conv2d(widths[0], out_channels, 1)
 
@@ -74,6 +83,9 @@ def _widths(base: int) -> tuple[int, ...]:
 STRIDE = 32
 
 
+Norm = Literal["batch", "none", "batch-leaky", "frozen", "frame"]
+
+
 @dataclass(frozen=True)
 class MSCSAConfig:
     """Size and switches of `MSCSANet`; the paper states neither width nor depth of its U-Net."""
@@ -83,25 +95,32 @@ class MSCSAConfig:
     use_sa: bool = True
     residual: bool = False  # the U-Net corrects MSC's depth; not in the paper, see `MSCSANet`
     similar: bool = False  # SA weighs like channels most, as the paper's text says; its released relatives do not
+    norm: Norm = "batch"  # of the U-Net: "batch" is `DoubleConv`, the others are `LeakyDoubleConv`
+
+    def __post_init__(self) -> None:
+        if self.norm not in get_args(Norm):
+            raise CompletionError(f"norm is one of {', '.join(get_args(Norm))}, not {self.norm!r}")
+        if self.residual and not self.use_msc:
+            raise CompletionError("'residual' corrects MSC's depth, and there is no MSC in this network")
 
 
 class MSCSANet(nn.Module):
     """The paper's network: metric sparse depth in, metric dense depth out.
 
     U-Net input: MSC's depth and confidence, RGB and the raw sparse depth (six channels, Fig. 2); without MSC the
-    four of RGB-SD. As published the U-Net's output is the depth, so that it must first learn to copy MSC's depth. With
-    `residual` its output is added to that depth, which trains far faster (docs/lab/completion.md).
+    four of RGB-SD. As published the U-Net's output is the depth; with `residual` its output is added to MSC's depth.
+    The paper does not say whether its U-Net normalises features: `MSCSAConfig.norm`.
     """
 
     def __init__(self, config: MSCSAConfig | None = None) -> None:
         super().__init__()
         self.config = config or MSCSAConfig()
-        if self.config.residual and not self.config.use_msc:
-            raise CompletionError("'residual' corrects MSC's depth, and there is no MSC in this network")
         self.msc = MultiScaleConfidence(levels=3) if self.config.use_msc else None
         sign: Literal["distinct", "similar"] = "similar" if self.config.similar else "distinct"
         attention = StructureAwareness(sign=sign) if self.config.use_sa else None
-        self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention)
+        norm = self.config.norm
+        block = DoubleConv if norm == "batch" else partial(LeakyDoubleConv, norm=norm)
+        self.unet = UNet(6 if self.config.use_msc else 4, 1, _widths(self.config.width), attention, block)
 
     def forward(self, rgb: Tensor, sparse_depth: Tensor, intrinsics: Tensor | None = None) -> Tensor:
         """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit; intrinsics

@@ -86,6 +86,11 @@ class MultiScaleConfidence(nn.Module):
 
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """Sparse depth and its confidence, both (B,1,H,W) with H and W divisible by 2**levels -> dense ones."""
+        return self.project(*self.scales(depth, confidence)[-1])
+
+    def scales(self, depth: Tensor, confidence: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Depth and confidence, both (B,2,h,w), at each resolution of the pyramid, the coarsest first, the full one
+        last."""
         z, c = self.refine(*self.densify(*self.lift(depth, confidence)))
         pyramid = [(z, c)]
         for level in range(1, self.levels + 1):
@@ -93,9 +98,11 @@ class MultiScaleConfidence(nn.Module):
             if level == 1:
                 z, c = self.refine(z, c)
             pyramid.append((z, c))
+        scales = [(z, c)]
         for level in range(self.levels - 1, -1, -1):
             fine_z, fine_c = pyramid[level]
             coarse = F.interpolate(torch.cat([z, c], dim=1), scale_factor=2, mode="nearest")  # at once: half the time
             z, c = (torch.cat(both, dim=1) for both in zip((fine_z, fine_c), coarse.chunk(2, dim=1), strict=True))
             z, c = self.merge[level](z, c)
-        return self.project(z, c)
+            scales.append((z, c))
+        return scales

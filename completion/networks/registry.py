@@ -14,6 +14,7 @@ from torch import nn
 
 from completion.networks.classical import CLASSICAL as CLASSICAL
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
+from completion.networks.mscsa_early_fusion import EarlyFusionConfig, EarlyFusionMSCSANet
 from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
 from completion.networks.rivals.gaenet import GAENet, GAENetConfig
 from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
@@ -49,14 +50,19 @@ class Entry:
         return {option.name for option in fields(self.config)}
 
 
-def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = False) -> Entry:
-    switches = {"use_msc": use_msc, "use_sa": use_sa, "residual": residual, "similar": similar}
+def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = False, norm: str = "batch") -> Entry:
+    switches = {"use_msc": use_msc, "use_sa": use_sa, "residual": residual, "similar": similar, "norm": norm}
     return Entry(MSCSANet, MSCSAConfig, switches, {"width": 8}, old_headers=("MSCSAModel",))
+
+
+def _early_fusion(use_msc: bool, use_sa: bool, **readings: bool) -> Entry:
+    return Entry(EarlyFusionMSCSANet, EarlyFusionConfig, {"use_msc": use_msc, "use_sa": use_sa, **readings})
 
 
 # "small": networks that one CPU thread can train at 160 to 192 px, of about the cost of MSCSA-Net at half its width
 # (50 to 130 ms forward and backward at 160 px). Cut: channels everywhere; of NLSPN also 34 layers to 18; of GAENet
-# half of a point's features, since its point map must stay narrower than the first level.
+# half of a point's features, since its point map must stay narrower than the first level. The early-fusion networks
+# are that small as published.
 REGISTRY: dict[str, Entry] = {
     "mscsa-sfm": Entry(
         ScaleInvariantMSCSANet,
@@ -71,6 +77,20 @@ REGISTRY: dict[str, Entry] = {
     "unet+msc+residual": _mscsa(True, False, residual=True),
     "mscsa+residual": _mscsa(True, True, residual=True),
     "mscsa+residual+similar": _mscsa(True, True, residual=True, similar=True),
+    "unet-plain": _mscsa(False, False, norm="none"),
+    "unet-plain+sa": _mscsa(False, True, norm="none"),
+    "unet-plain+msc": _mscsa(True, False, norm="none"),
+    "mscsa-plain": _mscsa(True, True, norm="none"),
+    "mscsa-plain+residual": _mscsa(True, True, residual=True, norm="none"),
+    "mscsa-batch-leaky": _mscsa(True, True, norm="batch-leaky"),
+    "mscsa-frozen": _mscsa(True, True, norm="frozen"),
+    "mscsa-frame": _mscsa(True, True, norm="frame"),
+    "early-fusion": _early_fusion(False, False),
+    "early-fusion+sa": _early_fusion(False, True),
+    "early-fusion+msc": _early_fusion(True, False),
+    "mscsa-early-fusion": _early_fusion(True, True),
+    "mscsa-early-fusion+confidence-last": _early_fusion(True, True, confidence_last=True),
+    "mscsa-early-fusion+all-scales": _early_fusion(True, True, all_scales=True),
     "std18": Entry(SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 48}, old_headers=("StDNet",)),
     "std50": Entry(SparseToDense, SparseToDenseConfig, {"layers": 50}, {"base": 24}, old_headers=("StDNet",)),
     "nlspn": Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),

@@ -30,9 +30,10 @@ class TrainConfig(BaseModel):
     points: int = Field(100, gt=0)  # per frame, of metric networks; mscsa-sfm is given random numbers of them
     optimizer: Literal["adamw", "adam"] = "adamw"
     learning_rate: float = Field(2e-3, gt=0)
-    schedule: Literal["cosine", "step"] = "cosine"  # step: a tenth at `decay_at` of the run
+    schedule: Literal["cosine", "step", "thirds"] = "cosine"  # step: a tenth at `decay_at`; thirds: after each third
     decay_at: float = Field(1.0, ge=0, le=1)
     warm_up: int = Field(300, ge=0)  # steps of linear growth
+    clip: float = Field(1.0, ge=0)  # greatest norm of the gradients; 0: none
     ema: float = Field(0.998, ge=0, lt=1)  # of the weights that are kept; a horizon of 500 steps
     augmentation: bool = True
     bf16: bool = True

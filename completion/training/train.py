@@ -42,6 +42,7 @@ from completion.training.tasks import make_task
 from haustra.core.errors import CompletionError
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
+LATER_SETTINGS = {"clip": 1.0}  # what checkpoints that do not name these were trained with
 ProgressCallback = Callable[[int, int | None], None]
 
 
@@ -78,7 +79,8 @@ class TrainingState:
         if not self.checkpoint.exists():
             return
         tensors, metadata = load_tensors(self.checkpoint)
-        before, now = with_new_names(metadata["config"]), self._identity()
+        now = self._identity()
+        before = LATER_SETTINGS | with_new_names(metadata["config"])
         if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
             raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
         for name, module in (("network.", self.task.network), ("average.", self.average)):
@@ -103,11 +105,13 @@ def _start_from(path: Path, network: nn.Module) -> None:
 
 
 def learning_rate(step: int, config: TrainConfig) -> float:
-    """Linear warm-up, then a cosine to one per cent, or a constant that falls to a tenth once."""
+    """Linear warm-up, then a cosine to one per cent, or a constant that falls to a tenth once or after each third."""
     if step < config.warm_up:
         return config.learning_rate * (step + 1) / config.warm_up
     if config.schedule == "step":
         return config.learning_rate * (0.1 if step >= config.decay_at * config.steps else 1.0)
+    if config.schedule == "thirds":
+        return config.learning_rate * 0.1 ** (3 * step // config.steps)
     progress = (step - config.warm_up) / max(1, config.steps - config.warm_up)
     return config.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, progress))))
 
@@ -168,7 +172,8 @@ def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.
     loss.backward()
     run.processes.average_gradients(run.task.network)
     run.processes.average_statistics(run.task.network)
-    nn.utils.clip_grad_norm_(run.task.network.parameters(), 1.0)
+    if run.config.clip:
+        nn.utils.clip_grad_norm_(run.task.network.parameters(), run.config.clip)
     run.optimizer.step()
     run.step += 1
     update_average(run.average, run.task.network, min(run.config.ema, run.step / (run.step + 10)))

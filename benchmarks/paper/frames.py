@@ -1,0 +1,45 @@
+"""Rendered frames of the scenes: those to train on, and meshes of other seeds to judge on."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.paper.plan import JUDGED_FRAMES, SCENES, SIZE, TRAINING_FRAMES
+from completion.data.evaluation_frame import EvaluationFrame
+from completion.data.shards import Shard
+from haustra.phantom.dataset.shards import ShardPlan, write_shards
+
+
+def plans(work: Path, scene: str) -> tuple[ShardPlan, ShardPlan]:
+    """Frames to train on and to judge on."""
+    training, judged = SCENES[scene]
+    return (
+        ShardPlan(work / scene, TRAINING_FRAMES, SIZE, training, scene),
+        ShardPlan(work / f"{scene}_judged", JUDGED_FRAMES, SIZE, judged, scene),
+    )
+
+
+def render(work: Path, scene: str) -> tuple[Path, Path]:
+    """Folders of a scene's frames, rendered now unless they are there; SystemExit if those are of another plan."""
+    for plan in plans(work, scene):
+        about = plan.folder / "shards.json"
+        if not about.exists():
+            print(f"rendering {plan.frames} frames of {scene}", flush=True)
+            write_shards(plan)
+        found = json.loads(about.read_text())
+        if any(found[name] != getattr(plan, name) for name in ("frames", "size", "seed", "scene")):
+            raise SystemExit(f"error: {plan.folder} has other frames than this table's; give another --work")
+    training, judged = plans(work, scene)
+    return training.folder, judged.folder
+
+
+def judged_frames(folder: Path, most_mm: float) -> Iterator[EvaluationFrame]:
+    """Every frame, named by its mesh; truth beyond `most_mm` is left out, as in training."""
+    shard = Shard.open(folder)
+    for index in range(len(shard.images)):
+        depth = shard.depths[index].astype(np.float32)
+        lens = None if shard.lenses is None else shard.lenses[index].astype(float)
+        known = np.where(depth < most_mm, depth, 0)
+        yield EvaluationFrame(str(shard.colon[index]), np.array(shard.images[index]), known, "mm", lens)

@@ -1,0 +1,54 @@
+"""Means over seeds and meshes, and how far they are known: a bootstrap that draws both again."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+DRAWS = 10_000
+COVERED = 0.95
+Table = NDArray[np.float64]  # (seeds, meshes): mean over a mesh's frames
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure and the interval that covers 95 % of its bootstrap draws."""
+
+    value: float
+    low: float
+    high: float
+
+
+def by_mesh(values: list[float], meshes: list[int]) -> NDArray[np.float64]:
+    """Mean of a figure over each mesh's frames, (M,), meshes by number."""
+    labels = np.array(meshes)
+    return np.array([np.mean(np.array(values)[labels == mesh]) for mesh in np.unique(labels)])
+
+
+def mean_interval(table: Table) -> Interval:
+    """The mean of all entries; seeds and meshes are drawn with replacement, each by itself."""
+    seeds, meshes = _draws(table.shape)
+    return _interval(float(table.mean()), _means(table, seeds, meshes))
+
+
+def reduction_interval(table: Table, beside: Table) -> Interval:
+    """1 - mean of `table` / mean of `beside`, both (S,M) of the same seeds and meshes, which are drawn in pairs."""
+    if table.shape != beside.shape:
+        raise ValueError(f"tables of the same seeds and meshes have one shape, not {table.shape} and {beside.shape}")
+    seeds, meshes = _draws(table.shape)
+    drawn = 1 - _means(table, seeds, meshes) / _means(beside, seeds, meshes)
+    return _interval(float(1 - table.mean() / beside.mean()), drawn)
+
+
+def _draws(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    rng = np.random.default_rng(0)
+    return rng.integers(shape[0], size=(DRAWS, shape[0])), rng.integers(shape[1], size=(DRAWS, shape[1]))
+
+
+def _means(table: Table, seeds: NDArray[np.int64], meshes: NDArray[np.int64]) -> NDArray[np.float64]:
+    return table[seeds[:, :, None], meshes[:, None, :]].mean(axis=(1, 2))
+
+
+def _interval(value: float, drawn: NDArray[np.float64]) -> Interval:
+    low, high = np.quantile(drawn, [(1 - COVERED) / 2, (1 + COVERED) / 2])
+    return Interval(value, float(low), float(high))

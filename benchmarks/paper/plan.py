@@ -1,0 +1,119 @@
+"""What is trained and judged for each of the paper's tables, in the order in which a queue should do it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+SEEDS = 3
+STEPS = 1000  # of 10 frames: the budget of every row
+SIZE = 160  # px
+POINTS = 100  # uniform, in training and judging
+JUDGED_MESHES = 12  # never trained on, 20 frames of each
+TRAINING_FRAMES, JUDGED_FRAMES = 1500, 240
+# Seeds of the frames to train on and of those to judge on, for the stand-in of each of the paper's scenes.
+SCENES = {"colon": (51, 151), "small_intestine": (52, 152), "ccd": (53, 153), "csd": (54, 154)}
+
+ROWS = ("baseline", "+SA", "+MSC", "full")
+BODIES = {
+    "early fusion": ("early-fusion", "early-fusion+sa", "early-fusion+msc", "mscsa-early-fusion"),
+    "U-Net, plain": ("unet-plain", "unet-plain+sa", "unet-plain+msc", "mscsa-plain"),
+    "U-Net, batch normalisation": ("unet", "unet+sa", "unet+msc", "mscsa"),
+}
+RESIDUAL = {"plain": "mscsa-plain+residual", "batch normalisation": "mscsa+residual"}
+# The full network on the U-Net, changed in one thing, and what that tells about batch normalisation.
+NORMALISATIONS = {
+    "none": "mscsa-plain",
+    "batch": "mscsa",
+    "batch, LeakyReLU and He start": "mscsa-batch-leaky",
+    "batch, frozen from step 200": "mscsa-frozen",
+    "each frame by itself": "mscsa-frame",
+    "batch, residual": "mscsa+residual",
+}
+# Choices of training that the paper leaves open, changed one at a time on the full early-fusion network.
+CHANGES: dict[str, dict[str, Any]] = {
+    "no clipping of gradients": {"clip": 0.0},
+    "float32": {"bf16": False},
+    "constant rate": {"decay_at": 1.0},
+    "a tenth of the rate after each third": {"schedule": "thirds"},
+}
+# Readings of what the paper calls features of its multi-scale module, on the same network.
+READINGS = {
+    "confidence at the last convolution too": "mscsa-early-fusion+confidence-last",
+    "all scales of the pyramid handed on": "mscsa-early-fusion+all-scales",
+}
+UNTRAINED = {"linear": "linear", "nearest": "nearest", "shipped": "mscsa"}  # label: name for `load_predictor`
+RIVALS = ("std18", "std50", "gaenet", "nlspn")
+DECAY_AT = 0.7  # of the run: a tenth of the rate from there on, since a run that ends at the full rate is judged at
+# a random moment
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training and its judgement, or only the judgement of a method of `UNTRAINED`."""
+
+    scenes: tuple[str, ...]  # one network for all of them
+    model: str  # of completion.networks.registry, or of `UNTRAINED`
+    seed: int = 0
+    steps: int = STEPS
+    change: str = ""  # of `CHANGES`
+
+    @property
+    def name(self) -> str:
+        """Stem of its record and of its weights."""
+        parts = ["_".join(self.scenes), self.model, *self.change.split(), str(self.steps), str(self.seed)]
+        return "-".join(parts).replace("+", "-")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Of training, beside the paper's preset."""
+        return {"decay_at": DECAY_AT} | CHANGES.get(self.change, {})
+
+
+@dataclass(frozen=True)
+class Table:
+    """Runs of one table, most wanted first."""
+
+    title: str
+    runs: list[Run] = field(default_factory=list)
+
+
+# What decides most comes first: the printed form with and without batch normalisation, each beside its baseline.
+FIRST = ("mscsa-plain", "mscsa", "mscsa-early-fusion", "mscsa-frozen", "unet-plain", "early-fusion", "unet")
+
+
+def ablation(scene: str, seeds: range) -> Iterator[Run]:
+    """Table II on one scene: all rows of a seed before the next seed."""
+    for seed, body, row in product(seeds, BODIES, range(len(ROWS))):
+        yield Run((scene,), BODIES[body][row], seed)
+
+
+def one_seed(seed: int) -> Iterator[Run]:
+    """Everything on the colon that has this seed; a run may come twice."""
+    models = (*FIRST, *NORMALISATIONS.values(), RESIDUAL["plain"])
+    yield from (Run(("colon",), model, seed) for model in models if seed < 2 or model in FIRST)
+    yield from ablation("colon", range(seed, seed + 1))
+
+
+def tables() -> dict[str, Table]:
+    """All tables by the name that the command line takes."""
+    floors = [Run((scene,), label) for scene in ("colon", "small_intestine") for label in UNTRAINED]
+    colon = [run for seed in range(SEEDS) for run in one_seed(seed)]
+    intestine = list(ablation("small_intestine", range(SEEDS)))
+    changes = [Run(("colon",), "mscsa-early-fusion", seed, change=change) for seed in range(2) for change in CHANGES]
+    changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
+    four = tuple(SCENES)
+    joint = [
+        Run(four, m, s) for s in range(2) for m in (*RIVALS, "mscsa-plain", "mscsa-early-fusion", "mscsa+residual")
+    ]
+    return {
+        "2": Table("Table II, the ablation", [*unique(colon), *intestine]),
+        "untrained": Table("interpolation, and the model that `reconstruct` ships", floors),
+        "protocol": Table("choices of training that the paper leaves open", changes),
+        "1": Table("Table I, all networks on four scenes", [*(Run(four, label) for label in UNTRAINED), *joint]),
+    }
+
+
+def unique(runs: list[Run]) -> list[Run]:
+    """Each run once, where it comes first."""
+    return list(dict.fromkeys(runs))

@@ -1,0 +1,106 @@
+"""One run of the plan: train, judge on meshes never trained on, write the record."""
+
+import hashlib
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from benchmarks.paper.batch_statistics import companion_effect
+from benchmarks.paper.frames import judged_frames, render
+from benchmarks.paper.plan import POINTS, UNTRAINED, Run
+from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
+from completion.evaluation.predictors import Predictor, load_predictor
+from completion.networks.checkpoint import read_metadata
+from completion.training.config import TrainConfig, make_config
+from completion.training.train import train
+
+FIGURES = ("rmse", "abs_rel", "mae", "delta_1", "delta_2")
+FRACTION_DIGITS = 6
+
+
+def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]:
+    """The record of a run: its settings, commit and machine, and each judged frame's errors by scene."""
+    folders = {scene: render(work, scene) for scene in run.scenes}
+    config = make_config(
+        "paper",
+        shards=tuple(training for training, _ in folders.values()),
+        out=work / "runs" / f"{run.name}.safetensors",
+        model="unet" if run.model in UNTRAINED else run.model,
+        size="small",
+        steps=run.steps,
+        points=POINTS,
+        seed=run.seed,
+        threads=1,
+        **run.settings,
+    )
+    start, steps = time.process_time(), run.steps - steps_done(config)
+    weights = UNTRAINED.get(run.model) or trained(config, run)
+    seconds = None if run.model in UNTRAINED or not steps else (time.process_time() - start) / steps
+    predictor = load_predictor(weights)
+    scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
+    about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change, "points": POINTS}
+    about |= {"settings": json.loads(config.model_dump_json(exclude={"shards", "out", "init", "threads"}))}
+    network = predictor.network
+    return {
+        "environment": environment,
+        **about,
+        "parameters": sum(p.numel() for p in network.parameters()) if network else 0,
+        "processor_seconds_a_step": seconds,
+        "frames_digest": {scene: digest(both) for scene, both in folders.items()},
+        "scenes": scenes,
+    }
+
+
+def steps_done(config: TrainConfig) -> int:
+    """Steps of an earlier call, whose time is not in this one's."""
+    checkpoint = config.out.with_suffix(".checkpoint")
+    return read_metadata(checkpoint)["step"] if checkpoint.exists() else 0
+
+
+def trained(config: TrainConfig, run: Run) -> Path:
+    """Weights of a finished run, trained now or on from its checkpoint."""
+    return (
+        config.out if config.out.exists() else train(config, say=lambda text: print(f"{run.name}: {text}", flush=True))
+    )
+
+
+def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str, Any]:
+    """Errors of every frame, lengths in mm and the rest as fractions, with the mesh that it shows."""
+    frames = judged_frames(folder, config.max_depth_mm)
+    results = evaluate_frames(frames, predictor, Protocol(points=config.points))
+    msc = getattr(predictor.network, "msc", None) if hasattr(predictor.network, "config") else None
+    msc = msc if isinstance(msc, nn.Module) and not hasattr(predictor.network, "iterate") else None
+    columns: dict[str, list[Any]] = {"mesh": [], **{name: [] for name in FIGURES}, "missing": [], "msc_abs_rel": []}
+    for result in results:
+        columns["mesh"].append(int(result.name))
+        for name in FIGURES:
+            columns[name].append(round(getattr(result.errors, name), FRACTION_DIGITS))
+        columns["missing"].append(result.errors.missing)
+        if msc is not None:
+            columns["msc_abs_rel"].append(round(msc_error(msc, result, config.unit_mm), FRACTION_DIGITS))
+    network = predictor.network
+    effect = None if network is None else companion_effect(network, folder, config.unit_mm, config.points)
+    return {"frames": columns, "batch_statistics": effect}
+
+
+def msc_error(msc: nn.Module, result: FrameResult, unit_mm: float) -> float:
+    """Mean relative error of the depth that MSC hands to the network, taken as a depth."""
+    sparse = torch.from_numpy(np.ascontiguousarray(result.sparse, dtype=np.float32))[None, None] / unit_mm
+    with torch.inference_mode():
+        depth = msc(sparse, (sparse > 0).float())[0][0, 0].numpy() * unit_mm
+    known = result.truth > 0
+    return float(np.mean(np.abs(depth - result.truth)[known] / result.truth[known]))
+
+
+def digest(folders: tuple[Path, Path]) -> str:
+    """Of the first and last depth maps of both folders, so that records of other frames can be told."""
+    found = hashlib.sha256()
+    for folder in folders:
+        depths = np.load(folder / "depths.npy", mmap_mode="r")
+        found.update(depths[0].tobytes() + depths[-1].tobytes())
+    return found.hexdigest()[:12]

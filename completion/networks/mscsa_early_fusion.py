@@ -1,0 +1,93 @@
+"""MSCSA-Net on the encoder-decoder of its source for normalised convolution, a reading of what the paper leaves open.
+
+The paper's training settings are those of the released "early fusion" network of Eldesokey et al. (TPAMI 2020, the
+paper's [25]), which is U-shaped too. The layer table is of that release; structure awareness (Fig. 3) is added to it
+between encoder and decoder, and the raw sparse depth to the input (Fig. 2).
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from completion.networks.channel_attention import StructureAwareness
+from completion.networks.conv_blocks import start_by_he
+from completion.networks.normalized_conv import MultiScaleConfidence
+from completion.networks.padding import pad_to_multiple
+from haustra.core.errors import CompletionError
+
+STRIDE = 32  # px; five strided convolutions
+SLOPE = 0.2  # of the decoder's LeakyReLU, the output's too
+BIAS = 0.01  # of every convolution at the start
+
+
+@dataclass(frozen=True)
+class EarlyFusionConfig:
+    """Channels and switches of `EarlyFusionMSCSANet`."""
+
+    width: int = 80  # channels of every level of the encoder; the decoder's follow from it
+    use_msc: bool = True
+    use_sa: bool = True
+    confidence_last: bool = False  # MSC's confidence joins again before the last convolution too
+    all_scales: bool = False  # the input has depth and confidence of MSC's coarser levels too, enlarged
+
+    def __post_init__(self) -> None:
+        if (self.confidence_last or self.all_scales) and not self.use_msc:
+            raise CompletionError("'confidence_last' and 'all_scales' are of MSC's output, and this network has none")
+
+
+class EarlyFusionMSCSANet(nn.Module):
+    """MSC, five strided 3x3 convolutions, SA, and five 3x3 convolutions after nearest enlarging; no normalisation.
+
+    Input: MSC's depth and confidence, RGB and the raw sparse depth (six channels); without MSC the four of RGB-SD. The
+    raw sparse depth joins again before the last convolution. 484,923 parameters at the released width. What the paper
+    means by features of its multi-scale module it does not say: `EarlyFusionConfig.confidence_last` and `all_scales`.
+    """
+
+    def __init__(self, config: EarlyFusionConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or EarlyFusionConfig()
+        width = self.config.width
+        self.msc = MultiScaleConfidence(levels=3) if self.config.use_msc else None
+        self.attention = StructureAwareness() if self.config.use_sa else nn.Identity()
+        inputs = 4 + 2 * self.config.use_msc + 12 * self.config.all_scales
+        self.encoder = nn.ModuleList(
+            nn.Conv2d(channels, width, 3, stride=2, padding=1) for channels in (inputs, *[width] * 4)
+        )
+        wide, narrow = 4 * width // 5, 2 * width // 5  # 64 and 32
+        pairs = ((2 * width, wide), (wide + width, wide), (wide + width, narrow), (narrow + width, narrow))
+        self.decoder = nn.ModuleList(
+            nn.Conv2d(a, b, 3, padding=1) for a, b in (*pairs, (narrow + 1 + self.config.confidence_last, 1))
+        )
+        for conv in (*self.encoder, *self.decoder):
+            start_by_he(conv, 0.0, BIAS)  # type: ignore[arg-type]  # for a ReLU, as released, the decoder's too
+
+    def forward(self, rgb: Tensor, sparse_depth: Tensor, intrinsics: Tensor | None = None) -> Tensor:
+        """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit; intrinsics
+        unused."""
+        height, width = rgb.shape[2:]
+        rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
+        channels = [sparse_depth, *self._dense(sparse_depth), rgb]
+        x = torch.cat(channels, dim=1).contiguous(memory_format=torch.channels_last)
+        skips = [x[:, : 1 + self.config.confidence_last]]  # in the same layout as the features
+        for conv in self.encoder:
+            x = F.relu(conv(x), inplace=True)
+            skips.append(x)
+        x = self.attention(skips.pop())
+        for conv in self.decoder:
+            x = F.interpolate(x, scale_factor=2, mode="nearest")
+            x = F.leaky_relu(conv(torch.cat([x, skips.pop().to(x.dtype)], dim=1)), SLOPE, inplace=True)
+        return x[..., :height, :width]
+
+    def _dense(self, sparse_depth: Tensor) -> list[Tensor]:
+        """MSC's channels, float32; its coarser levels enlarged by the nearest pixel."""
+        if self.msc is None:
+            return []
+        with torch.autocast(sparse_depth.device.type, enabled=False):
+            *coarse, fine = self.msc.scales(sparse_depth.float(), (sparse_depth > 0).float())
+            depth, confidence = self.msc.project(*fine)
+            if not self.config.all_scales:
+                coarse = []
+            enlarged = [F.interpolate(x, size=depth.shape[2:], mode="nearest") for level in coarse for x in level]
+        return [confidence, depth, *enlarged]

@@ -1,0 +1,79 @@
+"""The paper's numbers as its sentences state them, and what an interval says of a claim."""
+
+import numpy as np
+import pytest
+
+from benchmarks.paper.claims import Reduction, claims, finding, lead_in_delta, verdict
+from benchmarks.paper.intervals import Interval
+from benchmarks.paper.plan import BODIES
+from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
+from benchmarks.paper.records import Records
+
+STATED = [  # section III-D: scene, row, beside, figure, percent
+    ("colon", "full", "baseline", "abs_rel", 49.7),
+    ("small_intestine", "full", "baseline", "abs_rel", 70.8),
+    ("colon", "+MSC", "baseline", "rmse", 30.1),
+    ("small_intestine", "+MSC", "baseline", "rmse", 54.4),
+    ("colon", "+SA", "baseline", "abs_rel", 11.0),
+    ("colon", "full", "+MSC", "abs_rel", 26.9),
+    ("small_intestine", "full", "+MSC", "abs_rel", 13.2),
+]
+
+
+@pytest.mark.parametrize(("scene", "row", "beside", "figure", "percent"), STATED)
+def test_table_2_gives_what_the_text_says(scene, row, beside, figure, percent):
+    assert round(100 * reduction(scene, row, beside, figure), 1) == percent
+
+
+def test_three_sentences_differ_from_the_tables_that_they_speak_of():
+    """38.7 % is the MAE of the colon, 49.6 % is 48.0, and the lead in delta 1 is never 0.03."""
+    assert round(100 * reduction("small_intestine", "+MSC", "baseline", "mae"), 1) == 66.2
+    assert round(100 * reduction("colon", "+MSC", "baseline", "mae"), 1) == 38.7
+    below = 1 - TABLE_1["colon"]["MSCSA-Net"]["mae"] / TABLE_1["colon"]["StD-ResNet50"]["mae"]
+    assert round(100 * below, 1) == 48.0
+    leads = [lead_in_delta(scene) for scene in TABLE_1]
+    assert max(leads) < 0.03
+    assert np.mean(leads) == pytest.approx(0.011, abs=5e-4)
+
+
+def test_full_is_the_same_row_in_both_tables():
+    for scene in TABLE_2:
+        assert TABLE_2[scene]["full"] == TABLE_1[scene]["MSCSA-Net"]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "claimed", "word"),
+    [
+        (0.3, 0.5, 0.497, "reproduced"),
+        (0.1, 0.4, 0.497, "in sign, not in size"),
+        (-0.1, 0.2, 0.11, "not decided"),
+        (-0.3, -0.1, 0.11, "not reproduced"),
+        (-0.2, -0.05, -0.06, "reproduced"),  # a row that is claimed to be worse, and is
+        (0.05, 0.2, -0.06, "not reproduced"),
+    ],
+)
+def test_verdicts_follow_the_interval(low, high, claimed, word):
+    assert verdict((Interval((low + high) / 2, low, high), 3), claimed) == f"{word}, 3 seeds"
+    assert verdict(None, claimed) == "not measured"
+
+
+def record(model, seed, abs_rel):
+    meshes = [0, 0, 1, 1]
+    frames = {"mesh": meshes, "abs_rel": abs_rel, "rmse": abs_rel, "mae": abs_rel}
+    return {"model": model, "seed": seed, "change": "", "scenes": {"colon": {"frames": frames}}}
+
+
+def test_a_reduction_is_taken_over_the_seeds_that_both_rows_have():
+    models = BODIES["early fusion"]
+    baseline, full = record(models[0], 0, [0.2, 0.2, 0.4, 0.4]), record(models[3], 0, [0.1, 0.1, 0.2, 0.2])
+    records = Records([baseline, full, record(models[3], 1, [9.0, 9.0, 9.0, 9.0])])
+    found = finding(records, Reduction("colon", "full", "baseline", "abs_rel"), "early fusion")
+    assert found is not None
+    assert (found[0].value, found[0].low, found[0].high, found[1]) == pytest.approx((0.5, 0.5, 0.5, 1))
+    assert finding(records, Reduction("colon", "+SA", "baseline", "abs_rel"), "early fusion") is None
+
+
+def test_every_comparison_is_of_rows_that_exist():
+    for claim in claims():
+        for of in claim.compared:
+            assert {of.row, of.beside} <= set(TABLE_2[of.scene])

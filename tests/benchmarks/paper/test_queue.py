@@ -1,0 +1,121 @@
+"""The queue: its plan, that finished runs are left out, and how a run is judged."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from benchmarks.paper import run_queue, single_run
+from benchmarks.paper.batch_statistics import companion_effect
+from benchmarks.paper.frames import render
+from benchmarks.paper.plan import CHANGES, SCENES, UNTRAINED, Run, tables
+from completion.evaluation.metrics import depth_errors
+from completion.evaluation.predictors import Predictor, load_predictor
+from completion.networks.registry import REGISTRY
+from completion.training.config import make_config
+
+
+def test_runs_have_names_of_their_own_and_networks_that_exist():
+    runs = [run for table in tables().values() for run in table.runs]
+    assert len({run.name for run in runs}) == len(set(runs)) == len(runs)
+    assert {run.model for run in runs} <= set(REGISTRY) | set(UNTRAINED)
+    assert {run.change for run in runs} == {"", *CHANGES}
+    seeds = [seed for pair in SCENES.values() for seed in pair]
+    assert len(set(seeds)) == len(seeds)  # frames of one seed share meshes
+
+
+def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, capsys):
+    runs = tables()["untrained"].runs
+    done = []
+
+    def performed(run, work, environment):
+        done.append(run)
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        frames = {"abs_rel": [0.1, 0.3]}
+        return {"model": run.model, "processor_seconds_a_step": None, "scenes": {run.scenes[0]: {"frames": frames}}}
+
+    monkeypatch.setattr(single_run, "perform", performed)
+    command = ["paper", "--work", str(tmp_path / "work"), "--results", str(tmp_path / "records")]
+    monkeypatch.setattr("sys.argv", [*command, "--table", "untrained"])
+    with pytest.raises(KeyboardInterrupt):
+        run_queue.main()
+    run_queue.main()
+    assert done == [*runs[:3], *runs[2:]]
+    assert f"{len(runs)} runs left" in capsys.readouterr().out
+    assert len(list((tmp_path / "records").glob("*.json"))) == len(runs)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Six frames of three meshes."""
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "images.npy", rng.integers(0, 255, (6, 64, 64, 3), dtype=np.uint8))
+    np.save(tmp_path / "depths.npy", rng.uniform(10, 60, (6, 64, 64)).astype(np.float16))
+    np.save(tmp_path / "colon.npy", np.repeat([0, 1, 2], 2).astype(np.int32))
+    return tmp_path
+
+
+def test_every_frame_is_judged_against_its_own_truth(folder):
+    config = make_config("paper", shards=(folder,), out=folder / "w", points=50)
+    truth = np.load(folder / "depths.npy").astype(np.float32)
+    found = single_run.judged(folder, load_predictor("linear"), config)
+    assert found["frames"]["mesh"] == [0, 0, 1, 1, 2, 2]
+    assert found["batch_statistics"] is None
+    constant = Predictor(lambda rgb, sparse, lens: (np.full_like(sparse, 30.0), None))
+    judged = single_run.judged(folder, constant, config)["frames"]
+    expected = [depth_errors(np.full((64, 64), 30.0), depth).abs_rel for depth in truth]
+    np.testing.assert_allclose(judged["abs_rel"], expected, atol=1e-6)
+
+
+class Scaled(nn.Module):
+    """Hands on the mean of the points times a gain; with `norm`, the gain depends on the batch."""
+
+    def __init__(self, norm: bool) -> None:
+        super().__init__()
+        self.norm = nn.BatchNorm2d(1) if norm else nn.Identity()
+        self.unused = nn.BatchNorm2d(1)
+
+    def forward(self, rgb, sparse, lens=None):
+        mean = sparse.sum((2, 3), keepdim=True) / (sparse > 0).sum((2, 3), keepdim=True)
+        return 2 + self.norm(mean.expand(-1, -1, 8, 8)).mean((2, 3), keepdim=True).expand_as(sparse)
+
+
+def test_companions_matter_only_where_the_batch_normalises(folder, monkeypatch):
+    monkeypatch.setattr("benchmarks.paper.batch_statistics.BATCH", 3)
+    rng = np.random.default_rng(1)
+    flat = np.repeat(rng.uniform(10, 60, (6, 1, 1)), 64, axis=1).repeat(64, axis=2)
+    np.save(folder / "depths.npy", flat.astype(np.float16))
+    effects = [companion_effect(Scaled(norm).eval(), folder, 25.0, 50) for norm in (False, True)]
+    assert effects[0] is not None
+    assert effects[0]["companions"] == pytest.approx(0, abs=1e-6)
+    assert effects[1] is not None
+    assert effects[1]["companions"] > 0.01
+    assert companion_effect(nn.Conv2d(1, 1, 1), folder, 25.0, 50) is None
+
+
+def test_the_running_statistics_stay_as_they_are(folder, monkeypatch):
+    monkeypatch.setattr("benchmarks.paper.batch_statistics.BATCH", 3)
+    network = Scaled(True).eval()
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    companion_effect(network, folder, 25.0, 50)
+    assert torch.equal(network.norm.running_mean, before["norm.running_mean"])
+    assert torch.equal(network.norm.running_var, before["norm.running_var"])
+    assert not network.norm.training
+
+
+def test_frames_of_another_plan_are_refused(tmp_path):
+    for name in ("colon", "colon_judged"):
+        (tmp_path / name).mkdir()
+        about = {"frames": 7, "size": 160, "seed": 51, "scene": "colon"}
+        (tmp_path / name / "shards.json").write_text(json.dumps(about))
+    with pytest.raises(SystemExit, match="other frames"):
+        render(tmp_path, "colon")
+
+
+def test_a_run_with_a_change_has_other_settings():
+    plain, changed = (Run(("colon",), "unet", change=change) for change in ("", "float32"))
+    assert plain.settings | {"bf16": False} == changed.settings
+    assert plain.name != changed.name

@@ -1,0 +1,13 @@
+"""The committed page of the paper's claims is what its script prints from the records."""
+
+from pathlib import Path
+
+from benchmarks.paper.records import Records
+from scripts.paper_page import page
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_page_is_what_its_records_say() -> None:
+    committed = (ROOT / "docs/lab/paper.md").read_text(encoding="utf-8")
+    assert page(Records.read()) == committed, "run: python -m scripts.paper_page > docs/lab/paper.md"
