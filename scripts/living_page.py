@@ -41,9 +41,9 @@ READ = """
 ## Tried, and not taken
 
 - **Light compared with itself**: whether a point gets darker as the camera leaves it, less each point's and each
-  frame's mean brightness. On a right map of a still wall the correlation had the wrong sign: as the camera comes nearer,
-  a point moves outwards in the picture, where a real lamp's beam is darker. With the angle off the axis taken out, no
-  correlation was left.
+  frame's mean brightness. On a right map of a still wall the correlation had the wrong sign: as the camera comes
+  nearer, a point moves outwards in the picture, where a real lamp's beam is darker. With the angle off the axis taken
+  out, no correlation was left.
 - **Motion of each piece of wall from completed depth**: in each keyframe the median distance along the normal between
   the keyframe's depth and the fused surface, by patches of 5 mm, less what all patches share. On a still wall the noise
   of completion looks like motion of some tenths of a millimetre, more in one patch of ten; with a wall that moves by
