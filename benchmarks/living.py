@@ -3,6 +3,7 @@
     haustra phantom FILMS --living-suite --recordings C3VD_PATHS
     python -m benchmarks.living FILMS/* --json living.json
     python -m benchmarks.living FILMS/* --json living.json --checkout OTHER --name before
+    python -m benchmarks.living FILMS/* --json living.json --true-poses --name "true poses"
 
 Frames without news (a camera at rest, red-out) are not tracked and not counted: `informative` are the others. ATE is
 CLiMB's: mean distance of camera centres, one Sim(3) a submap, weighted by matched poses; submaps of 20 frames and more
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", default="now", help="what the rows call it")
     parser.add_argument("--front-end", default="auto")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--true-poses", action="store_true", help="give the film's own poses instead of tracking")
     parser.add_argument("--limit-s", type=float, default=900.0, help="after which a run is stopped")
     parser.add_argument("--keep", type=Path, help="folder for the runs, which are removed otherwise")
 
@@ -43,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> None:
     """Every folder once."""
     table, method = RunTable(arguments.json), f"{arguments.name}, {arguments.front_end}"
+    if arguments.true_poses:
+        method = f"{arguments.name}, true poses"
     for folder in arguments.folders:
         if not table.has(folder.name, arguments.seed, method):
             figures = {"commit": environment(arguments.checkout)["commit"]} | run_figures(folder, arguments)
@@ -56,7 +60,8 @@ def run_figures(film: Path, arguments: argparse.Namespace) -> dict[str, Any]:
         output = (arguments.keep or Path(scratch)) / f"{film.name}_{arguments.name}"
         command = [sys.executable, "-m", "pipeline", str(film / "video.mp4"), "-o", str(output), "--overwrite", "-q"]
         command += ["--camera", str(film / "camera.json"), "--seed", str(arguments.seed)]
-        command += ["--front-end", arguments.front_end]
+        poses = ["--poses", str(film / "trajectory.txt")] if arguments.true_poses else []
+        command += poses or ["--front-end", arguments.front_end]
         begun = time.perf_counter()
         try:
             done = subprocess.run(
