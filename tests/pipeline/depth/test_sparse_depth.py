@@ -8,7 +8,6 @@ from numpy.testing import assert_array_equal
 
 from haustra.core.camera import Camera
 from pipeline.depth.sparse_depth import SLIDE, SparseDepthMaker, has_better_neighbours
-from pipeline.frontend.odometry.self_calibration import _without_points
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import Submap, read_submap
 
@@ -104,6 +103,6 @@ def test_it_is_known_after_writing_reading_and_thinning(tmp_path):
     write_model(submap, CAMERA, tmp_path)
     assert_array_equal(read_submap(tmp_path).is_klt, followed)
     drop = np.arange(50) < 10
-    assert_array_equal(_without_points(submap, drop).is_klt, followed[~drop])
+    assert_array_equal(submap.without_points(drop).is_klt, followed[~drop])
     write_model(replace(submap, klt=None), CAMERA, tmp_path)
     assert not read_submap(tmp_path).is_klt.any()

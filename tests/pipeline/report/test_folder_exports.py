@@ -128,4 +128,4 @@ def test_a_run_without_scale_is_not_for_slicer(made, tmp_path, monkeypatch, caps
 def test_one_program_at_a_time(made, tmp_path, monkeypatch, capsys):
     assert export(monkeypatch, made, tmp_path / "out", "--slicer", "--colmap") == 1
     assert export(monkeypatch, made, tmp_path / "out", "--slicer", "--texture") == 1
-    assert "give only one of" in capsys.readouterr().err
+    assert "give one of" in capsys.readouterr().err
