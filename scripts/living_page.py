@@ -36,8 +36,8 @@ READ = """
   that moves as a whole cannot be told from a camera that moves: a fifth of the amplitude is such a shift.
 - **A low ATE is no proof of a right map.** The Sim(3) of so short and straight a path is turned easily: rotations after
   alignment are off by degrees, and the surface, which lies 20 to 60 mm away, by millimetres.
-- **Frames without a pose**, at 5 and 10 mm: tracking is lost, or the lamp contradicts the map, and COLMAP, which is then
-  asked and may take no longer than odometry did (`second_opinion`), does not finish in that time.
+- **Frames without a pose**, at 5 and 10 mm: tracking is lost, or the lamp contradicts the map, and COLMAP, which is
+  then asked and may take no longer than odometry did (`second_opinion`), does not finish in that time.
 - **No model of motion.** Poses and points are adjusted as if the wall stood still, and depth is averaged over time.
 
 ## Tried, and not taken
