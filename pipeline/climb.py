@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from haustra.core.errors import HaustraError
-from haustra.core.text import read_json, read_text
-from pipeline.compare import load_path
+from pipeline.compare import paired, true_path
 from pipeline.finished_run import Run, open_run
+from pipeline.input.pose_files.colmap_poses import read_colmap_poses
+from pipeline.input.pose_files.pose_table import FilmFrames
 from reconstruction.evaluation.climb import MIN_COMMON, ClimbErrors, climb_errors
-from reconstruction.evaluation.trajectory_metrics import associate
 
 Array = NDArray[np.float64]
 HEADER = "# timestamp, name_image, tx, ty, tz, qw, qx, qy, qz, interpolated\n"
@@ -25,65 +25,55 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
     """Errors of a finished run against a path: an RGB-D folder, a TUM file, or the images.txt of a COLMAP model in mm,
     whose pictures are numbered from 1. Poses that a submission would interpolate do not count as tracked here."""
     finished = open_run(run)
-    frames, seconds = _clock(finished)
+    film = FilmFrames.of(finished.workspace)
     submaps = [(finished.submaps[k].frames + 1, finished.trajectory(k)[1]) for k in range(len(finished.surfaces))]
     if reference.name == "images.txt":
         truth = read_numbered_images(reference)
     else:
-        true_seconds, poses = load_path(reference, finished)
-        spacing = float(np.median(np.diff(seconds)))
-        mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * spacing)
-        truth = frames[mine] + 1, poses[theirs]
-    fps = 1 / float(np.median(np.diff(seconds)))
+        true_seconds, poses = true_path(reference, finished)
+        mine, theirs = paired(film.seconds, true_seconds, reference)
+        truth = film.index[mine] + 1, poses[theirs]
+    fps = 1 / float(np.median(np.diff(film.seconds)))
     return climb_errors(submaps, truth, fps, seconds_per_frame(finished), min_common)
 
 
 def write_submission(run: Path, folder: Path) -> Path:
-    """Write one run folder of a submission. Raises `HaustraError` where the folder holds something else."""
+    """Write one run folder of a submission. Raises `HaustraError` where the folder holds something else, or the run
+    does not say how long its frame loop took. A run does not record the time before that loop, which the benchmark does
+    not score: init_seconds is 0."""
     finished = open_run(run)
+    pace = seconds_per_frame(finished)
+    if pace is None:
+        raise HaustraError(f"{run} does not say how long its frame loop took, which runtime.txt needs; use odometry")
     if folder.exists() and any(folder.iterdir()) and not (folder / "runtime.txt").exists():
         raise HaustraError(f"{folder} holds something else; give another folder")
     paths = folder / "camera_trajectory"
     paths.mkdir(parents=True, exist_ok=True)
-    frames, seconds = _clock(finished)
+    film = FilmFrames.of(finished.workspace)
     taken = {int(frame) for submap in finished.submaps for frame in submap.frames}
     for number, submap in enumerate(finished.submaps):
         posed, poses = submap.frames, finished.trajectory(number)[1]
-        between = [int(f) for f in frames[(frames > posed[0]) & (frames < posed[-1])] if int(f) not in taken]
-        table = _lines(frames, seconds, posed, poses, np.array(between, np.int64))
+        inside = film.index[(film.index > posed[0]) & (film.index < posed[-1])]
+        between = np.array([frame for frame in inside.tolist() if frame not in taken], np.int64)
+        table = _lines(film, posed, poses, between)
         (paths / f"cam_traj_map_{number:03d}.txt").write_text(HEADER + "".join(table))
         target = folder / "3D_maps" / f"{number:03d}"
         target.mkdir(parents=True, exist_ok=True)
         points = submap.points * finished.surfaces[number].scale.factor
         rows = (f"{k} {x:.6f} {y:.6f} {z:.6f} 128 128 128 0\n" for k, (x, y, z) in enumerate(points, start=1))
         (target / "points3D.txt").write_text("# POINT3D_ID, X, Y, Z, R, G, B, ERROR\n" + "".join(rows))
-    pace = seconds_per_frame(finished)
-    if pace is None:
-        raise HaustraError(f"{run} does not say how long its frame loop took, which runtime.txt needs; use odometry")
-    runtime = f"init_seconds={0:.6f}\nprocessing_seconds={pace * len(frames):.6f}\n"
+    runtime = f"init_seconds=0\nprocessing_seconds={pace * len(film.index):.6f}\n"
     (folder / "runtime.txt").write_text(runtime)
     return folder
 
 
 def read_numbered_images(path: Path) -> tuple[NDArray[np.int64], Array]:
     """Numbers (N,) in the pictures' names and world_from_camera (N,4,4) of a COLMAP images.txt."""
-    rows = [line for line in read_text(path).splitlines() if not line.startswith("#")]
-    numbers, poses = [], []
-    for line in rows[::2]:
-        words = line.split()
-        try:
-            w, x, y, z, *t = (float(word) for word in words[1:8])
-            digits = "".join(c for c in words[9] if c.isdigit())
-            camera_from_world = np.eye(4)
-            camera_from_world[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
-            camera_from_world[:3, 3] = t
-            numbers.append(int(digits))
-        except (ValueError, IndexError):
-            raise HaustraError(f"{path}: not an images.txt of COLMAP with numbered pictures: {line[:60]!r}") from None
-        poses.append(np.linalg.inv(camera_from_world))
-    if not poses:
-        raise HaustraError(f"{path} has no posed picture")
-    return np.array(numbers), np.array(poses)
+    table = read_colmap_poses(path)
+    digits = ["".join(filter(str.isdecimal, name)) for name in (table.names if table else None) or ()]
+    if table is None or not all(digits):
+        raise HaustraError(f"{path}: not an images.txt of COLMAP with numbered pictures")
+    return np.array([int(number) for number in digits]), table.world_from_camera
 
 
 def seconds_per_frame(run: Run) -> float | None:
@@ -92,20 +82,10 @@ def seconds_per_frame(run: Run) -> float | None:
     return 1 / float(pace) if pace else None
 
 
-def _clock(run: Run) -> tuple[NDArray[np.int64], Array]:
-    """Number and time (s) of each frame that was read."""
-    frames = read_json(run.workspace.frames)["frames"]
-    return np.array([row[0] for row in frames], np.int64), np.array([row[1] for row in frames], float)
-
-
-def _lines(
-    frames: NDArray[np.int64], seconds: Array, posed: NDArray[np.int64], poses: Array, between: NDArray[np.int64]
-) -> list[str]:
+def _lines(film: FilmFrames, posed: NDArray[np.int64], poses: Array, between: NDArray[np.int64]) -> list[str]:
     """A submap's lines in the order of its frames, with the frames `between` interpolated: centres on the straight
     line, rotations on the great arc between the posed neighbours."""
-    when = {int(frame): float(time) for frame, time in zip(frames, seconds, strict=True)}
-    times = np.array([when[int(frame)] for frame in posed])
-    wanted = np.array([when[int(frame)] for frame in between])
+    times, wanted = (film.seconds[np.searchsorted(film.index, frames)] for frames in (posed, between))
     turns = Rotation.from_matrix(poses[:, :3, :3])
     entries = list(zip(posed.tolist(), times, poses[:, :3, 3], turns.as_quat(), [0] * len(posed), strict=True))
     if len(between):

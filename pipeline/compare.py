@@ -80,7 +80,7 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     finished = open_run(run)
     metrics = finished.metrics
     seconds, world_from_camera = finished.trajectory()
-    true_seconds, true_world_from_camera, points = _load_truth(truth, finished)
+    true_seconds, true_world_from_camera = true_path(truth, finished)
     if len(true_seconds) < 3:
         raise HaustraError(f"{truth} has {len(true_seconds)} poses; three are needed")
     mine, theirs = paired(seconds, true_seconds, truth)
@@ -89,7 +89,7 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    surface, coverage = None, None
+    points, surface, coverage = _true_surface(truth), None, None
     if points is not None:
         truth_from_run = align_poses(estimated, true)
         mesh = read_mesh(finished.mesh).transformed(truth_from_run)
@@ -143,28 +143,31 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
     return coverage_errors(coverage.transformed(truth_from_run), wall)
 
 
-def load_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Seconds (N,) and world_from_camera (N,4,4), mm, of an RGB-D folder or a TUM file."""
-    seconds, world_from_camera, _ = _load_truth(truth, run)
-    return seconds, world_from_camera
-
-
-def _load_truth(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64], ReferenceSurface | None]:
-    """Seconds, poses, and the surface if there is one."""
+def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Seconds (N,) and world_from_camera (N,4,4), mm, of an RGB-D folder, a data set's folder or a TUM file."""
     if truth.is_dir() and (known := read_data_set_truth(truth)) is not None:
         seconds = known.seconds
         if seconds is None:  # a pose for each frame: at the time that the run gives it
             seconds = run.frames.seconds_of_numbers(np.arange(len(known.world_from_camera)))
-        return seconds, known.world_from_camera, known.surface()
+        return seconds, known.world_from_camera
     if truth.is_dir():
         trajectory = truth / "trajectory.txt"
         if not trajectory.exists():
             others = ", ".join(TRUTH_READERS)
             raise HaustraError(f"{truth} has no truth: neither trajectory.txt of an RGB-D folder, nor one of {others}")
-        has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
-        return *read_tum(trajectory), read_reference_surface(truth) if has_surface else None
+        return read_tum(trajectory)
     if truth.suffix in (".tum", ".txt") and truth.is_file():
-        return *read_tum(truth), None
+        return read_tum(truth)
     if truth.suffix.lower() in MESH_FORMATS and truth.is_file():
         raise HaustraError(f"{truth} is a mesh without a path to align by; put trajectory.txt beside a mesh.ply")
     raise HaustraError(f"{truth} is neither an RGB-D folder nor a TUM trajectory")
+
+
+def _true_surface(truth: Path) -> ReferenceSurface | None:
+    """The surface that the truth shows; None where it has none."""
+    if not truth.is_dir():
+        return None
+    if (known := read_data_set_truth(truth)) is not None:
+        return known.surface()
+    has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
+    return read_reference_surface(truth) if has_surface else None

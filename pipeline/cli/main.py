@@ -38,9 +38,8 @@ class ExportCommand(TyperCommand):
 
         for parameter in self.params:
             if isinstance(parameter, TyperArgument) and parameter.name == "target":
-                parameter.help = (
-                    f"file to write: {described_formats()}; with --nerfstudio, --colmap or --slicer a folder"
-                )
+                folders = "with --nerfstudio, --colmap, --slicer or --climb a folder"
+                parameter.help = f"file to write: {described_formats()}; {folders}"
         super().format_help(ctx, formatter)
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from haustra.phantom.config import (
     AnatomyConfig,
@@ -49,3 +53,20 @@ def pixel_direction(camera: Camera, row: int, column: int) -> np.ndarray:
 
 def corners_of(phantom: Phantom) -> np.ndarray:
     return phantom.colon.vertices[phantom.colon.triangles].astype(float)
+
+
+def depth_errors(
+    folder: Path, frame: int, camera: Camera, pixels: np.ndarray, corners: np.ndarray, rest: np.ndarray
+) -> tuple[list[float], list[float]]:
+    """How far a frame's stored depth is, at pixels (N,2) of row and column, from that of triangles (F,3,3), and from
+    that of the triangles at rest, mm; no depth counts as 0."""
+    depth = cv2.imread(str(folder / "depth" / f"{frame:05d}.png"), cv2.IMREAD_UNCHANGED) * 0.01
+    row = np.loadtxt(folder / "trajectory.txt")[frame]
+    rotation = Rotation.from_quat(row[4:]).as_matrix()
+    errors, moved_by = [], []
+    for r, c in pixels:
+        direction = rotation @ pixel_direction(camera, r, c)
+        z, _ = first_hit(row[1:4], direction, corners)
+        errors.append(abs(depth[r, c] - (z if np.isfinite(z) else 0.0)))
+        moved_by.append(abs(depth[r, c] - first_hit(row[1:4], direction, rest)[0]))
+    return errors, moved_by

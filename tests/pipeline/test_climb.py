@@ -29,7 +29,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TinyRun:
 
     opened = SimpleNamespace(
         workspace=SimpleNamespace(
-            frames=tiny.workspace.frames, result=lambda _: {"stats": {"frames_per_second": 20.0}}
+            frames=tiny.workspace.frames,
+            record=tiny.workspace.record,
+            result=lambda _: {"stats": {"frames_per_second": 20.0}},
         ),
         submaps=[one.submap for one in tiny.completed],
         surfaces=tiny.surfaces,
@@ -104,3 +106,19 @@ def test_what_is_no_numbered_images_txt_is_refused(tmp_path: Path, text: str) ->
     (tmp_path / "images.txt").write_text(text)
     with pytest.raises(HaustraError, match=r"images\.txt"):
         read_numbered_images(tmp_path / "images.txt")
+
+
+def test_a_reference_of_another_clock_is_refused_as_everywhere(run: TinyRun, tmp_path: Path) -> None:
+    submap = run.completed[0].submap
+    write_tum(tmp_path / "late.tum", submap.frames / 30 + 3.5, submap.world_from_camera)
+    with pytest.raises(HaustraError, match="are of one time"):
+        compare_climb(tmp_path / "run", tmp_path / "late.tum", 20)
+
+
+def test_without_the_time_of_the_frame_loop_nothing_is_written(
+    run: TinyRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(climb, "seconds_per_frame", lambda _: None)
+    with pytest.raises(HaustraError, match="frame loop"):
+        write_submission(tmp_path / "run", tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -62,38 +62,19 @@ def refine_intrinsics(
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
     it, until it stays.
     """
-    by_size = sorted(maps, key=lambda m: -len(m.tracked_frames) - len(m.keyframes))
-    first_sigma: tuple[float, ...] = ()
-    for local_map in by_size[:MOST_ASKED]:
-        camera, sigma, held = _refine_by(local_map, maps, held, guess, seed, find, workspace, progress)
-        if camera != guess:
-            return camera, sigma, held
-        first_sigma = first_sigma or sigma
-    return guess, first_sigma, held
-
-
-def _refine_by(
-    largest: LocalMap,
-    maps: list[LocalMap],
-    held: list[float | None],
-    guess: Camera,
-    seed: int,
-    find: FindFeatures,
-    workspace: Workspace,
-    progress: Progress,
-) -> tuple[Camera, tuple[float, ...], list[float | None]]:
-    """As `refine_intrinsics`, by what one of the maps determines."""
+    asked = sorted(maps, key=lambda m: -len(m.tracked_frames) - len(m.keyframes))[:MOST_ASKED]
     camera = guess
     sigma: tuple[float, ...] = ()
     for _ in range(ROUNDS):
-        by_features = submaps_of([largest], camera.params, kind=TrackKind.FEATURE)
-        asked = by_features or submaps_of([largest], camera.params)
-        if not asked:
-            break
-        step = KEYFRAME_STEP if by_features else FRAME_STEP
-        lens = refine_lens(asked[0], camera, seed, workspace.log, progress, step)
+        lenses = []
+        for local_map in asked:
+            lenses.append(_lens_of(local_map, camera, seed, workspace, progress))
+            if lenses[-1].determined:
+                break
+        lens = lenses[-1]
         if not lens.determined:
-            return camera, sigma or lens.sigma, held  # an earlier round's answer stands
+            return camera, sigma or lenses[0].sigma, held  # an earlier round's answer stands
+        asked = [asked[len(lenses) - 1]]
         shift = lens_shift(camera, lens.camera)
         sigma = lens.sigma
         if shift < LENS_CONVERGED:
@@ -101,6 +82,16 @@ def _refine_by(
         camera = lens.camera
         held = _with_lens(maps, camera, shift > LENS_RESTART, find, progress)
     return camera, sigma, held
+
+
+def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:
+    """The lens that one map determines, by its features, or by its corners where it has none."""
+    by_features = submaps_of([local_map], camera.params, kind=TrackKind.FEATURE)
+    asked = by_features or submaps_of([local_map], camera.params)
+    if not asked:
+        return Lens(camera, (), False)
+    step = KEYFRAME_STEP if by_features else FRAME_STEP
+    return refine_lens(asked[0], camera, seed, workspace.log, progress, step)
 
 
 def lens_shift(old: Camera, new: Camera) -> float:

@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -18,7 +17,7 @@ from haustra.phantom.imaging.render import Frame, Phantom
 from haustra.phantom.motion.camera_path import plan_camera_path
 from haustra.phantom.motion.peristalsis import Peristalsis
 from haustra.phantom.timeline import Slot, plan_timeline
-from tests.helpers.tiny_phantom import SIZE, TINY, first_hit, pixel_direction
+from tests.helpers.tiny_phantom import SIZE, TINY, depth_errors
 
 KINDS = ("red_out", "water_jet", "bubbles", "tool")
 FRAMES = 12
@@ -106,16 +105,9 @@ def test_the_moving_wall_can_be_rebuilt_from_the_folder_alone(moving: tuple[Phan
     moved = mesh.vertices + weight[:, None] * (axis - mesh.vertices)
     corners, rest = moved[mesh.faces], np.array(mesh.triangles)
     frame = strongest["frame"]
-    depth = cv2.imread(str(folder / "depth" / f"{frame:05d}.png"), cv2.IMREAD_UNCHANGED) * 0.01
-    row = np.loadtxt(folder / "trajectory.txt")[frame]
-    rotation = trimesh.transformations.quaternion_matrix([row[7], *row[4:7]])[:3, :3]
     camera = Phantom(config, threads=1).camera
-    errors, moved_by = [], []
-    for r, c in np.random.default_rng(0).integers(0, SIZE, (80, 2)):
-        direction = rotation @ pixel_direction(camera, r, c)
-        z, _ = first_hit(row[1:4], direction, corners)
-        errors.append(abs(depth[r, c] - (z if np.isfinite(z) else 0.0)))
-        moved_by.append(abs(depth[r, c] - first_hit(row[1:4], direction, rest)[0]))
+    pixels = np.random.default_rng(0).integers(0, SIZE, (80, 2))
+    errors, moved_by = depth_errors(folder, frame, camera, pixels, corners, rest)
     assert np.quantile(errors, 0.97) < 0.006  # half a depth unit; a ray may slip past an edge in float32
     assert np.max(moved_by) > 1.0  # and the wall at rest would not explain the picture
 

@@ -23,7 +23,7 @@ from haustra.phantom.imaging.scopes import filmed_through
 from haustra.phantom.motion.camera_path import clearance
 from haustra.phantom.motion.living_wall import LivingWall, displaced
 from haustra.phantom.motion.recorded_path import read_recording, replay
-from tests.helpers.tiny_phantom import SIZE, TINY, first_hit, pixel_direction
+from tests.helpers.tiny_phantom import SIZE, TINY, depth_errors
 
 FPS = 10.0
 
@@ -108,16 +108,9 @@ def test_depth_is_that_of_the_wall_rebuilt_from_the_folder_alone(moving: tuple[P
     moved_by = []
     for frame in (1, 4):
         moved, rest, mesh = rebuilt(folder, frame)
-        corners, still = moved[mesh.faces], rest[mesh.faces]
-        depth = cv2.imread(str(folder / "depth" / f"{frame:05d}.png"), cv2.IMREAD_UNCHANGED) * 0.01
-        row = np.loadtxt(folder / "trajectory.txt")[frame]
-        rotation = Rotation.from_quat(row[4:]).as_matrix()
-        errors = []
-        for r, c in np.random.default_rng(0).integers(0, SIZE, (60, 2)):
-            direction = rotation @ pixel_direction(camera, r, c)
-            z, _ = first_hit(row[1:4], direction, corners)
-            errors.append(abs(depth[r, c] - (z if np.isfinite(z) else 0.0)))
-            moved_by.append(abs(depth[r, c] - first_hit(row[1:4], direction, still)[0]))
+        pixels = np.random.default_rng(0).integers(0, SIZE, (60, 2))
+        errors, by = depth_errors(folder, frame, camera, pixels, moved[mesh.faces], rest[mesh.faces])
+        moved_by += by
         assert np.quantile(errors, 0.95) < 0.006  # half a depth unit; a ray may slip past an edge in float32
     assert np.median(moved_by) > 0.1  # and the wall at rest would not explain the picture
 
