@@ -3,13 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-from completion.inference.completer import choose_device
-from completion.weights.shipped_weights import validate_weights
+from completion.weights.shipped_weights import SHIPPED_WEIGHTS, validate_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completion_stage import STAGE as DEPTH_STAGE
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.multiview_stage import refine_depth
+from pipeline.depth.preparation import Preparation
 from pipeline.depth.sensor.sensor_depth import check_sensor, open_sensor
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
@@ -45,11 +46,14 @@ def reconstruct(
     config, progress = _with_lens_of_poses(config or Config()), progress or SilentProgress()
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
-    with _workspace(video, Path(output), config, resume, overwrite) as workspace:  # nobody else works in it meanwhile
+    later = Preparation(config.model, config.device, config.depth.iterations)
+    # The lock: nobody else works in the run folder meanwhile.
+    with later, _workspace(video, Path(output), config, resume, overwrite) as workspace:
+        later.begin(with_network=not workspace.is_done(DEPTH_STAGE))
         frames = read_frames(video, config.camera, config.frames, workspace, progress)
         submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, progress)
-        completed = complete_depth(frames, submaps, config.model, config.device, config.depth, workspace, progress)
-        completed = refine_depth(completed, config.model, config.device, config.depth, workspace, progress)
+        completed = complete_depth(frames, submaps, later.completer, config.depth, workspace, progress)
+        completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
         completed = close_loops_stage(frames, completed, config.loop_closing, config.seed, workspace, progress)
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
@@ -86,8 +90,12 @@ def _check(config: Config, video: Source, scale: ScaleSource) -> None:
     check_front_end(config.front_end, config.front_end_settings)
     check_choice(config.camera, video.path)
     check_sensor(video.path, config.sensor)
-    validate_weights(config.model, config.depth.iterations)
-    choose_device(config.device)
+    if config.model not in SHIPPED_WEIGHTS or config.depth.iterations is not None:
+        validate_weights(config.model, config.depth.iterations)
+    if config.device == "cuda":
+        from completion.inference.completer import choose_device
+
+        choose_device(config.device)
     if scale.file is not None:
         check_scale_file(scale.file)
 

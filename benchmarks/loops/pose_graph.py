@@ -17,6 +17,7 @@ of length comes from one Sim(3) over the whole path. A link is false if its own 
 import argparse
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from haustra.core.sim3 import scale_of
 from pipeline.config import Config, FrameSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import complete_depth
+from pipeline.depth.preparation import load_completer
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.video import Source
@@ -65,7 +67,8 @@ def dense_submaps(folder: Path, config: Config, root: Path) -> list[CompletedSub
     with workspace:
         frames = read_frames(Source(folder), config.camera, config.frames, workspace, silent)
         submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, silent)
-        return complete_depth(frames, submaps, config.model, config.device, config.depth, workspace, silent)
+        network = partial(load_completer, config.model, config.device, config.depth.iterations)
+        return complete_depth(frames, submaps, network, config.depth, workspace, silent)
 
 
 def links_of(

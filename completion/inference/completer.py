@@ -1,6 +1,8 @@
 """`DepthCompleter`: image and sparse depth -> dense depth and confidence, with any `DepthNetwork`."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -17,6 +19,7 @@ from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
+from haustra.core.lookahead import processors
 
 # Dark images are brought to the exposure of the training frames. Bright ones stay: dimmed, a burnt wall would look like
 # a grey one, and that it is burnt says that it is near.
@@ -88,6 +91,22 @@ class DepthCompleter:
         errors = None if sparse_error is None else np.asarray(sparse_error)[None]
         depth, confidence = self.batch(np.asarray(rgb)[None], np.asarray(sparse_depth)[None], errors)
         return depth[0], confidence[0]
+
+    @property
+    def at_once(self) -> int:
+        """How many frames are best completed at once, each in a thread of its own; see `working_side_by_side`."""
+        return processors() if self.device.type == "cpu" else 1
+
+    @contextmanager
+    def working_side_by_side(self) -> Iterator[None]:
+        """While `at_once` threads call this completer, each computes on one processor: two frames side by side take
+        less time than two after each other, each on two processors. The results are the same."""
+        before = torch.get_num_threads()
+        torch.set_num_threads(1 if self.at_once > 1 else before)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(before)
 
     @property
     def can_refine(self) -> bool:

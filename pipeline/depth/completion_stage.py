@@ -1,21 +1,26 @@
 """Stage 3: dense depth and confidence of every keyframe, from its picture and its sparse depth."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from completion.inference.completer import DepthCompleter
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
+from haustra.core.lookahead import prefetched
 from haustra.core.progress import Progress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
+from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sensor.joined_points import points_of
 from pipeline.depth.sensor.sensor_depth import open_sensor
@@ -25,6 +30,9 @@ from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, write_json
 
+if TYPE_CHECKING:
+    from completion.inference.completer import DepthCompleter
+
 STAGE = "depth"
 MIN_POINTS = 12  # fewer sparse points do not fix a frame's depth
 
@@ -32,17 +40,15 @@ MIN_POINTS = 12  # fewer sparse points do not fix a frame's depth
 def complete_depth(
     frames: Frames,
     submaps: list[Submap],
-    model: str,
-    device: str,
+    load_completer: LoadCompleter,
     settings: DepthSettings,
     workspace: Workspace,
     progress: Progress,
 ) -> list[CompletedSubmap]:
-    """Complete the keyframes of every submap by the network `model`; those already on disk are kept."""
+    """Complete the keyframes of every submap by the network that is loaded; those already on disk are kept."""
 
     def make() -> None:
-        completer = DepthCompleter.load(model, device, iterations=settings.iterations)
-        _complete_all(frames, submaps, completer, settings, workspace, progress)
+        _complete_all(frames, submaps, load_completer(), settings, workspace, progress)
 
     return load_or_make(workspace, STAGE, lambda: load_completed(frames, submaps, workspace), make)
 
@@ -94,12 +100,16 @@ def _complete_all(
         write_json(camera_path(workspace, number), submap.camera.to_dict())
     total, done = sum(len(submap) for submap in planned), 0
     kept: list[list[int]] = []
-    with progress.bar("depth completion", total) as advance:
+    with progress.bar("depth completion", total) as advance, completer.working_side_by_side():
         for submap in planned:
             kept.append([])
             points, content = points_of(submap, frames, sensor, progress), submap.rectifier.mask(frames.content)
-            for row in map(int, submap.rows):
-                if _complete(submap, row, points, content, completer, store):
+            complete = partial(_complete, submap, points=points, content=content, completer=completer, store=store)
+            rows = submap.rows.tolist()
+            for row, is_whole in zip(
+                rows, prefetched(complete, rows, completer.at_once, completer.at_once), strict=True
+            ):
+                if is_whole:
                     kept[-1].append(row)
                 done += 1
                 advance(done)

@@ -6,23 +6,29 @@ the network refines the keyframe's own first depth with them. First depths stay 
 no refined one depends on another and a stopped run goes on to the same bytes.
 """
 
+from __future__ import annotations
+
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from completion.confidence import error_from_confidence
-from completion.inference.completer import DepthCompleter
 from haustra.core.progress import Progress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import REFINED, DiskKeyframes
+from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from reconstruction.fusion.depth_transfer import UnsureView, transferred
+
+if TYPE_CHECKING:
+    from completion.inference.completer import DepthCompleter
 
 STAGE = REFINED
 STEPS = (1, 2, 4, 8)  # keyframes before and after that are asked: near ones overlap, far ones err otherwise
@@ -34,8 +40,7 @@ CACHED = 2 * max(STEPS) + 2  # first depths in memory
 
 def refine_depth(
     completed: list[CompletedSubmap],
-    model: str,
-    device: str,
+    load_completer: LoadCompleter,
     settings: DepthSettings,
     workspace: Workspace,
     progress: Progress,
@@ -45,8 +50,7 @@ def refine_depth(
         return completed
 
     def make() -> None:
-        completer = DepthCompleter.load(model, device, iterations=settings.iterations)
-        _refine_all(completed, completer, workspace, progress)
+        _refine_all(completed, load_completer(), workspace, progress)
 
     refined = DiskKeyframes(workspace)
     return load_or_make(workspace, STAGE, lambda: [replace(one, store=refined) for one in completed], make)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from haustra.core.lookahead import prefetched, processors
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -98,7 +99,11 @@ def _features(
     completed: CompletedSubmap, rows: NDArray[np.int64], known: dict[int, KeyframeFeatures], rays: RayTable
 ) -> SubmapFeatures:
     maker = SparseDepthMaker(completed.submap, completed.camera)
-    features = [known.get(row) or _lifted(completed, maker, rays, row) for row in map(int, rows)]
+
+    def of_row(row: int) -> KeyframeFeatures:
+        return known.get(row) or _lifted(completed, maker, rays, row)
+
+    features = list(prefetched(of_row, rows.tolist(), processors(), processors()))
     return SubmapFeatures(completed, features, rays)
 
 

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
+from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.mapping.submap import Submap
 
 MIN_POINTS = 15  # fewer do not give a rank correlation worth asking
@@ -70,7 +70,7 @@ def lighting_correlations(submap: Submap, image_of: Callable[[int], NDArray[np.u
         height, width = brightness.shape
         x, y = np.floor(pixels[mine]).astype(int).T
         values = brightness[y.clip(0, height - 1), x.clip(0, width - 1)]
-        correlation = float(spearmanr(distance[mine], values).statistic)
+        correlation = rank_correlation(distance[mine], values)
         by_chance = 0 < correlation <= 1 / np.sqrt(len(values) - 1)
         correlations[row] = 0.0 if by_chance else correlation
     return correlations

@@ -3,25 +3,13 @@
 import io
 
 import cv2
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 
 def webp(image: NDArray[np.uint8], quality: int = 88) -> bytes:
     """(H,W,3) uint8 RGB to WebP: a tenth of PNG's size for a shaded surface."""
     return cv2.imencode(".webp", image[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
-
-
-def figure_png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=110)
-    plt.close(figure)
-    return buffer.getvalue()
 
 
 def path_figure(centres: NDArray[np.float64], keyframes: NDArray[np.int64], seconds: NDArray, unit: str) -> bytes:
@@ -31,7 +19,13 @@ def path_figure(centres: NDArray[np.float64], keyframes: NDArray[np.int64], seco
     """
     centred = centres - centres.mean(axis=0)
     turned = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
-    figure, panels = plt.subplots(2, 1, figsize=(7, 5.2), sharex=True, constrained_layout=True)
+    # Matplotlib's objects without `pyplot`, which keeps figures of all threads in one list.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2, 1, sharex=True)
     for panel, axis, name in zip(panels, (1, 2), ("second axis", "third axis"), strict=True):
         panel.plot(turned[:, 0], turned[:, axis], color="0.75", linewidth=1, zorder=1)
         dots = panel.scatter(turned[:, 0], turned[:, axis], c=seconds, s=9, cmap="viridis", zorder=3)
@@ -48,4 +42,6 @@ def path_figure(centres: NDArray[np.float64], keyframes: NDArray[np.int64], seco
         panel.grid(alpha=0.3)
     panels[1].set_xlabel(f"first principal axis of the path [{unit}]")
     figure.colorbar(dots, ax=panels, label="time [s]")
-    return figure_png(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=110)
+    return buffer.getvalue()

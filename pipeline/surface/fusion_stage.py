@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.lookahead import prefetched
 from haustra.core.progress import Progress
 from pipeline.config import ConsistencySettings, FusionSettings
-from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completed_submap import CompletedKeyframe, CompletedSubmap
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
@@ -18,6 +20,8 @@ from reconstruction.fusion.photometry import Illumination, fit_illumination
 from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
+
+Array = NDArray[np.float64]
 
 STAGE = "surface"
 TRUNCATION_VOXELS = 12.0  # must exceed the error of completed depth
@@ -117,19 +121,18 @@ def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, pro
     fusion, left_out = SurfaceFusion(ranges), []
     check = depth_filter(completed, settings.consistency, settings.fusion, ranges)
     lamp = _lamp(completed, settings.seed) if settings.fusion.delight else None
+
+    def prepared(place: int) -> CompletedKeyframe | int:
+        return _prepared(completed.keyframe(int(completed.rows[place])), place, check, lamp, completed.camera.matrix)
+
     with progress.bar(label, len(completed)) as advance:
-        for place, keyframe in enumerate(completed):
-            confidence, world_from_camera = check.confidence(place, keyframe.confidence), keyframe.world_from_camera
-            if confidence is None:
-                left_out.append(keyframe.index)
+        for done, keyframe in enumerate(prefetched(prepared, range(len(completed))), start=1):
+            if isinstance(keyframe, int):
+                left_out.append(keyframe)
             else:
-                rgb = (
-                    lamp.shading_corrected(keyframe.rgb, keyframe.depth, completed.camera.matrix)
-                    if lamp
-                    else keyframe.rgb
-                )
-                fusion.integrate(rgb, keyframe.depth, confidence, completed.camera.matrix, world_from_camera)
-            advance(place + 1)
+                images, pose = (keyframe.rgb, keyframe.depth, keyframe.confidence), keyframe.world_from_camera
+                fusion.integrate(*images, completed.camera.matrix, pose)
+            advance(done)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, MIN_COMPONENT)
     scale = find_scale(settings.scale, completed.submap, mesh)
@@ -137,6 +140,18 @@ def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, pro
     dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
     voxel_size = ranges.voxel_size * scale.factor
     return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
+
+
+def _prepared(
+    keyframe: CompletedKeyframe, place: int, check: DepthFilter, lamp: Illumination | None, intrinsics: Array
+) -> CompletedKeyframe | int:
+    """The keyframe at a place among the submap's, with the confidence that is fused and the lamp divided out; its
+    frame number alone where the other keyframes contradict it."""
+    confidence = check.confidence(place, keyframe.confidence)
+    if confidence is None:
+        return keyframe.index
+    rgb = lamp.shading_corrected(keyframe.rgb, keyframe.depth, intrinsics) if lamp else keyframe.rgb
+    return replace(keyframe, rgb=rgb, confidence=confidence)
 
 
 def _lamp(completed: CompletedSubmap, seed: int) -> Illumination | None:

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reconstruction.coverage.coverage import Coverage, Segment
@@ -25,6 +23,10 @@ def draw_coverage(
     coverage: Coverage, unrolled_map: UnrolledMap, segments: list[Segment], listed: int, path: Path | str
 ) -> None:
     """Write the figure to `path` (PNG); the first `listed` regions carry their number, counted from 1."""
+    # Here and not above: importing them takes half a second, which a run's first stages need not wait for.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
     FigureCanvasAgg(figure)
     wall, trust, bars = figure.subplots(3, 1, sharex=True, height_ratios=(3.2, 1.6, 1.1))

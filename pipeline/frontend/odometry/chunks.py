@@ -5,7 +5,6 @@ A chunk's maps are kept on disk, so that a run that was stopped goes on with the
 """
 
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
+from haustra.core.lookahead import processors
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
@@ -213,8 +213,3 @@ def ray_run(address: str) -> JobRunner:
         _raise(failures)
 
     return run
-
-
-def processors() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

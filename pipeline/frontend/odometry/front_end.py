@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.lookahead import prefetched, processors
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
@@ -16,7 +17,6 @@ from pipeline.frontend.odometry.chunks import (
     Stitching,
     jobs_of,
     local_run,
-    processors,
     ray_run,
     split,
     temp_dir,
@@ -25,7 +25,6 @@ from pipeline.frontend.odometry.chunks import (
 from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
 from pipeline.frontend.odometry.klt import TrackerImage
-from pipeline.frontend.odometry.prefetch import prefetched
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames

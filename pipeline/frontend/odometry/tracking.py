@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scipy.stats import spearmanr
 
 from haustra.core.se3 import Array, angle_between, in_camera, inverse
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
@@ -14,6 +13,7 @@ from pipeline.frontend.odometry.klt import Pixels, TrackerImage
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import WINDOW, LocalMap
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_window
+from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
 
 INLIER_PX = 2.0
@@ -181,7 +181,7 @@ class Tracker:
         distance = np.linalg.norm(
             in_camera(self.camera_from_world, self.map.tracks.points[self.tracks.ids[rows]]), axis=1
         )
-        self.lighting.append(float(np.nan_to_num(spearmanr(distance, brightness_of(rgb)[y, x]).statistic)))
+        self.lighting.append(float(np.nan_to_num(rank_correlation(distance, brightness_of(rgb)[y, x]))))
 
     def _initial_velocity(self, stride: int) -> Array:
         """From the map's last two keyframes, for one step of `stride` frame numbers."""

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import spearmanr
 
 from haustra.core.se3 import Array, angle_between, compose
+from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_pose, reprojection_errors
 from pipeline.optimization.triangulation import triangulate
@@ -148,7 +148,7 @@ def score_hypothesis(
     lighting = 0.0
     if brightness is not None and inlier.sum() >= MIN_CHECKED_POINTS:
         distance = np.linalg.norm(points[inlier] @ second_from_first[:3, :3].T + second_from_first[:3, 3], axis=1)
-        lighting = float(np.nan_to_num(spearmanr(distance, brightness[inlier]).statistic))
+        lighting = float(np.nan_to_num(rank_correlation(distance, brightness[inlier])))
     angle_deg = float(np.degrees(np.median(angle[inlier]))) if inlier.any() else 0.0
     return Hypothesis(second_from_first, points, inlier, support, angle_deg, lighting)
 

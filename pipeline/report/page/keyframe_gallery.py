@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.lookahead import prefetched, processors
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.input.frames import Frames
@@ -109,11 +110,10 @@ def _draw(
     ranges: dict[int, tuple[float, float]],
     quality: int,
 ) -> Iterator[Panels]:
-    makers: dict[int, SparseDepthMaker] = {}
-    for keyframe in shown:
+    makers = {k: SparseDepthMaker(submaps[k].submap, submaps[k].camera) for k in sorted({one.submap for one in shown})}
+
+    def drawn(keyframe: Shown) -> Panels:
         completed, factor = submaps[keyframe.submap], surfaces[keyframe.submap].scale.factor
-        if keyframe.submap not in makers:
-            makers[keyframe.submap] = SparseDepthMaker(completed.submap, completed.camera)
         views, limits = completed.keyframe(keyframe.row), ranges[keyframe.submap]
         sparse = makers[keyframe.submap].sparse_depth(keyframe.row).scaled(factor)
         known, image = views.depth > 0, np.ascontiguousarray(views.rgb[..., ::-1])
@@ -124,7 +124,9 @@ def _draw(
             painted(_small(np.where(known, views.confidence, -1), cv2.INTER_NEAREST), (0.0, 1.0), CONFIDENCE_MAP),
         )
         encoded = [_webp(picture, quality) for picture in pictures]
-        yield Panels((encoded[0], encoded[1], encoded[2], encoded[3]), len(sparse.depth))
+        return Panels((encoded[0], encoded[1], encoded[2], encoded[3]), len(sparse.depth))
+
+    yield from prefetched(drawn, shown, processors(), processors())
 
 
 def _depth_range(completed: CompletedSubmap, factor: float) -> tuple[float, float]:

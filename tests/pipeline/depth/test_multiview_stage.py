@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from completion.inference.completer import DepthCompleter
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, DepthSettings
-from pipeline.depth import multiview_stage
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.multiview_stage import refine_depth
@@ -47,16 +47,19 @@ def completed(tmp_path: Path) -> tuple[CompletedSubmap, Workspace]:
     return CompletedSubmap(one.submap, one.rectifier, one.rows, depth_on_disk(workspace)), workspace
 
 
-def refined(submap: CompletedSubmap, workspace: Workspace, completer: Recorder, monkeypatch) -> CompletedSubmap:
-    monkeypatch.setattr(multiview_stage.DepthCompleter, "load", lambda *_, **__: completer)
-    return refine_depth([submap], "mscsa", "cpu", ON, workspace, SilentProgress())[0]
+def unwanted() -> DepthCompleter:
+    raise AssertionError("nothing is to be refined")
 
 
-def test_every_keyframe_is_refined_from_first_depths_and_the_first_ones_go(completed, monkeypatch) -> None:
+def refined(submap: CompletedSubmap, workspace: Workspace, completer: Recorder) -> CompletedSubmap:
+    return refine_depth([submap], lambda: completer, ON, workspace, SilentProgress())[0]
+
+
+def test_every_keyframe_is_refined_from_first_depths_and_the_first_ones_go(completed) -> None:
     submap, workspace = completed
     before = {int(row): submap.depth(int(row))[0] for row in submap.rows}
     recorder = Recorder()
-    after = refined(submap, workspace, recorder, monkeypatch)
+    after = refined(submap, workspace, recorder)
     assert len(recorder.calls) == len(submap)
     for row, call in zip(map(int, submap.rows), recorder.calls, strict=True):
         np.testing.assert_array_equal(call["depth"], before[row])  # never a neighbour's or an own refined one
@@ -66,11 +69,11 @@ def test_every_keyframe_is_refined_from_first_depths_and_the_first_ones_go(compl
 
 
 def test_points_of_the_neighbours_lie_on_the_wall_that_they_saw_and_leave_measured_ones_alone(
-    completed, monkeypatch
+    completed,
 ) -> None:
     submap, workspace = completed
     recorder = Recorder()
-    refined(submap, workspace, recorder, monkeypatch)
+    refined(submap, workspace, recorder)
     call = recorder.calls[len(recorder.calls) // 2]
     from pipeline.depth.sparse_depth import SparseDepthMaker
 
@@ -82,7 +85,7 @@ def test_points_of_the_neighbours_lie_on_the_wall_that_they_saw_and_leave_measur
     assert (call["error"][carried] > 0).all()
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(completed, monkeypatch) -> None:
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(completed) -> None:
     submap, workspace = completed
 
     class Stops(Recorder):
@@ -93,20 +96,20 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(completed, monkeypatch
 
     stopped = Stops()
     with pytest.raises(KeyboardInterrupt):
-        refined(submap, workspace, stopped, monkeypatch)
+        refined(submap, workspace, stopped)
     going_on = Recorder()
     again = CompletedSubmap(submap.submap, submap.rectifier, submap.rows, depth_on_disk(workspace))
-    refined(again, workspace, going_on, monkeypatch)
+    refined(again, workspace, going_on)
     assert len(stopped.calls) + len(going_on.calls) == len(submap)
     assert not workspace.first_depth.exists()
 
 
-def test_a_network_of_one_iteration_keeps_its_first_depth(completed, monkeypatch) -> None:
+def test_a_network_of_one_iteration_keeps_its_first_depth(completed) -> None:
     submap, workspace = completed
     before = {int(row): submap.depth(int(row)) for row in submap.rows}
     plain = Recorder()
     plain.can_refine = False
-    after = refined(submap, workspace, plain, monkeypatch)
+    after = refined(submap, workspace, plain)
     for row, (depth, confidence, _) in before.items():
         np.testing.assert_array_equal(after.depth(row)[0], depth)
         np.testing.assert_array_equal(after.depth(row)[1], confidence)
@@ -114,4 +117,4 @@ def test_a_network_of_one_iteration_keeps_its_first_depth(completed, monkeypatch
 
 def test_without_the_setting_nothing_is_done(completed) -> None:
     submap, workspace = completed
-    assert refine_depth([submap], "mscsa", "cpu", Config().depth, workspace, SilentProgress()) == [submap]
+    assert refine_depth([submap], unwanted, Config().depth, workspace, SilentProgress()) == [submap]

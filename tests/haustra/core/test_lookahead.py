@@ -7,7 +7,7 @@ from itertools import islice
 
 import pytest
 
-from pipeline.frontend.odometry.prefetch import prefetched
+from haustra.core.lookahead import prefetched
 
 
 def test_same_as_one_after_the_other():

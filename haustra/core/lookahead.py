@@ -1,0 +1,34 @@
+"""Work on the next items of a stream while this one is in hand, in threads that change nothing that is computed."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+
+def prefetched(make: Callable[[Item], Made], items: Sequence[Item], count: int = 2, threads: int = 1) -> Iterator[Made]:
+    """What `make` gives of each item, in their order; up to `count` of them are made before they are asked for, as many
+    at once as there are threads.
+
+    What `make` raises is raised where its item would have come. Nothing is made after the iterator is closed.
+    """
+    with ThreadPoolExecutor(threads, "lookahead") as pool:
+        waiting: deque[Future[Made]] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(make, item))
+                if len(waiting) > count:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def processors() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
