@@ -103,7 +103,7 @@ class FrontEndSettings(Settings):
 class DepthSettings(Settings):
     """Which frames are completed, and by what."""
 
-    keyframe_motion: float = Field(0.02, gt=0, description="share of the width that shared points move by")
+    keyframe_motion: float = Field(0.045, gt=0, description="share of the width that shared points move by")
     iterations: PositiveInt | None = Field(
         None, description="of the network for each frame, at most as many as it was trained for; None: 2"
     )
@@ -124,7 +124,7 @@ class ConsistencySettings(Settings):
     """What neighbouring keyframes say against a depth, before it is fused."""
 
     steps: tuple[PositiveInt, ...] = Field(
-        (2, 5, 10), description="keyframes away, on both sides; the nearest err alike"
+        (1, 2, 5), description="keyframes away, on both sides; the nearest err alike"
     )
     tolerance: float = Field(0.04, gt=0, lt=1, description="relative; two to three times the error of completed depth")
 
@@ -133,7 +133,9 @@ class FusionSettings(Settings):
     """TSDF fusion."""
 
     voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
-    min_observations: int = Field(2, ge=1, description="frames that must agree before a surface is extracted")
+    min_observations: int = Field(
+        1, ge=1, description="keyframes that must have seen a surface; 2 where they are many and lie close together"
+    )
     min_confidence: float = Field(0.1, ge=0, le=1, description="of depth that is fused")
     max_error_voxels: float = Field(2.5, gt=0, description="greatest expected error of depth that is fused, in voxels")
     delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")

@@ -1,5 +1,6 @@
 """The whole journey: an endoscope's video to a surface, one line a stage."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,8 @@ from pipeline.input.pose_files.registry import lens_beside
 from pipeline.input.stereo.stereo_source import open_source
 from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
-from pipeline.report.report import write_report
+from pipeline.report.page.pictures import draw_pictures
+from pipeline.report.report import write_geometry, write_report
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
@@ -58,8 +60,12 @@ def reconstruct(
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
         surfaces = fuse_depth(completed, surface, workspace, progress)
-        coverage = coverage_stage(frames, completed, surfaces, workspace)
-        write_report(frames, completed, surfaces, coverage, workspace, progress)
+        with ThreadPoolExecutor(2, "report") as threads:  # while the coverage is measured
+            pictures = threads.submit(draw_pictures, frames, completed, surfaces)
+            geometry = threads.submit(write_geometry, frames, completed, surfaces, workspace, progress)
+            coverage = coverage_stage(frames, completed, surfaces, workspace)
+            geometry.result()
+            write_report(frames, completed, surfaces, coverage, workspace, pictures.result())
         run = Run(workspace)
         progress.log(str(run))
         return run

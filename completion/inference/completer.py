@@ -19,7 +19,7 @@ from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
-from haustra.core.lookahead import processors
+from haustra.core.threads import processors
 
 # Dark images are brought to the exposure of the training frames. Bright ones stay: dimmed, a burnt wall would look like
 # a grey one, and that it is burnt says that it is near.

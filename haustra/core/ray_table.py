@@ -24,6 +24,7 @@ class RayTable:
         plane, valid = camera.unproject(pixels)
         table = np.concatenate([plane, camera.pixel_jacobian(plane).reshape(-1, 4)], axis=1)
         self._table = table.reshape(camera.height + 1, camera.width + 1, 6)
+        self._plane = np.ascontiguousarray(self._table[..., :2])
         corners = valid.reshape(camera.height + 1, camera.width + 1)
         self.usable = (corners[1:, 1:] & corners[:-1, 1:] & corners[1:, :-1] & corners[:-1, :-1]).astype(np.uint8)
 
@@ -33,15 +34,18 @@ class RayTable:
 
     def unproject(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(N,2) pixels, COLMAP's convention -> (N,2) on the plane z = 1 and (N,2,2) jacobian, pixels per unit there."""
+        read = self._read(self._table, pixels)
+        return read[:, :2], read[:, 2:].reshape(-1, 2, 2)
+
+    def _read(self, table: NDArray[np.float64], pixels: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(N,K) of a table (H+1,W+1,K) at pixels (N,2), between its corners."""
         limit = np.array([self.camera.width, self.camera.height]) - 1e-6
         inside = np.clip(np.asarray(pixels, np.float64), 0, limit)
         x, y = np.floor(inside).astype(int).T
         fx, fy = (inside - np.floor(inside)).T[:, :, None]
-        table = self._table
         top = table[y, x] * (1 - fx) + table[y, x + 1] * fx
         bottom = table[y + 1, x] * (1 - fx) + table[y + 1, x + 1] * fx
-        read = top * (1 - fy) + bottom * fy
-        return read[:, :2], read[:, 2:].reshape(-1, 2, 2)
+        return np.asarray(top * (1 - fy) + bottom * fy)
 
     def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(N,3) camera points -> (N,2) pixels; NaN behind the camera or too far off the axis."""
@@ -59,7 +63,7 @@ class RayTable:
         pixels = self.project(points)
         known = np.isfinite(pixels).all(axis=1)
         plane = points[known, :2] / points[known, 2:]
-        off = np.linalg.norm(self.unproject(pixels[known])[0] - plane, axis=1)
+        off = np.linalg.norm(self._read(self._plane, pixels[known]) - plane, axis=1)
         lost = ~(off <= ROUND_TRIP * (1 + np.linalg.norm(plane, axis=1)))
         pixels[np.flatnonzero(known)[lost]] = np.nan
         return pixels

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
-from haustra.core.lookahead import prefetched
 from haustra.core.progress import Progress
+from haustra.core.threads import prefetched
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_selection import choose_keyframes

@@ -9,7 +9,7 @@ from pipeline.mapping.submap import Submap
 NEAR_WALL = 80  # percentile of the motion: the middle of a lumen stands still while the wall beside the camera passes
 WELL_SEEN = 0.5  # share of the points of the best of the frames around that a keyframe must have
 AROUND = 10  # frames on either side; a front end may give some frames far more points than those between
-MIN_SHARED = 0.7  # share of a frame's points that the last keyframe also saw; below it the view has changed
+MIN_SHARED = 0.5  # share of a frame's points that the last keyframe also saw; below it the view has changed
 
 
 def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.int64]:

@@ -6,24 +6,28 @@ another one idle for that long. A background import changes nothing that is comp
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import import_module
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from reconstruction.mesh.open3d_import import import_open3d
+
 if TYPE_CHECKING:
     from completion.inference.completer import DepthCompleter
 
 # In the order in which stages need them.
 LIBRARIES = (
-    "scipy.stats",
-    "reconstruction.mesh.rendering",
     "trimesh",
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
     "plotly.offline",
 )
+
+# An import holds the interpreter for as long as this, and reading frames asks for it many times a frame.
+SWITCH_S = 5e-4
 
 LoadCompleter = Callable[[], "DepthCompleter"]
 
@@ -37,14 +41,18 @@ class Preparation:
     def __init__(self, model: str, device: str, iterations: int | None) -> None:
         self._load = lambda: load_completer(model, device, iterations)
         self._threads = ThreadPoolExecutor(1, "preparation")
+        self._switch_s = sys.getswitchinterval()
         self._completer: Future[DepthCompleter] | None = None
 
     def begin(self, with_network: bool) -> None:
         """Start in the background; with_network: unless the depth is on disk already."""
+        sys.setswitchinterval(SWITCH_S)
         if with_network:
             self._completer = self._threads.submit(self._load)
         for library in LIBRARIES:
             self._threads.submit(import_module, library)
+        self._threads.submit(import_open3d)
+        self._threads.submit(sys.setswitchinterval, self._switch_s)
 
     def completer(self) -> DepthCompleter:
         """The network, waited for if need be. Raises `HaustraError` where it does not load."""
@@ -57,6 +65,7 @@ class Preparation:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._threads.shutdown(wait=False, cancel_futures=True)
+        sys.setswitchinterval(self._switch_s)
 
 
 def load_completer(model: str, device: str, iterations: int | None) -> DepthCompleter:

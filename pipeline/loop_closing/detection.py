@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from haustra.core.lookahead import prefetched, processors
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
+from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.matching.keyframe_features import KeyframeFeatures, lift_features
@@ -103,7 +103,8 @@ def _features(
     def of_row(row: int) -> KeyframeFeatures:
         return known.get(row) or _lifted(completed, maker, rays, row)
 
-    features = list(prefetched(of_row, rows.tolist(), processors(), processors()))
+    with single_threaded():
+        features = list(prefetched(of_row, rows.tolist(), processors(), processors()))
     return SubmapFeatures(completed, features, rays)
 
 

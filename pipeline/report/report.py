@@ -14,6 +14,7 @@ from pipeline.frontend.structure_stage import camera_trust, front_end_of
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.close_loops import model_sources
 from pipeline.report.page.page import write_page
+from pipeline.report.page.pictures import PagePictures
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace, write_json
 from pipeline.surface.coverage_stage import CoverageResult
@@ -28,21 +29,31 @@ def write_report(
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     workspace: Workspace,
-    progress: Progress,
+    pictures: PagePictures | None = None,
 ) -> None:
-    """Write trajectories, `sparse/` in output units, `mesh.glb`, `metrics.json` and `report.html`."""
-    for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True)):
-        _write_paths(frames, completed, surface, number, workspace)
-    _scale_sparse(surfaces, workspace, progress)
-    write_mesh(surfaces[0].mesh, workspace.mesh_glb)
+    """Write `metrics.json` and `report.html`; pictures: of the page, where they are drawn already."""
     workspace.record["submaps"] = [
         _submap_record(camera_path(workspace, number).name, completed, surface)
         for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True))
     ]
     metrics = collect_metrics(frames, submaps, surfaces, coverage, workspace)
     write_json(workspace.metrics, metrics)
-    write_page(frames, submaps, surfaces, coverage, metrics, workspace)
+    write_page(frames, submaps, surfaces, coverage, metrics, workspace, pictures)
     workspace.finish("report")
+
+
+def write_geometry(
+    frames: Frames,
+    submaps: list[CompletedSubmap],
+    surfaces: list[Surface],
+    workspace: Workspace,
+    progress: Progress,
+) -> None:
+    """Write trajectories, `sparse/` in output units and `mesh.glb`, which need nothing of the coverage."""
+    for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True)):
+        _write_paths(frames, completed, surface, number, workspace)
+    _scale_sparse(surfaces, workspace, progress)
+    write_mesh(surfaces[0].mesh, workspace.mesh_glb)
 
 
 def _submap_record(camera: str, completed: CompletedSubmap, surface: Surface) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from haustra.core.lookahead import prefetched
 from haustra.core.progress import Progress
+from haustra.core.threads import prefetched
 from pipeline.config import ConsistencySettings, FusionSettings
 from pipeline.depth.completed_submap import CompletedKeyframe, CompletedSubmap
 from pipeline.run_folder.stage import load_or_make

@@ -37,7 +37,8 @@ def can_use_int8() -> bool:
     supported = getattr(torch.cpu, "_is_vnni_supported", None)
     if not (supported and supported() and can_fuse(torch.float32)):
         return False
-    conv = nn.Conv2d(64, 16, 3, device="meta").to_empty(device="cpu").requires_grad_(False)
+    with torch.random.fork_rng(devices=[]):  # its weights are replaced; nobody's random numbers are used up
+        conv = nn.Conv2d(64, 16, 3).requires_grad_(False)
     conv.weight.fill_(1)
     conv.bias.zero_()  # type: ignore[union-attr]
     try:

@@ -14,11 +14,12 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
+from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map, choose_frames
-from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
+from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses

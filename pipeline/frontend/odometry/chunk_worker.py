@@ -7,7 +7,8 @@ from typing import Any
 
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
-from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
+from haustra.core.threads import single_threaded
+from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.mapping.map_io import save_maps
 from pipeline.run_folder.workspace import Workspace, write_json

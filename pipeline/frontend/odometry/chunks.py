@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
-from haustra.core.lookahead import processors
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
+from haustra.core.threads import processors
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.odometry.chunk_stitching import first_from_second, stitch, without_stubs
 from pipeline.mapping.local_map import LocalMap

@@ -1,30 +1,13 @@
-"""Stored working frames as odometry reads them, and how many threads OpenCV and BLAS take meanwhile."""
-
-import contextlib
-from collections.abc import Iterator
+"""Stored working frames as odometry reads them."""
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from haustra.core.errors import HaustraError
 from pipeline.input.frames import read_image
 from pipeline.matching.sift_cache import ReadFrame
 from pipeline.run_folder.workspace import Workspace
-
-
-@contextlib.contextmanager
-def single_threaded() -> Iterator[None]:
-    """OpenCV and BLAS keep to the thread that calls them: pictures and matrices are small, and the second processor has
-    keyframes' features to find. With two threads each, a film took up to twice the processor time, and longer."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1, "blas"):
-            yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def frame_reader(workspace: Workspace) -> ReadFrame:

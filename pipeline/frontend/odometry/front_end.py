@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.lookahead import prefetched, processors
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
+from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.backward_tracking import extend_backwards
@@ -23,7 +23,7 @@ from pipeline.frontend.odometry.chunks import (
     track_chunks,
 )
 from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
-from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
+from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry

@@ -2,6 +2,7 @@
 
 import base64
 import html
+import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.lookahead import prefetched, processors
+from haustra.core.threads import prefetched, processors
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.input.frames import Frames
@@ -171,7 +172,12 @@ def _small(image: NDArray, interpolation: int = cv2.INTER_AREA) -> NDArray:
 
 
 def _webp(picture: Image, quality: int) -> bytes:
-    return cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
+    """BGR to WebP; OpenCV's has no `method`, which at 2 takes half the time for a twentieth more bytes."""
+    from PIL import Image as Picture
+
+    buffer = io.BytesIO()
+    Picture.fromarray(np.ascontiguousarray(picture[..., ::-1])).save(buffer, "WEBP", quality=quality, method=2)
+    return buffer.getvalue()
 
 
 def _legend(number: int, limits: tuple[float, float], unit: str) -> str:

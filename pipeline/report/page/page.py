@@ -8,7 +8,6 @@ import base64
 import hashlib
 import html
 import json
-from dataclasses import replace
 from importlib import resources
 from typing import Any
 
@@ -16,18 +15,16 @@ import numpy as np
 
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
-from pipeline.report.figures import path_figure, webp
-from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, browser_section, choose_shown, count_sentence, data_uri
-from pipeline.report.page.scene import finite, scene_data
+from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
+from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_surfaces
+from pipeline.report.page.scene import scene_data
 from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details
 from pipeline.report.page.timeline import frame_states, timeline_section
 from pipeline.run_folder.workspace import Workspace, write_text
 from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
-from reconstruction.mesh.rendering import render_mesh
 
 MAPS_BUDGET = 1_200_000  # bytes of the maps of coverage, beyond the first
-MOST_STATIC = 3  # submaps, largest first, that have pictures for a browser without scripts
 SCRIPTS = ("scene.js", "report.js")
 __all__ = ["coverage_section", "write_page"]
 
@@ -39,10 +36,11 @@ def write_page(
     coverage: list[CoverageResult],
     metrics: dict[str, Any],
     workspace: Workspace,
+    pictures: PagePictures | None = None,
 ) -> None:
-    """Write the report of a run."""
-    surfaces = [replace(surface, mesh=finite(surface.mesh)) for surface in surfaces]
-    shown = choose_shown(frames, submaps)
+    """Write the report of a run; pictures: where they are drawn already."""
+    pictures = pictures or draw_pictures(frames, submaps, surfaces)
+    surfaces, shown = finite_surfaces(surfaces), pictures.shown
     frame_of = np.array([keyframe.frame for keyframe in shown])
 
     def link(frame: int) -> str:
@@ -62,9 +60,9 @@ def write_page(
         "VERSION": html.escape(workspace.record["versions"]["haustra"]),
         "CAUTIONS": cautions(metrics),
         "CARDS": cards(metrics),
-        "STATIC": "".join(_static(frames, *parts) for parts in list(zip(submaps, surfaces, strict=True))[:MOST_STATIC]),
+        "STATIC": pictures.static,
         "COUNT": html.escape(count_sentence(shown, submaps)),
-        "BROWSER": browser_section(shown, submaps, surfaces),
+        "BROWSER": pictures.browser,
         "TIMELINE": timeline_section(states, shown, submaps),
         "COVERAGE": _coverage(coverage, link),
         "DETAILS": details(metrics),
@@ -124,27 +122,3 @@ def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
         f"{first + len(rest)} submaps, and keyframes of at most {MOST_SUBMAPS}. The other maps are coverage_*.png in "
         f"the run folder; metrics.json lists all missed regions.</p><ul>{items}</ul>"
     )
-
-
-def _static(frames: Frames, completed: CompletedSubmap, surface: Surface) -> str:
-    """For a browser without scripts or WebGL: the surface from outside and from within, and the path."""
-    centres, unit = completed.submap.centres * surface.scale.factor, surface.scale.unit
-    seconds = np.array([frames.seconds_of(int(index)) for index in completed.submap.frames])
-    path = _image(path_figure(centres, completed.rows, seconds, unit), "png", "camera path")
-    if len(surface.mesh.faces) == 0:
-        return f"<p>The keyframes of this submap agree on no surface.</p>{path}"
-    if len(completed.rows) == 0:  # no place to look from
-        outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
-        return f"{_image(webp(outside), 'webp', 'surface cut open')}{path}"
-    middle = completed.submap.scaled(surface.scale.factor).world_from_camera[completed.rows[len(completed.rows) // 2]]
-    wide = float(np.degrees(2 * np.arctan(completed.camera.width / 2 / completed.camera.focal[0])))
-    outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
-    inside = render_mesh(surface.mesh, middle, 640, 480, fov_deg=wide)
-    return (
-        f"{_image(webp(outside), 'webp', 'surface cut open')}{_image(webp(inside), 'webp', 'surface from the camera')}"
-        f'<p class="fine">Cut open from outside, and from the middle keyframe\'s place.</p>{path}'
-    )
-
-
-def _image(data: bytes, kind: str, text: str) -> str:
-    return f'<img alt="{html.escape(text)}" src="{data_uri(data, kind)}">'

@@ -1,10 +1,14 @@
-"""Work on the next items of a stream while this one is in hand, in threads that change nothing that is computed."""
+"""Threads that share a stage's work and change nothing that is computed; libraries that keep to one thread."""
 
+import contextlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
+
+import cv2
+from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -32,3 +36,16 @@ def prefetched(make: Callable[[Item], Made], items: Sequence[Item], count: int =
 def processors() -> int:
     """Those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def single_threaded() -> Iterator[None]:
+    """OpenCV and BLAS keep to the thread that calls them: pictures and matrices are small, and other processors have
+    items of their own. With two threads each, tracking took up to twice the processor time, and longer."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1, "blas"):
+            yield
+    finally:
+        cv2.setNumThreads(before)

@@ -7,7 +7,7 @@ from itertools import islice
 
 import pytest
 
-from haustra.core.lookahead import prefetched
+from haustra.core.threads import prefetched
 
 
 def test_same_as_one_after_the_other():
