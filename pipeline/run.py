@@ -24,7 +24,8 @@ from pipeline.input.stereo.stereo_source import open_source
 from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.page.pictures import draw_pictures
-from pipeline.report.report import write_geometry, write_report
+from pipeline.report.report import add_profile, write_geometry, write_report
+from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
@@ -39,33 +40,41 @@ def reconstruct(
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
+    profile: bool = False,
 ) -> Run:
     """Reconstruct a video, image folder or RGB-D folder into the run folder `output`.
 
-    Finished stages stay on disk whatever happens, and `resume` goes on from them. Raises `HaustraError` (one
+    Finished stages stay on disk whatever happens, and `resume` goes on from them. profile: write the time and memory of
+    each stage into `metrics.json`, and say them. Raises `HaustraError` (one
     sentence) for input that cannot be reconstructed.
     """
     config, progress = _with_lens_of_poses(config or Config()), progress or SilentProgress()
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
+    timed = StageClock()
     later = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.
     with later, _workspace(video, Path(output), config, resume, overwrite) as workspace:
         later.begin(with_network=not workspace.is_done(DEPTH_STAGE))
-        frames = read_frames(video, config.camera, config.frames, workspace, progress)
-        submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, progress)
-        completed = complete_depth(frames, submaps, later.completer, config.depth, workspace, progress)
+        frames = timed("frames", read_frames)(video, config.camera, config.frames, workspace, progress)
+        told = config.front_end_settings
+        submaps = timed("structure", solve_structure)(frames, config.front_end, told, workspace, progress)
+        complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
+        completed = complete(frames, submaps, later.completer, config.depth, workspace, progress)
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
-        completed = close_loops_stage(frames, completed, config.loop_closing, config.seed, workspace, progress)
+        completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
-        surfaces = fuse_depth(completed, surface, workspace, progress)
+        surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)
         with ThreadPoolExecutor(2, "report") as threads:  # while the coverage is measured
             pictures = threads.submit(draw_pictures, frames, completed, surfaces)
             geometry = threads.submit(write_geometry, frames, completed, surfaces, workspace, progress)
-            coverage = coverage_stage(frames, completed, surfaces, workspace)
-            geometry.result()
-            write_report(frames, completed, surfaces, coverage, workspace, pictures.result())
+            coverage = timed("coverage", coverage_stage)(frames, completed, surfaces, workspace)
+            timed("files", geometry.result)()
+            done = timed.to_list() if profile else None
+            timed("report", write_report)(frames, completed, surfaces, coverage, workspace, pictures.result, done)
+        if profile:
+            add_profile(workspace, timed.to_list(), progress)
         run = Run(workspace)
         progress.log(str(run))
         return run

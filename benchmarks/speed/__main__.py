@@ -3,4 +3,8 @@
 from benchmarks.common.runner import choose
 
 if __name__ == "__main__":
-    choose("benchmarks.speed", __doc__, ["throughput", "completion", "fusion", "phantom", "window_adjustment"])
+    choose(
+        "benchmarks.speed",
+        __doc__,
+        ["throughput", "completion", "decimation", "fusion", "phantom", "window_adjustment"],
+    )

@@ -66,6 +66,7 @@ def reconstruct(
     rerun: Annotated[
         bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs the extra: rerun")
     ] = False,
+    profile: Annotated[bool, typer.Option("--profile", help="time and memory of each stage, in metrics.json")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
     quiet: Quiet = False,
@@ -96,7 +97,7 @@ def reconstruct(
         seed=seed,
         device=device,
     )
-    again: dict[str, Any] = {"resume": resume, "overwrite": overwrite}
+    again: dict[str, Any] = {"resume": resume, "overwrite": overwrite, "profile": profile}
     again["progress"] = SilentProgress() if quiet else TerminalProgress()
     if demo:
         from pipeline.demo import run_demo

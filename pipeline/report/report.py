@@ -1,5 +1,7 @@
 """Stage 7: trajectories, scaled structure, figures: everything of a run that a person or the next program reads."""
 
+import json
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -29,16 +31,20 @@ def write_report(
     surfaces: list[Surface],
     coverage: list[CoverageResult],
     workspace: Workspace,
-    pictures: PagePictures | None = None,
+    pictures: Callable[[], PagePictures],
+    stages: list[dict[str, Any]] | None = None,
 ) -> None:
-    """Write `metrics.json` and `report.html`; pictures: of the page, where they are drawn already."""
+    """Write `metrics.json` and `report.html`; pictures: gives those of the page when they are drawn; stages: the
+    `StageTime` of those that are done, where they are asked for."""
     workspace.record["submaps"] = [
         _submap_record(camera_path(workspace, number).name, completed, surface)
         for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True))
     ]
     metrics = collect_metrics(frames, submaps, surfaces, coverage, workspace)
+    if stages is not None:
+        metrics["profile"] = stages
     write_json(workspace.metrics, metrics)
-    write_page(frames, submaps, surfaces, coverage, metrics, workspace, pictures)
+    write_page(frames, submaps, surfaces, coverage, metrics, workspace, pictures())
     workspace.finish("report")
 
 
@@ -54,6 +60,17 @@ def write_geometry(
         _write_paths(frames, completed, surface, number, workspace)
     _scale_sparse(surfaces, workspace, progress)
     write_mesh(surfaces[0].mesh, workspace.mesh_glb)
+
+
+def add_profile(workspace: Workspace, stages: list[dict[str, Any]], progress: Progress) -> None:
+    """Add each stage's `StageTime` to `metrics.json`, and say them in one sentence each."""
+    metrics = json.loads(workspace.metrics.read_text())
+    write_json(workspace.metrics, metrics | {"profile": stages})
+    for one in stages:
+        progress.log(
+            f"{one['stage']}: {one['seconds']:.1f} s, {one['cpu_seconds']:.1f} s of processor time; "
+            f"peak memory so far {one['peak_mib']:.0f} MiB"
+        )
 
 
 def _submap_record(camera: str, completed: CompletedSubmap, surface: Surface) -> dict[str, Any]:

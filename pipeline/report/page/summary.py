@@ -91,8 +91,16 @@ def details(metrics: dict[str, Any]) -> str:
     for number, submap in enumerate(metrics["submaps"]):
         rows += _submap_rows(number, submap)
     rows += [(f"loops of submap {n}", _loops(record)) for n, record in enumerate(metrics.get("loops", []))]
+    rows += [(f"time of stage: {one['stage']}", _time_of_stage(one)) for one in metrics.get("profile", [])]
     cells = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(str(b))}</td></tr>" for a, b in rows)
     return f'<table class="facts">{cells}</table>'
+
+
+def _time_of_stage(one: dict[str, Any]) -> str:
+    return (
+        f"{one['seconds']:.1f} s, {one['cpu_seconds']:.1f} s of processor time; peak memory until its end "
+        f"{one['peak_mib']:.0f} MiB"
+    )
 
 
 def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:

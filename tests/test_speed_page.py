@@ -1,0 +1,14 @@
+"""The committed page of speed is what its script prints from the record."""
+
+import json
+from pathlib import Path
+
+from scripts.speed_page import RECORD, page
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_page_is_what_its_record_says() -> None:
+    committed = (ROOT / "docs/lab/speed.md").read_text(encoding="utf-8")
+    printed = page(json.loads(RECORD.read_text()))
+    assert printed == committed, "run: python -m scripts.speed_page > docs/lab/speed.md"
