@@ -25,6 +25,7 @@ from haustra.core.threads import processors
 # a grey one, and that it is burnt says that it is near.
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 MAX_GAIN = 2.0  # factor on grey levels
+GPU_BATCH = 8  # frames; not measured, since no GPU was at hand
 LEAST_ERROR, GREATEST_ERROR = 0.0025, 2.7  # relative, of an estimate that is refined: what networks can state
 
 
@@ -96,6 +97,11 @@ class DepthCompleter:
     def at_once(self) -> int:
         """How many frames are best completed at once, each in a thread of its own; see `working_side_by_side`."""
         return processors() if self.device.type == "cpu" else 1
+
+    @property
+    def batch_size(self) -> int:
+        """How many frames `batch` is best given: on a GPU several; on a CPU one, whose values stay in its cache."""
+        return 1 if self.device.type == "cpu" else GPU_BATCH
 
     @contextmanager
     def working_side_by_side(self) -> Iterator[None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -98,20 +98,17 @@ def _complete_all(
     store, sensor = DiskKeyframes(workspace, settings.multiview), open_sensor(workspace, frames.camera.width)
     for number, submap in enumerate(planned):
         write_json(camera_path(workspace, number), submap.camera.to_dict())
-    total, done = sum(len(submap) for submap in planned), 0
+    total, done, size = sum(len(submap) for submap in planned), 0, completer.batch_size
     kept: list[list[int]] = []
     with progress.bar("depth completion", total) as advance, completer.working_side_by_side():
         for submap in planned:
             kept.append([])
             points, content = points_of(submap, frames, sensor, progress), submap.rectifier.mask(frames.content)
             complete = partial(_complete, submap, points=points, content=content, completer=completer, store=store)
-            rows = submap.rows.tolist()
-            for row, is_whole in zip(
-                rows, prefetched(complete, rows, completer.at_once, completer.at_once), strict=True
-            ):
-                if is_whole:
-                    kept[-1].append(row)
-                done += 1
+            batches = [submap.rows[start : start + size].tolist() for start in range(0, len(submap), size)]
+            for rows in prefetched(complete, batches, completer.at_once, completer.at_once):
+                kept[-1] += [row for row, is_whole in rows if is_whole]
+                done += len(rows)
                 advance(done)
     workspace.finish(STAGE, keyframe_rows=kept, kept_share=[round(s.rectifier.kept_share, 4) for s in planned])
     skipped = total - sum(len(rows) for rows in kept)
@@ -120,20 +117,30 @@ def _complete_all(
 
 def _complete(
     submap: CompletedSubmap,
-    row: int,
+    rows: list[int],
     points: Callable[[int], SparseDepth],
     content: NDArray[np.uint8],
     completer: DepthCompleter,
     store: DiskKeyframes,
-) -> bool:
-    """Complete one keyframe and write it; False if it has too few points."""
-    index = int(submap.submap.frames[row])
-    sparse = points(row)
-    if len(sparse.depth) < MIN_POINTS:
-        return False
-    if store.has_depth(index):
-        return True
-    depth, confidence = completer(submap.rgb(row), *sparse.maps(*content.shape))
+) -> list[tuple[int, bool]]:
+    """Complete the keyframes of a batch and write them; each row, and whether it has enough points."""
+    sparse = {row: points(row) for row in rows}
+    enough = [row for row in rows if len(sparse[row].depth) >= MIN_POINTS]
+    index = {row: int(submap.submap.frames[row]) for row in enough}
+    missing = [row for row in enough if not store.has_depth(index[row])]
     inside = cv2.erode(content, np.ones((3, 3), np.uint8)) > 0 if not content.all() else content > 0
-    store.write_depth(index, np.where(inside, depth, np.float32(0)), np.where(inside, confidence, np.float32(0)))
-    return True
+    maps = [sparse[row].maps(*content.shape) for row in missing]
+    for row, depth, confidence in zip(missing, *_predicted([submap.rgb(row) for row in missing], maps, completer)):
+        kept = (np.where(inside, values, np.float32(0)) for values in (depth, confidence))
+        store.write_depth(index[row], *kept)
+    return [(row, row in index) for row in rows]
+
+
+def _predicted(
+    rgb: list[NDArray[np.uint8]], maps: list[tuple[NDArray[np.float32], NDArray[np.float32]]], completer: DepthCompleter
+) -> tuple[Iterable[NDArray[np.float32]], Iterable[NDArray[np.float32]]]:
+    """Depth and confidence of frames of one size, each (H,W)."""
+    if not rgb:
+        return (), ()
+    depth, error = zip(*maps, strict=True)
+    return completer.batch(np.stack(rgb), np.stack(depth), np.stack(error))

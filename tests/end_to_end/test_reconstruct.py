@@ -172,7 +172,7 @@ def test_two_runs_of_one_seed_agree_to_the_bit(finished, tmp_path):
 def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch):
     """Ctrl-C in completion after some keyframes, then in fusion; each resume keeps what was done."""
     calls = []
-    complete = DepthCompleter.__call__
+    complete = DepthCompleter.batch
 
     def stop_at_the_fourth(self, *arrays):
         calls.append(1)
@@ -182,7 +182,7 @@ def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch
 
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr(DepthCompleter, "__call__", stop_at_the_fourth)
+        patch.setattr(DepthCompleter, "batch", stop_at_the_fourth)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(VIDEO, folder, tiny_config())
     first = {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}
