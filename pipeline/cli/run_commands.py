@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from haustra.core.errors import HaustraError
+from pipeline.cli.given_paths import must_be_named_or_exist, must_be_run, must_exist
 
 if TYPE_CHECKING:
     from pipeline.config import Config
@@ -71,12 +72,15 @@ def reconstruct(
     quiet: Quiet = False,
 ) -> None:
     """Video in, coloured colon mesh, camera path, dense depth and report out."""
+    if (source is None) == (not demo):
+        raise HaustraError("give one video or folder, or --demo")
+    must_exist(source, scale, poses, hand_eye, stereo, stereo_right, depth_folder, config)
+    must_be_named_or_exist("--camera", camera)
+    must_be_named_or_exist("--model", model)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.config import load_config
     from pipeline.run_folder.workspace import Workspace
 
-    if (source is None) == (not demo):
-        raise HaustraError("give one video or folder, or --demo")
     if rerun:
         from pipeline.report.rerun_export import check_rerun, export_rerun
 
@@ -107,7 +111,7 @@ def reconstruct(
         assert source is not None
         from pipeline.input.video import Source
 
-        Source(source)  # a mistyped name is answered before the heavy packages are loaded
+        Source(source)  # what is no video is answered before the heavy packages are loaded
         from pipeline.run import reconstruct as run
 
         output = output or Path(f"{source.resolve().stem}_run")
@@ -124,6 +128,7 @@ def view(
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open it")] = True,
 ) -> None:
     """Show a run's report in the browser, served to this machine alone until Ctrl-C."""
+    must_be_run(run)
     from pipeline.report.server import view as serve
 
     serve(run, port, browser, lambda sentence: print(sentence, flush=True))
@@ -153,6 +158,8 @@ def batch(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but the table")] = False,
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
+    must_exist(config)
+    must_be_named_or_exist("--camera", camera)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.cli.batch import process_pool, resume_hint, run_batch
     from pipeline.cli.batch_ray import ray_pool
