@@ -110,7 +110,9 @@ class Source:
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            rate, has_times = float(stream.average_rate or 30), container.format.name not in NO_TIMES
+            has_times = container.format.name not in NO_TIMES
+            # Of a bare stream the average is FFmpeg's default; what the stream itself says is in its headers.
+            rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
             clock = Clock(self._rate or rate, has_times and not self._rate)
             aspect = stream.sample_aspect_ratio or Fraction(1)
             for frame in self._decode(container, stream):
