@@ -13,6 +13,7 @@ from typer.core import TyperArgument, TyperCommand
 
 from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
+from pipeline.cli.doctor import doctor
 from pipeline.cli.given_paths import must_be_run, must_exist
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
@@ -29,6 +30,7 @@ app = typer.Typer(
 app.command()(cli_runs.reconstruct)
 app.command()(cli_runs.view)
 app.command()(cli_runs.batch)
+app.command()(doctor)
 
 
 class ExportCommand(TyperCommand):
