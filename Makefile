@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all lint install browser bench paper clean
+.PHONY: demo test test-all lint install browser bench table paper clean
 
 # README command one: install, reconstruct the embedded clip, print its error against the truth.
 demo: $(STAMP)
@@ -38,6 +38,11 @@ $(STAMP): pyproject.toml constraints.txt scripts/system_libraries.sh
 # Speed and memory of `reconstruct` beside COLMAP + interpolation + TSDF, once on the embedded clip.
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.speed throughput --runs 1
+
+# Every row of the README's tables with this commit, into benchmarks/results/table.json and the README: some 15 minutes
+# on two cores; goes on where it was stopped.
+table: $(STAMP)
+	$(BIN)/python -m benchmarks.table --seeds 3
 
 # The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
 paper: $(STAMP)
