@@ -4,18 +4,22 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all lint install browser bench table paper clean
+.PHONY: demo test test-all lint docs install browser bench table paper clean
 
 # README command one: install, reconstruct the embedded clip, print its error against the truth.
 demo: $(STAMP)
 	$(BIN)/reconstruct --demo -o demo_run --overwrite
 
-# README command two: install, lint, and the everyday tests.
-test: $(STAMP) lint browser
+# README command two: install, lint, the site, and the everyday tests.
+test: $(STAMP) lint docs browser
 	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test-all: $(STAMP) lint browser
 	$(BIN)/python -m pytest
+
+# The pages of docs/ as a site in build/site; a broken link ends it.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

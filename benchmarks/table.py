@@ -105,7 +105,7 @@ ROWS = {
 }
 HEADS = {
     "runs": "| sequence | frames posed | ATE (mm) | F-score at 1 mm (%) | precision (%) | recall (%) | commit, seeds |",
-    "completion": "| frames | points without error: abs.REL (%), linear, ours | points as of SfM: linear, ours | commit, seeds |",
+    "completion": "| depth, abs.REL (%) | exact points: linear, ours | as of SfM: linear, ours | commit, seeds |",
 }
 
 
