@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all lint docs install browser bench table paper clean
+.PHONY: demo test test-all lint docs image-check notebook install browser bench table paper clean
 
 # README command one: install, reconstruct the embedded clip, print its error against the truth.
 demo: $(STAMP)
@@ -20,6 +20,14 @@ test-all: $(STAMP) lint browser
 # The pages of docs/ as a site in build/site; a broken link ends it.
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+# Wheel and sdist into an empty environment, and the image's steps as far as they go without Docker: some ten minutes.
+image-check: $(STAMP)
+	PATH="$(abspath $(BIN)):$$PATH" sh scripts/check_image.sh build/image
+
+# The notebook from its beginning, with what it showed, in build/demo.ipynb.
+notebook: $(STAMP)
+	$(BIN)/python scripts/run_notebook.py notebooks/demo.ipynb build/demo.ipynb
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

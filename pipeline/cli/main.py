@@ -13,6 +13,7 @@ from typer.core import TyperArgument, TyperCommand
 
 from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
+from pipeline.cli.climb import climb
 from pipeline.cli.doctor import doctor
 from pipeline.cli.given_paths import must_be_run, must_exist
 from pipeline.cli.shadowing import refuse_shadowed_names
@@ -27,10 +28,8 @@ app = typer.Typer(
     help="Dense colon reconstruction from endoscope video, on a CPU.",
 )
 
-app.command()(cli_runs.reconstruct)
-app.command()(cli_runs.view)
-app.command()(cli_runs.batch)
-app.command()(doctor)
+for command in (cli_runs.reconstruct, cli_runs.view, cli_runs.batch, doctor, climb):
+    app.command()(command)
 
 
 class ExportCommand(TyperCommand):
