@@ -3,11 +3,8 @@
 import io
 
 import cv2
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -19,8 +16,8 @@ def webp(image: NDArray[np.uint8], quality: int = 88) -> bytes:
 
 def figure_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
+    FigureCanvasAgg(figure)  # not pyplot, whose choice of where to draw is the caller's
     figure.savefig(buffer, dpi=110)
-    plt.close(figure)
     return buffer.getvalue()
 
 
@@ -31,7 +28,8 @@ def path_figure(centres: NDArray[np.float64], keyframes: NDArray[np.int64], seco
     """
     centred = centres - centres.mean(axis=0)
     turned = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
-    figure, panels = plt.subplots(2, 1, figsize=(7, 5.2), sharex=True, constrained_layout=True)
+    figure = Figure(figsize=(7, 5.2), layout="constrained")
+    panels = figure.subplots(2, 1, sharex=True)
     for panel, axis, name in zip(panels, (1, 2), ("second axis", "third axis"), strict=True):
         panel.plot(turned[:, 0], turned[:, axis], color="0.75", linewidth=1, zorder=1)
         dots = panel.scatter(turned[:, 0], turned[:, axis], c=seconds, s=9, cmap="viridis", zorder=3)
