@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from haustra.core.errors import HaustraError
-from pipeline.cli.given_paths import must_be_named_or_exist, must_be_run, must_exist
+from pipeline.cli.given_paths import must_be_named_or_exist, must_exist
 
 if TYPE_CHECKING:
     from pipeline.config import Config
@@ -123,15 +123,24 @@ def reconstruct(
 
 
 def view(
-    run: Annotated[Path, typer.Argument(help="run folder")],
+    run: Annotated[Path, typer.Argument(help="run folder, or a folder of runs")],
     port: Annotated[int, typer.Option(min=0, help="0: a free one")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open it")] = True,
 ) -> None:
-    """Show a run's report in the browser, served to this machine alone until Ctrl-C."""
-    must_be_run(run)
-    from pipeline.report.server import view as serve
+    """Show a run's report in the browser, or the runs of a folder: a list, a player, two beside each other."""
+    must_exist(run)
 
-    serve(run, port, browser, lambda sentence: print(sentence, flush=True))
+    def say(sentence: str) -> None:
+        print(sentence, flush=True)
+
+    if (run / "run.yaml").is_file():
+        from pipeline.report.server import view as serve
+
+        serve(run, port, browser, say)
+    else:
+        from pipeline.report.viewer.view_folder import view_folder
+
+        view_folder(run, port, browser, say)
 
 
 def batch(
