@@ -101,7 +101,9 @@ function listRegions() {
     part("marks").append(mark);
     const item = document.createElement("li");
     item.value = region.number;
-    item.append(jump("look"), regionWords(region));
+    const look = jump("look");
+    look.addEventListener("click", () => document.querySelector(".player").scrollIntoView({ block: "start" }));
+    item.append(look, regionWords(region));
     part("regions").append(item);
   }
 }
