@@ -26,7 +26,7 @@ def self_test() -> list[Finding]:
         return [Finding("self-test", "failed", "fault", f"{lines[-1]} ({lines[-3].strip()})")]
     wrong = "a sound installation gives other figures"
     return [
-        Finding("self-test", f"{time.monotonic() - start:.0f} s"),
+        Finding("self-test", f"{time.monotonic() - start:.0f} s (the first one compiles loops, which takes minutes)"),
         _judged("frames", f"{posed} of {FRAMES} posed, expected all", posed == FRAMES, wrong),
         _judged("path", f"{ate:.3f} mm off, expected below {MOST_ATE_MM:g}", ate < MOST_ATE_MM, wrong),
         _judged("surface", f"{percent:.0f} % right, expected over {LEAST_PERCENT:g}", percent > LEAST_PERCENT, wrong),
