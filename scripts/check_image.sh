@@ -20,7 +20,7 @@ python3 -m tarfile -l "$work"/sdist/haustra-*.tar.gz >"$work/sdist.list"
 sh "$work/src/scripts/image_steps.sh" wheel "$work"/sdist/haustra-*.tar.gz "$work/wheels"
 python3 -m zipfile -l "$work"/wheels/haustra-*.whl >"$work/wheel.list"
 for needed in pipeline/demo/video.mp4 completion/weights/mscsa.safetensors pipeline/report/page/report.js \
-    haustra/core/endomapper_scopes.json; do
+    haustra/core/endomapper_scopes.json pipeline/report/viewer/player.html; do
     grep -q "$needed" "$work/wheel.list" || { echo "error: the wheel lacks $needed" >&2 && exit 1; }
 done
 
