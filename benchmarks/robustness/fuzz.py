@@ -150,10 +150,12 @@ def attempt(number: int, front_end: str) -> dict[str, Any]:
 
 
 def attempts(numbers: list[int], front_end: str, limit: float, log: Path | None) -> list[dict[str, Any]]:
-    """All of them, one after the other, in processes that may die; what a log of lines knows is not done again."""
+    """All of them, one after the other, in processes that may die; what a log of lines knows is not done again, but for
+    what ran out of time, as on a machine that others used."""
     context = multiprocessing.get_context("spawn")
     known = log.read_text().splitlines() if log is not None and log.exists() else []
-    outcomes: list[dict[str, Any]] = [one for one in map(json.loads, known) if one["number"] in numbers]
+    by_number = {one["number"]: one for one in map(json.loads, known) if one.get("text") != "TimeoutError"}
+    outcomes: list[dict[str, Any]] = [by_number[number] for number in numbers if number in by_number]
     numbers = [number for number in numbers if number not in {one["number"] for one in outcomes}]
     for start in range(0, len(numbers), PER_PROCESS):
         pool = ProcessPoolExecutor(1, mp_context=context)
