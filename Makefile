@@ -4,18 +4,30 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all lint install browser bench paper clean
+.PHONY: demo test test-all lint docs image-check notebook install browser bench table paper clean
 
 # README command one: install, reconstruct the embedded clip, print its error against the truth.
 demo: $(STAMP)
 	$(BIN)/reconstruct --demo -o demo_run --overwrite
 
-# README command two: install, lint, and the everyday tests.
-test: $(STAMP) lint browser
+# README command two: install, lint, the site, and the everyday tests.
+test: $(STAMP) lint docs browser
 	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test-all: $(STAMP) lint browser
 	$(BIN)/python -m pytest
+
+# The pages of docs/ as a site in build/site; a broken link ends it.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+# Wheel and sdist into an empty environment, and the image's steps as far as they go without Docker: some ten minutes.
+image-check: $(STAMP)
+	PATH="$(abspath $(BIN)):$$PATH" sh scripts/check_image.sh build/image
+
+# The notebook from its beginning, with what it showed, in build/demo.ipynb.
+notebook: $(STAMP)
+	$(BIN)/python scripts/run_notebook.py notebooks/demo.ipynb build/demo.ipynb
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -38,6 +50,11 @@ $(STAMP): pyproject.toml constraints.txt scripts/system_libraries.sh
 # Speed and memory of `reconstruct` beside COLMAP + interpolation + TSDF, once on the embedded clip.
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.speed throughput --runs 1
+
+# Every row of the README's tables with this commit, into benchmarks/results/table.json and the README: some 15 minutes
+# on two cores; goes on where it was stopped.
+table: $(STAMP)
+	$(BIN)/python -m benchmarks.table --seeds 3
 
 # The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
 paper: $(STAMP)

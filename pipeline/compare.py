@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
+from pipeline.truth.hints import Timed, clock_hint, unit_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
@@ -33,7 +34,8 @@ MIN_PAIRED = 0.5  # share of the fewer poses, the run's or the true ones, that m
 class Comparison:
     """Errors of the main submap; `surface` is None where the truth has none, `se3` where the run has no millimetres.
 
-    `coverage` is a sentence where the run is no tube, and None where the truth does not know what was seen.
+    `coverage` is a sentence where the run is no tube, and None where the truth does not know what was seen. `hints`:
+    sentences on clocks and units that would explain a bad fit.
     """
 
     posed: int
@@ -43,6 +45,7 @@ class Comparison:
     simcol3d: SimCol3DErrors
     surface: SurfaceErrors | None
     coverage: CoverageErrors | str | None = None
+    hints: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -66,6 +69,7 @@ class Comparison:
             lines.append(f"surface     {self.surface}")
         if self.coverage is not None:
             lines.append(f"coverage    {self.coverage}")
+        lines += [f"CAUTION     {hint}" for hint in self.hints]
         return "\n".join(lines)
 
 
@@ -95,7 +99,11 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
         mesh = read_mesh(finished.mesh).transformed(truth_from_run)
         surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
         coverage = _coverage(finished, truth_from_run, truth)
-    return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface, coverage)
+    true_path_of_run = Timed(true_seconds, true_world_from_camera[:, :3, 3])
+    clock = clock_hint(Timed(seconds, world_from_camera[:, :3, 3]), true_path_of_run)
+    hints = (clock, unit_hint(true_path_of_run, sim3.scale, se3 is not None))
+    counts = metrics["frames"]["posed"], metrics["frames"]["total"]
+    return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, tuple(hint for hint in hints if hint))
 
 
 def paired(

@@ -24,6 +24,7 @@ from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace, open_workspace, report_corruption
 from pipeline.surface.coverage_stage import measure_submap
 from pipeline.surface.fusion_stage import Surface, load_surfaces
+from pipeline.surface.scale import unit_label
 from reconstruction.coverage.coverage import Coverage
 from reconstruction.evaluation.trajectory_io import read_tum
 
@@ -162,7 +163,7 @@ def summary(metrics: dict[str, Any], mesh: Path) -> str:
     main = metrics["submaps"][0]
     return (
         f"{metrics['frames']['posed']} of {metrics['frames']['total']} frames posed, {main['keyframes']} keyframes, "
-        f"{main['faces']} triangles, {main['area']:.4g} {main['unit']}^2 of surface; {_coverage(metrics)}: "
+        f"{main['faces']} triangles, {main['area']:.4g} {unit_label(main['unit'])}^2 of surface; {_coverage(metrics)}: "
         f"{mesh}{_caution(metrics)}"
     )
 
@@ -175,7 +176,8 @@ def _coverage(metrics: dict[str, Any]) -> str:
     where = f" in the largest of {count} submaps" if count > 1 else ""
     bare = seen.get("unmeasured_percent")  # absent in runs of earlier versions
     part = "" if bare is None else f" ({bare:.0f} % not measured)"
-    return f"{seen['covered_percent']:.0f} % of the wall seen{part} over {seen['stretch']:.3g} {seen['unit']}{where}"
+    stretch = f"{seen['stretch']:.3g} {unit_label(seen['unit'])}"
+    return f"{seen['covered_percent']:.0f} % of the wall along {stretch} of visited lumen was seen{part}{where}"
 
 
 def _caution(metrics: dict[str, Any]) -> str:

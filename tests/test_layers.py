@@ -19,6 +19,7 @@ TREES = (*PACKAGES, "tests", "benchmarks", "scripts")
 # Each room may import those on the lines below its own, and itself; rooms on one line do not import each other.
 ORDER = """
 pipeline.cli
+pipeline.doctor
 pipeline.demo
 pipeline.climb
 pipeline.compare

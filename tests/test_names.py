@@ -96,3 +96,12 @@ def test_a_package_before_ours_on_the_path_is_told(tmp_path):
 def test_an_older_copy_of_ours_is_no_other_distribution(tmp_path):
     done = started(last=(distribution(tmp_path, "Haustra", top_level="\n".join(IMPORT_NAMES)),))
     assert done.returncode == 0, done.stderr
+
+
+def test_figures_leave_the_callers_choice_of_where_to_draw_alone():
+    code = (
+        "import matplotlib; matplotlib.use('svg'); import pipeline.report.figures, completion.evaluation.plots as p; "
+        "p._subplots(2, 2); print(matplotlib.get_backend().lower())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "svg"

@@ -1,6 +1,6 @@
 """Path and surface error of an RGB-D folder fed as `video.mp4`, one run of `reconstruct` for each seed.
 
-    python -m benchmarks.reconstruction accuracy ../shared/data/ctcolon --seeds 10 --json accuracy.json
+    python -m benchmarks.reconstruction accuracy ../shared/data/ctcolon --seeds 10 --json FILE
     python -m benchmarks.reconstruction accuracy ../shared/data/ctcolon --seeds 3 --front-end odometry
 
 ATE: RMSE of camera centres after Sim(3). Surface: F-score at 1 mm against the observed truth (every true depth map

@@ -3,11 +3,15 @@
     python -m benchmarks.robustness --inputs 200 --json fuzz.json
     python -m benchmarks.robustness --only 17 --inputs 200      # one of them again, with its traceback
 
-Each input is a stretch of the demo clip, damaged in one or two of the ways of `corruptions.py`: its frames, its file or
-its camera file. The whole of `reconstruct` runs on it at 160 px. Counted: reconstructed, refused with a sentence, fault
-(any other exception, a process that died, or more than `--limit` seconds). A result is not thereby a good one: a film
-mirrored half-way through, say, becomes two submaps, each right in itself. How many results have a submap that
-contradicts its lamp is counted too.
+Each input is a stretch of the demo clip. Those of even number are damaged in one or two of the ways of
+`corruptions.py`: frames, file or camera file. Those of odd number are whole, but stored in one of the ways of
+`strange_files.py`, which a player shows rightly. The whole of `reconstruct` runs on each. Counted: reconstructed,
+refused with a sentence, fault (any other exception, a process that died, or more than `--limit` seconds). Of what is
+whole also: wrong without a word, which is a path that has another clock or another hand than the truth. The result of a
+damaged film is not thereby a good one: a film mirrored half-way through, say, becomes two submaps, each right in
+itself. How many results have a submap that contradicts its lamp is counted too.
+
+With `--json` each input is written down as it ends, and the same command goes on with those that are left.
 """
 
 import argparse
@@ -27,12 +31,19 @@ import numpy as np
 
 from benchmarks.common.record import write
 from benchmarks.robustness.corruptions import OF_FRAMES, Frames, damage_file, left_alone, wrong_camera
+from benchmarks.robustness.strange_files import RATE, STRANGE, Strange, write_camera
 from haustra.core.errors import HaustraError
 from pipeline.config import Config, FrameSettings
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.run import reconstruct
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
-STRETCH = 40  # frames of an input
+STRETCH = 60  # frames of an input
+PX = 240  # of the working pictures' side
+MOST_OFF = 0.1  # of the true path's spread; the clip's stretches give 0.001 to 0.03
+MOST_TURNED_DEG = 5.0
+LEAST_PAIRED = 0.9  # of the posed frames, at the true time
 PER_PROCESS = 20  # inputs before a fresh process, which bounds what one can do to the next
 
 
@@ -40,6 +51,50 @@ PER_PROCESS = 20  # inputs before a fresh process, which bounds what one can do 
 def demo_frames() -> Frames:
     with av.open(str(VIDEO)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def make_strange(number: int, folder: Path) -> tuple[Strange, Path, str, int]:
+    """Film, camera file, in which way it is strange, and the stretch's first frame, from the input's number alone."""
+    rng = np.random.default_rng(number)
+    kind = list(STRANGE)[number // 2 % len(STRANGE)]
+    length = 2 * STRETCH if kind == "interlaced" else STRETCH
+    start = int(rng.integers(0, len(demo_frames()) - length))
+    strange = STRANGE[kind](demo_frames()[start : start + length], rng, folder)
+    write_camera(folder / "camera.json", json.loads(CAMERA.read_text()), strange)
+    return strange, folder / "camera.json", kind, start
+
+
+def attempt_strange(number: int, front_end: str) -> dict[str, Any]:
+    """Reconstruct a whole film that is stored strangely, and say how it ended."""
+    with tempfile.TemporaryDirectory() as scratch:
+        strange, camera, kind, start = make_strange(number, Path(scratch))
+        outcome: dict[str, Any] = {"number": number, "done": [kind], "camera": "file", "whole": True}
+        config = Config(front_end=front_end, camera=str(camera), frames=FrameSettings(long_side=PX))
+        try:
+            run = reconstruct(strange.source, Path(scratch) / "run", config)
+        except HaustraError as error:
+            return outcome | {"end": "sentence", "text": str(error)}
+        except Exception:  # noqa: BLE001 - what else there may be is the question asked
+            return outcome | {"end": "fault", "text": traceback.format_exc()}
+        seconds, world_from_camera = run.trajectory()
+        figures = against_truth(seconds, world_from_camera, strange, start)
+        posed = {"posed": run.metrics["frames"]["posed"], "submaps": len(run.metrics["submaps"])}
+    right = figures["paired"] >= LEAST_PAIRED and figures["off"] <= MOST_OFF and figures["turned"] <= MOST_TURNED_DEG
+    return outcome | posed | figures | {"end": "reconstructed" if right else "wrong", "dark": 0}
+
+
+def against_truth(seconds: Any, world_from_camera: Any, strange: Strange, start: int) -> dict[str, float]:
+    """Share of the poses at a true time; ATE over the path's spread and median turn in degrees after Sim(3)."""
+    true = read_tum(CAMERA.with_name("trajectory.txt"))[1][start:][strange.rows]
+    try:
+        mine, theirs = associate(seconds, np.array(strange.seconds), 0.4 / RATE)
+        errors = trajectory_errors(world_from_camera[mine], true[theirs])
+    except HaustraError:
+        return {"paired": 0.0, "off": float("inf"), "turned": 180.0}
+    spread = float(np.sqrt(true[theirs, :3, 3].var(axis=0).sum()))
+    return {
+        "paired": len(mine) / len(seconds), "off": errors.ate_rmse / spread, "turned": errors.rotation_median_deg
+    }  # fmt: skip
 
 
 def make_input(number: int, folder: Path) -> tuple[Path, Path, list[str]]:
@@ -76,10 +131,12 @@ def encode(frames: Frames, target: Path) -> None:
 
 def attempt(number: int, front_end: str) -> dict[str, Any]:
     """Reconstruct one input and say how it ended."""
+    if number % 2:
+        return attempt_strange(number, front_end)
     with tempfile.TemporaryDirectory() as scratch:
         video, camera, done = make_input(number, Path(scratch))
         chosen = "auto" if number % 4 == 0 and "wrong camera" not in done else str(camera)  # a quarter guess the lens
-        config = Config(front_end=front_end, camera=chosen, frames=FrameSettings(long_side=160))
+        config = Config(front_end=front_end, camera=chosen, frames=FrameSettings(long_side=PX))
         outcome: dict[str, Any] = {"number": number, "done": done, "camera": "auto" if chosen == "auto" else "file"}
         try:
             metrics = reconstruct(video, Path(scratch) / "run", config).metrics
@@ -92,9 +149,14 @@ def attempt(number: int, front_end: str) -> dict[str, Any]:
     return outcome | {"end": "reconstructed", "posed": metrics["frames"]["posed"], "submaps": parts, "dark": dark}
 
 
-def attempts(numbers: list[int], front_end: str, limit: float) -> list[dict[str, Any]]:
-    """All of them, one after the other, in processes that may die."""
-    context, outcomes = multiprocessing.get_context("spawn"), []
+def attempts(numbers: list[int], front_end: str, limit: float, log: Path | None) -> list[dict[str, Any]]:
+    """All of them, one after the other, in processes that may die; what a log of lines knows is not done again, but for
+    what ran out of time, as on a machine that others used."""
+    context = multiprocessing.get_context("spawn")
+    known = log.read_text().splitlines() if log is not None and log.exists() else []
+    by_number = {one["number"]: one for one in map(json.loads, known) if one.get("text") != "TimeoutError"}
+    outcomes: list[dict[str, Any]] = [by_number[number] for number in numbers if number in by_number]
+    numbers = [number for number in numbers if number not in {one["number"] for one in outcomes}]
     for start in range(0, len(numbers), PER_PROCESS):
         pool = ProcessPoolExecutor(1, mp_context=context)
         for number in numbers[start : start + PER_PROCESS]:
@@ -107,6 +169,9 @@ def attempts(numbers: list[int], front_end: str, limit: float) -> list[dict[str,
                 pool.shutdown(wait=True, cancel_futures=True)
                 pool = ProcessPoolExecutor(1, mp_context=context)
             last = outcomes[-1]
+            if log is not None:
+                with log.open("a") as file:
+                    file.write(json.dumps(last) + "\n")
             print(f"{number:4} {last['end']:14} {', '.join(last.get('done', []))}", flush=True)
         pool.shutdown()
     return outcomes
@@ -122,14 +187,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """All inputs; ends with exit code 1 if there was a fault."""
     numbers = list(range(arguments.inputs)) if arguments.only is None else [arguments.only]
-    outcomes = attempts(numbers, arguments.front_end, arguments.limit)
+    log = None if arguments.json is None else arguments.json.with_suffix(".lines")
+    outcomes = attempts(numbers, arguments.front_end, arguments.limit, log)
     counts = Counter(outcome["end"] for outcome in outcomes)
     print(f"{len(outcomes)} inputs: " + ", ".join(f"{count} {end}" for end, count in sorted(counts.items())))
     print(f"results with a submap that contradicts its lamp: {sum(bool(o.get('dark')) for o in outcomes)}")
+    whole = [outcome for outcome in outcomes if outcome.get("whole")]
+    rightly = sum(outcome["end"] == "reconstructed" for outcome in whole)
+    print(f"of {len(whole)} that a player shows rightly {rightly} were reconstructed")
     record = {"front_end": arguments.front_end, "counts": dict(counts), "outcomes": outcomes}
-    faults = [outcome for outcome in outcomes if outcome["end"] == "fault"]
+    faults = [outcome for outcome in outcomes if outcome["end"] in ("fault", "wrong")]
     for outcome in faults:
-        print(f"\ninput {outcome['number']} {outcome.get('done')}\n{outcome['text']}")
+        print(f"\ninput {outcome['number']} {outcome.get('done')}\n{outcome.get('text', outcome)}")
     if faults:
         write(arguments.json, record)
         raise SystemExit(1)

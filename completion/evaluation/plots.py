@@ -19,8 +19,7 @@ ERROR_SHOWN = 0.15  # relative error at which the colour saturates
 
 def sample_frames_plot(path: Path, results: Sequence[FrameResult], title: str, unit: str) -> Path:
     """Rows: image with its points, true depth, completed depth, relative error; a column for each frame."""
-    plt = _pyplot()
-    figure, axes = plt.subplots(4, len(results), figsize=(2.1 * len(results), 9), squeeze=False, layout="constrained")
+    figure, axes = _subplots(4, len(results), figsize=(2.1 * len(results), 9), squeeze=False, layout="constrained")
     for column, result in enumerate(results):
         known = result.truth > 0
         low, high = _shown_range(result)
@@ -41,10 +40,9 @@ def sample_frames_plot(path: Path, results: Sequence[FrameResult], title: str, u
 
 def comparison_plot(path: Path, results: Mapping[str, Sequence[FrameResult]], title: str) -> Path:
     """Rows: frames; columns: image with its points, true depth, then what each method makes of them (paper Fig. 4)."""
-    plt = _pyplot()
     frames = next(iter(results.values()))
     shape = (len(frames), 2 + len(results))
-    figure, axes = plt.subplots(*shape, figsize=(2 * shape[1], 2.1 * shape[0]), squeeze=False, layout="constrained")
+    figure, axes = _subplots(*shape, figsize=(2 * shape[1], 2.1 * shape[0]), squeeze=False, layout="constrained")
     for row, result in enumerate(frames):
         low, high = _shown_range(result)
         _image_with_points(axes[row, 0], result)
@@ -59,8 +57,7 @@ def comparison_plot(path: Path, results: Mapping[str, Sequence[FrameResult]], ti
 
 def attention_plot(path: Path, frames: Sequence[tuple[FrameResult, Features, Features]], title: str) -> Path:
     """Rows: image, mean strength of the features before and after structure awareness; columns: frames (Fig. 6)."""
-    plt = _pyplot()
-    figure, axes = plt.subplots(3, len(frames), figsize=(2.1 * len(frames), 6.6), squeeze=False, layout="constrained")
+    figure, axes = _subplots(3, len(frames), figsize=(2.1 * len(frames), 6.6), squeeze=False, layout="constrained")
     for column, (result, *features) in enumerate(frames):
         _image_with_points(axes[0, column], result)
         for row, maps in enumerate(features, start=1):
@@ -92,14 +89,12 @@ def _without_ticks(figure: Any, axes: Any, title: str, path: Path) -> Path:
 
 def _saved(figure: Any, path: Path) -> Path:
     figure.savefig(path, dpi=110)
-    _pyplot().close(figure)
     return path
 
 
 def sweep_plot(path: Path, curves: Mapping[str, Mapping[int, float]], title: str) -> Path:
     """abs.REL in percent over the number of points, one line per name, both axes logarithmic (paper Fig. 5)."""
-    plt = _pyplot()
-    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    figure, axis = _subplots(figsize=(6, 4), layout="constrained")
     for name, curve in curves.items():
         axis.plot(list(curve), [100 * value for value in curve.values()], marker="o", label=name)
     axis.set(xscale="log", yscale="log", xlabel="points per frame", ylabel="abs.REL [%]")
@@ -114,11 +109,10 @@ def calibration_plot(
 ) -> Path:
     """Left: median actual over median predicted error by deciles; a calibrated model lies on ln 2 times the diagonal.
     Right: share of pixels whose error is below the predicted one, by stratum (`strata`: label -> name -> figures)."""
-    plt = _pyplot()
     from matplotlib.ticker import LogLocator, NullFormatter
 
     size = (10, 4.5 + 0.35 * len(calibrations))
-    figure, (axis, shares) = plt.subplots(1, 2, figsize=size, layout="constrained")
+    figure, (axis, shares) = _subplots(1, 2, figsize=size, layout="constrained")
     for name, found in calibrations.items():
         predicted, actual = 100 * np.array(found.predicted), 100 * np.array(found.actual)
         axis.plot(predicted, actual, marker="o", label=_calibration_label(name, found))
@@ -155,10 +149,11 @@ def _calibration_label(name: str, found: ErrorCalibration) -> str:
     return f"{name}: {relative}\nin depth's unit {found.spearman_absolute:.2f} ({baseline}); {found.pixels} px"
 
 
-def _pyplot() -> Any:
-    import matplotlib
+def _subplots(rows: int = 1, columns: int = 1, *, squeeze: bool = True, **of_figure: Any) -> tuple[Any, Any]:
+    """As pyplot's, which is not asked: where figures are drawn is the caller's choice."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
+    figure = Figure(**of_figure)
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=squeeze)

@@ -21,6 +21,7 @@ WIDEST = np.tan(np.radians(78.0))  # farther off the axis the plane z = 1 stretc
 STEP = 1e-5  # of the finite differences, on the plane z = 1
 NEWTON_STEPS = 12
 CONVERGED_PX = 1e-9
+GRID = 64  # points a side at which a picture is asked what the lens reaches
 MAX_MISFIT_PX = 0.01  # a ray whose projection misses its pixel by more lies outside the lens model
 
 Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ class Camera:
         """(N,2) pixels -> (N,2) points of the plane z = 1, and (N,) whether the lens model reaches them.
 
         In closed form where the lens model has one, else by Newton's method from its first guess; not farther off the
-        axis than `WIDEST`.
+        axis than `WIDEST`, nor than where the model turns back on itself.
         """
         distorted = (pixels - np.array(self.centre)) / np.array(self.focal)
         exact = self.is_pinhole or self.lens.undistort is not None
@@ -101,7 +102,8 @@ class Camera:
             step = np.linalg.solve(jacobian, off[:, :, None])[:, :, 0]
             plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
         misfit = np.linalg.norm(pixels - self.project(_on_plane(plane)), axis=1)
-        return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < WIDEST)
+        widest = min(WIDEST, math.tan(min(self.lens.valid_angle(self.distortion), 1.5)))
+        return plane, (misfit < MAX_MISFIT_PX) & (np.linalg.norm(plane, axis=1) < widest)
 
     def pixel_jacobian(self, plane: Array) -> Array:
         """(N,2,2) d pixel / d point of the plane z = 1, at points (N,2), by central differences."""
@@ -126,6 +128,20 @@ class Camera:
             sides = (centre / focal, (size - centre) / focal)
             angles.append(math.degrees(sum(self._angle_of_radius(r) for r in sides)))
         return angles[0], angles[1]
+
+    def share_beyond_lens(self, box: tuple[int, int, int, int] | None = None) -> float:
+        """Share of the picture, or of a box (x, y, width, height) of it, that lies farther out than where the lens
+        model turns back on itself: nothing is known of the rays there. 0 for a model that grows throughout."""
+        angle = self.lens.valid_angle(self.distortion)
+        if angle >= self.lens.widest:
+            return 0.0
+        edge = np.array([[math.sin(angle), 0.0, math.cos(angle)]])
+        radius = float(np.linalg.norm(self.lens.distort(edge, self.distortion)))
+        x, y, width, height = box or (0, 0, self.width, self.height)
+        steps = (np.arange(GRID) + 0.5) / GRID
+        columns, rows = np.meshgrid(x + steps * width, y + steps * height)
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        return float((np.hypot((columns - cx) / fx, (rows - cy) / fy) > radius).mean())
 
     def _angle_of_radius(self, radius: float) -> float:
         """Angle off the axis whose distorted normalised radius is `radius`, radians."""

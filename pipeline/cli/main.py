@@ -13,6 +13,9 @@ from typer.core import TyperArgument, TyperCommand
 
 from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
+from pipeline.cli.climb import climb
+from pipeline.cli.doctor import doctor
+from pipeline.cli.given_paths import must_be_run, must_exist
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
 
@@ -25,9 +28,8 @@ app = typer.Typer(
     help="Dense colon reconstruction from endoscope video, on a CPU.",
 )
 
-app.command()(cli_runs.reconstruct)
-app.command()(cli_runs.view)
-app.command()(cli_runs.batch)
+for command in (cli_runs.reconstruct, cli_runs.view, cli_runs.batch, doctor, climb):
+    app.command()(command)
 
 
 class ExportCommand(TyperCommand):
@@ -57,6 +59,7 @@ def export(
     climb: Annotated[bool, typer.Option("--climb", help="a folder as CLiMB's submissions have it")] = False,
 ) -> None:
     """Write a run's mesh in another format, or the whole run for another program."""
+    must_be_run(run)
     from pipeline.climb import write_submission
     from pipeline.report.exporters import export_folder, export_run
 
@@ -84,6 +87,8 @@ def compare(
     json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,
 ) -> None:
     """Errors of a run against truth: path (ATE, RTE, ROT) and surface (accuracy, completeness, F-score)."""
+    must_be_run(run)
+    must_exist(truth)
     from pipeline.climb import compare_climb
     from pipeline.compare import compare_run
     from pipeline.run_folder.workspace import write_json
@@ -168,6 +173,7 @@ def evaluate(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
 ) -> None:
     """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
+    must_exist(*folders)
     from completion.evaluation.run import Outputs, protocol_of
     from completion.evaluation.run import evaluate as run
     from haustra.core.progress import SilentProgress, TerminalProgress
@@ -215,6 +221,7 @@ def train(
     device: Annotated[str | None, typer.Option(help="auto, cpu or cuda")] = None,
 ) -> None:
     """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
+    must_exist(*shards, init)
     from completion.training.config import make_config
     from completion.training.train import train as run
     from haustra.core.progress import TerminalProgress

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from haustra.core.errors import HaustraError
+from pipeline.cli.given_paths import must_be_named_or_exist, must_exist
 
 if TYPE_CHECKING:
     from pipeline.config import Config
@@ -72,12 +73,15 @@ def reconstruct(
     quiet: Quiet = False,
 ) -> None:
     """Video in, coloured colon mesh, camera path, dense depth and report out."""
+    if (source is None) == (not demo):
+        raise HaustraError("give one video or folder, or --demo")
+    must_exist(source, scale, poses, hand_eye, stereo, stereo_right, depth_folder, config)
+    must_be_named_or_exist("--camera", camera)
+    must_be_named_or_exist("--model", model)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.config import load_config
     from pipeline.run_folder.workspace import Workspace
 
-    if (source is None) == (not demo):
-        raise HaustraError("give one video or folder, or --demo")
     if rerun:
         from pipeline.report.rerun_export import check_rerun, export_rerun
 
@@ -108,7 +112,7 @@ def reconstruct(
         assert source is not None
         from pipeline.input.video import Source
 
-        Source(source)  # a mistyped name is answered before the heavy packages are loaded
+        Source(source)  # what is no video is answered before the heavy packages are loaded
         from pipeline.run import reconstruct as run
 
         output = output or Path(f"{source.resolve().stem}_run")
@@ -120,14 +124,24 @@ def reconstruct(
 
 
 def view(
-    run: Annotated[Path, typer.Argument(help="run folder")],
+    run: Annotated[Path, typer.Argument(help="run folder, or a folder of runs")],
     port: Annotated[int, typer.Option(min=0, help="0: a free one")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open it")] = True,
 ) -> None:
-    """Show a run's report in the browser, served to this machine alone until Ctrl-C."""
-    from pipeline.report.server import view as serve
+    """Show a run's report in the browser, or the runs of a folder: a list, a player, two beside each other."""
+    must_exist(run)
 
-    serve(run, port, browser, lambda sentence: print(sentence, flush=True))
+    def say(sentence: str) -> None:
+        print(sentence, flush=True)
+
+    if (run / "run.yaml").is_file():
+        from pipeline.report.server import view as serve
+
+        serve(run, port, browser, say)
+    else:
+        from pipeline.report.viewer.view_folder import view_folder
+
+        view_folder(run, port, browser, say)
 
 
 def batch(
@@ -154,6 +168,8 @@ def batch(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but the table")] = False,
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
+    must_exist(config)
+    must_be_named_or_exist("--camera", camera)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.cli.batch import process_pool, resume_hint, run_batch
     from pipeline.cli.batch_ray import ray_pool

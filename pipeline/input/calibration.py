@@ -11,6 +11,8 @@ from pipeline.input.camera_presets import PRESETS
 
 # From the middle, as a share of the side; pyslam's real files go to 0.14. Farther off, it is of another size or crop.
 FARTHEST_CENTRE = 0.2
+MOST_BEYOND = 0.9  # share of the content: a lens that turns back before it is no lens of this picture
+WORTH_SAYING = 0.01
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,13 @@ def calibrate(choice: str, source: Path, size: tuple[int, int], content: tuple[i
     if choice == "auto":
         beside = source / "camera.json"
         if source.is_dir() and beside.exists():
-            return _from_file(beside, size)
+            return _reaching(_from_file(beside, size), beside, content)
         camera = guess_camera(width, height, content)
         return Calibration(camera, "guessed: 100 degrees across the content, focal length and k1 left to SfM")
     check_choice(choice, source)
-    return _from_preset(choice, size) if choice in PRESETS else _from_file(Path(choice), size)
+    if choice in PRESETS:
+        return _from_preset(choice, size)
+    return _reaching(_from_file(Path(choice), size), Path(choice), content)
 
 
 def check_choice(choice: str, source: Path) -> None:
@@ -68,6 +72,22 @@ def _from_file(path: Path, size: tuple[int, int]) -> Calibration:
             "which is another crop and not another scale"
         )
     return Calibration(scaled, f"file {known}, scaled from {camera.width}x{camera.height} pixels")
+
+
+def _reaching(found: Calibration, path: Path, content: tuple[int, int, int, int]) -> Calibration:
+    """Refuse a file's lens whose polynomial turns back near the content's middle; say where it does farther out."""
+    camera = found.camera
+    beyond = camera.share_beyond_lens(content)
+    if beyond <= WORTH_SAYING:
+        return found
+    degrees = math.degrees(camera.lens.valid_angle(camera.distortion))
+    turns = f"its polynomial turns back {degrees:.0f} degrees off the axis, and {100 * beyond:.0f} % of the picture is"
+    if beyond > MOST_BEYOND:
+        raise HaustraError(
+            f"the lens of {path} is none of this picture: {turns} beyond; are the coefficients those of "
+            f"{camera.model}, and in its order?"
+        )
+    return replace(found, origin=f"{found.origin}; {turns} beyond, unused")
 
 
 def _from_preset(name: str, size: tuple[int, int]) -> Calibration:

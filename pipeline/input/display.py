@@ -26,24 +26,24 @@ class Clock:
         self.notes: list[str] = []
         self._count, self._restarts = 0, 0
         self._shift: float | None = None  # from the file's times to ours
-        self._last = -self.step
+        self.last = -self.step
 
     def seconds(self, stamp: float | None) -> float:
         """Time of the next frame, whose time in the file is `stamp`; None where it has none."""
         self._count += 1
         if stamp is None or not self.has_times:
-            self._last = max(self._last + self.step, (self._count - 1) * self.step)
-            return self._last
+            self.last = max(self.last + self.step, (self._count - 1) * self.step)
+            return self.last
         if self._shift is None:
             self._shift = -stamp
-        if stamp + self._shift < self._last - RESTART * self.step:
-            self._shift = self._last + self.step - stamp
+        if stamp + self._shift < self.last - RESTART * self.step:
+            self._shift = self.last + self.step - stamp
             self._restarts += 1
             times = f"the film's time stamps run backwards {self._restarts} times"
             self.notes = [f"{times}: each part was put behind the one before"]
         # A stamp that is repeated or a little early is of one frame alone: those after it are right.
-        self._last = max(stamp + self._shift, self._last + LEAST_STEP * self.step)
-        return self._last
+        self.last = max(stamp + self._shift, self.last + LEAST_STEP * self.step)
+        return self.last
 
 
 def display_matrix(frame: "VideoFrame") -> NDArray[np.float64]:

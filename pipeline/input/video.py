@@ -14,6 +14,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, display_matrix, upper_field, upright
+from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
 from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture
 
 if TYPE_CHECKING:
@@ -21,9 +22,11 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
+SMALLEST = 32  # px of a picture's side that is looked at for faults
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
 # FFmpeg's names of formats that store a frame rate at most, and no times: what it derives runs backwards, or is none.
-NO_TIMES = ("avi", "h264", "hevc", "mjpeg")
+NO_TIMES = ("h264", "hevc", "mjpeg")
+BY_PACKET = ("avi",)  # as those, but each packet has its place in the film, lost ones too
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Source:
             raise HaustraError(f"the file {path} is empty")
         self.announced = len(self.images)
         self._rate = 0.0  # frames/s that a DICOM file says
+        self.rows_are_eyes = False  # of a row-interleaved stereo film, which looks like an interlaced one
+        self._faults: FilmFaults | None = None
         if not self.is_folder:
             self._rate = read_dicom_video(path).rate if is_dicom(path) else 0.0
             self._stream, streams, self.announced = film_stream(path)
@@ -100,23 +105,50 @@ class Source:
 
     def _read_video(self) -> Iterator[RawFrame]:
         count, size = 0, (0, 0)
+        if self._faults is None:
+            self._faults = self._find_faults()
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            rate, has_times = float(stream.average_rate or 30), container.format.name not in NO_TIMES
+            has_times = container.format.name not in NO_TIMES
+            # Of a bare stream the average is FFmpeg's default; what the stream itself says is in its headers.
+            rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
             clock = Clock(self._rate or rate, has_times and not self._rate)
             aspect = stream.sample_aspect_ratio or Fraction(1)
             for frame in self._decode(container, stream):
                 rgb = self._upright(frame, aspect)
                 size = size if count else (rgb.shape[1], rgb.shape[0])
-                yield RawFrame(count, clock.seconds(frame.time), self._of_size(rgb, size, count))
+                stamp: float | None = frame.time
+                if container.format.name in BY_PACKET:
+                    stamp = None if frame.dts is None else float(frame.dts * (stream.time_base or 1 / rate))
+                yield RawFrame(count, clock.seconds(stamp), self._of_size(rgb, size, count))
                 count += 1
             for sentence in clock.notes:
                 self._note(sentence)
         if count == 0:
             raise HaustraError(f"no frame of {self.path} can be decoded")
         if count < 0.98 * self.announced:
-            self._note(f"the video ends early: {count} of {self.announced} announced frames could be decoded")
+            ends_early = clock.last < 0.98 * (self.announced - 1) * clock.step
+            what = "the video ends early" if ends_early else "the video has gaps"
+            self._note(f"{what}: {count} of {self.announced} announced frames could be decoded")
+
+    def _find_faults(self) -> FilmFaults:
+        """What the beginning of the film shows, which no file says."""
+        with open_video(self.path) as container:
+            stream = container.streams.video[self._stream]
+            stream.thread_type = "AUTO"
+            decoded = self._decode(container, stream)
+            faults = look_at(
+                self._of_one_time(frame) for frame in decoded if min(frame.width, frame.height) >= SMALLEST
+            )
+        for sentence in faults.notes:
+            self._note(sentence)
+        return faults
+
+    def _of_one_time(self, frame: "VideoFrame") -> NDArray[np.uint8]:
+        """Pixels (H,W,3) as stored; of an interlaced frame, and of two eyes in alternate rows, the upper rows."""
+        rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+        return upper_field(rgb) if frame.interlaced_frame or self.rows_are_eyes else rgb
 
     def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int], index: int) -> NDArray[np.uint8]:
         """A frame in the size (width, height) of the film's first one; HaustraError where its shape is another."""
@@ -155,8 +187,10 @@ class Source:
     def _upright(self, frame: "VideoFrame", aspect: Fraction) -> NDArray[np.uint8]:
         """Pixels (H,W,3) as they are to be looked at: square, and turned upright."""
         rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
-        if frame.interlaced_frame:
+        flagged = frame.interlaced_frame and not self.rows_are_eyes
+        if flagged:
             self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")
+        if flagged or (self._faults is not None and self._faults.combed and row_change(rgb) > WHOLE_ROWS):
             rgb = upper_field(rgb)
         if aspect != 1:
             self._note(f"pixels are not square ({aspect}): frames were stretched to make them so")

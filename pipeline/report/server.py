@@ -16,14 +16,13 @@ from pipeline.run_folder.workspace import open_workspace
 LOOPBACK = "127.0.0.1"
 
 
-class ReportServer(ThreadingHTTPServer):
-    """Answers for one file: the report, which names no others. The rest of the folder is nobody's business."""
+class LocalServer(ThreadingHTTPServer):
+    """Listens to this machine alone."""
 
     daemon_threads = True
 
-    def __init__(self, report: Path, port: int = 0) -> None:
-        self.report = report
-        super().__init__((LOOPBACK, port), _Handler)
+    def __init__(self, port: int, handler: "type[LocalHandler]") -> None:
+        super().__init__((LOOPBACK, port), handler)
 
     @property
     def address(self) -> str:
@@ -35,12 +34,15 @@ class ReportServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-class _Handler(BaseHTTPRequestHandler):
-    """GET and HEAD of `/` and `/report.html`."""
+class LocalHandler(BaseHTTPRequestHandler):
+    """GET and HEAD of what `found` gives: body and type, None for what is not there."""
 
-    server: ReportServer
     server_version = "haustra"
     sys_version = ""
+    policy = ""  # of content security, for pages that have none inside
+
+    def found(self) -> tuple[bytes, str] | None:
+        raise NotImplementedError
 
     def do_GET(self) -> None:
         self._answer(with_body=True)
@@ -54,19 +56,18 @@ class _Handler(BaseHTTPRequestHandler):
         if host not in (LOOPBACK, "localhost"):
             self.send_error(HTTPStatus.FORBIDDEN)
             return
-        if self.path.split("?")[0] not in ("/", "/report.html"):
+        answer = self.found()
+        if answer is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        try:
-            body = self.server.report.read_bytes()
-        except OSError:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
+        body, media = answer
         self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Type", media)
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
+        if self.policy and not self.path.startswith("/report/"):  # the report has its own
+            self.send_header("Content-Security-Policy", self.policy)
         self.end_headers()
         if with_body:
             self.wfile.write(body)
@@ -75,13 +76,42 @@ class _Handler(BaseHTTPRequestHandler):
         """The terminal is for the address alone."""
 
 
+class ReportServer(LocalServer):
+    """Answers for one file: the report, which names no others. The rest of the folder is nobody's business."""
+
+    def __init__(self, report: Path, port: int = 0) -> None:
+        self.report = report
+        super().__init__(port, _Handler)
+
+
+class _Handler(LocalHandler):
+    """`/` and `/report.html`."""
+
+    server: ReportServer
+
+    def found(self) -> tuple[bytes, str] | None:
+        if self.path.split("?")[0] not in ("/", "/report.html"):
+            return None
+        try:
+            return self.server.report.read_bytes(), "text/html; charset=utf-8"
+        except OSError:
+            return None
+
+
 def view(run: Path, port: int = 0, open_browser: bool = True, say: Callable[[str], None] = print) -> None:
-    """Serve until Ctrl-C; port 0 takes a free one."""
+    """Serve a run's report until Ctrl-C; port 0 takes a free one."""
     workspace = open_workspace(run)
     if not workspace.report.exists():
         raise HaustraError(f"the run {run} has no report yet; go on with it by --resume")
+    serve(lambda: ReportServer(workspace.report, port), port, str(workspace.report), open_browser, say)
+
+
+def serve(
+    make: Callable[[], LocalServer], port: int, shown: str, open_browser: bool, say: Callable[[str], None]
+) -> None:
+    """Serve until Ctrl-C; HaustraError where the port cannot be had."""
     try:
-        server = ReportServer(workspace.report, port)
+        server = make()
     except OverflowError as error:
         raise HaustraError(f"there is no port {port}") from error
     except OSError as error:
@@ -89,7 +119,7 @@ def view(run: Path, port: int = 0, open_browser: bool = True, say: Callable[[str
             raise
         raise HaustraError(f"port {port} cannot be used ({error.strerror}); leave --port out for a free one") from error
     with server:
-        say(f"{server.address} shows {workspace.report}; Ctrl-C ends it")
+        say(f"{server.address} shows {shown}; Ctrl-C ends it")
         if open_browser:
             threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
         try:

@@ -12,7 +12,7 @@ import platform
 import shutil
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "gtsam", "opencv-
 RECORD_NAME = "run.yaml"
 PARTIAL = ".partial"  # ends the name of a text file that is being written
 UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL)  # all that a stop before the first record leaves
+FIRST_RESULT = "structure"  # the stage before which a run that was refused is in nobody's way
+REFUSED = "refused"  # in the record: the sentence that ended such a run
 CLEARING = "clearing"  # in the record while what an earlier run left is being removed
 
 
@@ -63,7 +65,11 @@ class Workspace:
     def __enter__(self) -> "Workspace":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if isinstance(error, HaustraError) and not self.is_done(FIRST_RESULT) and self.record_path.exists():
+            with suppress(OSError):  # a full disk may be the reason itself
+                self.record[REFUSED] = str(error)
+                self.save()
         if self.lock is not None:
             self.lock.release()
 
@@ -130,10 +136,10 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
 
 def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
     """The record comes before anything else, and says so while an earlier run is being removed: whenever this is
-    stopped, the folder is a run that can be gone on with or overwritten. A run that finished no stage, as one of a
-    video that was refused, is in nobody's way."""
+    stopped, the folder is a run that can be gone on with or overwritten. A run that finished no stage, or was refused
+    before it had a camera path, is in nobody's way: the command is given again, corrected."""
     replaced = workspace.record_path.exists()
-    if replaced and not overwrite and not _has_finished_nothing(workspace.root):
+    if replaced and not overwrite and not _is_in_nobodys_way(workspace.root):
         raise HaustraError(
             f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
         )
@@ -149,9 +155,10 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     workspace.log.mkdir(exist_ok=True)
 
 
-def _has_finished_nothing(root: Path) -> bool:
+def _is_in_nobodys_way(root: Path) -> bool:
     try:
-        return not open_workspace(root).record["stages"]
+        record = open_workspace(root).record
+        return not record["stages"] or (REFUSED in record and FIRST_RESULT not in record["stages"])
     except HaustraError:  # a damaged record: what it knew cannot be told
         return False
 
@@ -179,6 +186,7 @@ def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
         workspace = open_workspace(root)  # as the process before left it
         workspace.lock = lock
         _check_same(workspace, source, config)
+        workspace.record.pop(REFUSED, None)
         _clear_if_begun(workspace)
         workspace.log.mkdir(exist_ok=True)
     except BaseException:

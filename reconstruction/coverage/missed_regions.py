@@ -50,7 +50,8 @@ def find_regions(
     area = closed_wall.areas[closed_wall.unobserved]
     rank = np.argsort(np.argsort(-np.bincount(piece, weights=area), kind="stable"))
     region[closed_wall.unobserved] = rank[piece]
-    arc_of_vertex = line.locate(closed_wall.vertices)[0]
+    # A face is judged by its middle, so its corners may lie a little outside the stretch.
+    arc_of_vertex = np.clip(line.locate(closed_wall.vertices)[0], closed_wall.arc.min(), closed_wall.arc.max())
     geometry = closed_wall.centroids, closed_wall.areas, arc_of_vertex[closed_wall.faces]
     faces = [np.flatnonzero(region == number) for number in range(len(rank))]
     return region, [_region(rows, closed_wall, geometry, world_from_camera, half_fov_deg) for rows in faces]

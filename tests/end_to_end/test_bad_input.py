@@ -1,12 +1,15 @@
 """Bad input: one clear sentence on standard error, exit code 1, no traceback."""
 
 import json
+import os
 import sys
 
 import numpy as np
 import pytest
+import yaml
 
 from pipeline.cli import main as cli
+from pipeline.frontend import structure_stage
 from tests.helpers.videos import textured_frames, write_video
 
 
@@ -96,6 +99,17 @@ def test_video_without_features(run, tmp_path):
     assert_one_sentence(run("a.mp4"), "no texture")
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_a_film_that_was_refused_does_not_block_the_corrected_command(run, tmp_path, seed):
+    """Refused for want of frames, or of structure once they were read: the next command needs no --overwrite."""
+    count = seed % 2 * 4 + 2
+    write_video(tmp_path / "a.mp4", [textured_frames(1, seed=10 * seed + i)[0] for i in range(count)])
+    told = "only 2 of 2 frames" if count == 2 else "no two frames could be related"
+    assert_one_sentence(run("a.mp4", "-o", "out", "-q"), told)
+    assert_one_sentence(run("a.mp4", "-o", "out", "-q", "--seed", str(seed)), told)
+    assert_one_sentence(run("a.mp4", "-o", "out", "-q", "--seed", str(seed), "--resume"), told)
+
+
 def test_unrelated_frames(run, tmp_path):
     """Texture in plenty, but no two frames show the same thing: structure fails, in one sentence."""
     write_video(tmp_path / "a.mp4", [textured_frames(1, seed=i)[0] for i in range(6)])
@@ -142,8 +156,9 @@ def test_output_holds_a_run(run, tmp_path):
     assert (tmp_path / "out" / "run.yaml").exists()
     # It finished nothing, so the corrected command need not be told to overwrite it.
     assert_one_sentence(run("a.mp4", "-o", "out"), "only 1 of 1 frames")
-    record = (tmp_path / "out" / "run.yaml").read_text()
-    (tmp_path / "out" / "run.yaml").write_text(record.replace("stages: {}", "stages: {frames: {}}"))
+    record = yaml.safe_load((tmp_path / "out" / "run.yaml").read_text())
+    assert record.pop("refused").startswith("only 1 of 1 frames")
+    (tmp_path / "out" / "run.yaml").write_text(yaml.safe_dump(record | {"stages": {"frames": {}}}))
     assert_one_sentence(run("a.mp4", "-o", "out"), "already holds a run; add --resume")
     assert_one_sentence(run("a.mp4", "-o", "out", "--overwrite"), "only 1 of 1 frames")
 
@@ -203,6 +218,22 @@ def test_a_pickle_is_not_a_model(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(2))
     (tmp_path / "m.safetensors").write_bytes(b"\x80\x04K\x01.")
     assert_one_sentence(run("a.mp4", "--model", "m.safetensors"), "not a readable safetensors file")
+
+
+@pytest.mark.parametrize("number", cli.FILE_SYSTEM_SAYS_NO)
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_folder_that_cannot_be_copied_says_why(tmp_path, monkeypatch, capsys, number, nested):
+    """`shutil.copytree` would gather such errors into one without a number."""
+    source = tmp_path / "model" / "0" if nested else tmp_path / "model"
+    source.mkdir(parents=True)
+    (source / "images.bin").write_bytes(b"x")
+
+    def refuse(one, two):
+        raise OSError(number, os.strerror(number), str(two))
+
+    monkeypatch.setattr(structure_stage.shutil, "copyfile", refuse)
+    assert cli.run_cleanly(lambda: structure_stage._copy_folder(tmp_path / "model", tmp_path / "out")) == 1
+    assert_one_sentence((1, capsys.readouterr().err), os.strerror(number))
 
 
 def test_full_disk_keeps_what_is_done(run, tmp_path, monkeypatch):

@@ -1,5 +1,7 @@
 """Brown's polynomial and rational lens as OpenCV orders it: k1 k2 p1 p2 k3 k4 k5 k6; shorter: k1, or k1 k2."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,7 @@ def first_guess(distorted: Array) -> Array:
     return distorted
 
 
+@lru_cache(maxsize=64)
 def valid_angle(distortion: tuple[float, ...]) -> float:
     """Angle off the axis, rad, at which the distorted radius stops growing; 1.5 if it grows throughout."""
     theta = np.linspace(0, 1.5, 3000)

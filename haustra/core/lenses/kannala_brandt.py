@@ -4,11 +4,13 @@ The distorted radius is theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 the
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+STEPS = 6000  # of the half circle
 WIDEST_GUESS = 1.3  # rad; tan grows without bound beyond
 
 
@@ -29,6 +31,10 @@ def first_guess(distorted: Array) -> Array:
     return distorted * (np.tan(np.minimum(theta, WIDEST_GUESS)) / np.maximum(theta, 1e-9))
 
 
+@lru_cache(maxsize=64)
 def valid_angle(distortion: tuple[float, ...]) -> float:
-    """Infinite: the fitted polynomials grow over the half sphere that they are used for."""
-    return math.inf
+    """Angle off the axis, rad, at which the distorted radius stops growing; infinite if it grows all round."""
+    theta = np.linspace(0, math.pi, STEPS)
+    ahead = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+    falling = np.flatnonzero(np.diff(distort(ahead, distortion)[:-1, 0]) <= 0)  # straight behind has no direction
+    return float(theta[falling[0]]) if len(falling) else math.inf

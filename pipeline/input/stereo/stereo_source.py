@@ -24,6 +24,7 @@ class StereoSource(Source):
     def __init__(self, path: Path, settings: StereoSettings) -> None:
         super().__init__(path)
         self._layout = settings.layout
+        self.rows_are_eyes = settings.layout == "interlaced"
         self._right = None if settings.right is None else Source(Path(settings.right))
         self._calibration = read_rig(Path(settings.calibration or ""))
         self._rig: RectifiedRig | None = None

@@ -130,8 +130,9 @@ def test_a_missing_recorder_is_told_before_the_work(monkeypatch, tmp_path, runs,
 
 
 @pytest.mark.parametrize("tau", ["nan", "-1", "0", "inf"])
-def test_compare_wants_a_positive_distance(monkeypatch, capsys, tau):
-    monkeypatch.setattr(sys, "argv", ["haustra", "compare", "a", "b", "--tau-mm", tau])
+def test_compare_wants_a_positive_distance(monkeypatch, capsys, tmp_path, tau):
+    (tmp_path / "run.yaml").write_text("{}")
+    monkeypatch.setattr(sys, "argv", ["haustra", "compare", str(tmp_path), str(tmp_path), "--tau-mm", tau])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 1

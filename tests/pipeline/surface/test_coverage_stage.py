@@ -131,7 +131,9 @@ def test_the_headline_names_the_submap_that_it_speaks_of(tmp_path):
     metrics = {"frames": {"posed": 5, "total": 9}, "submaps": [one], "warnings": []}
     assert "of 1 submaps" not in summary(metrics, tmp_path)
     metrics["submaps"] = [one, one, one]
-    assert "90 % of the wall seen over 80 mm in the largest of 3 submaps" in summary(metrics, tmp_path)
+    assert "90 % of the wall along 80 mm of visited lumen was seen in the largest of 3 submaps" in summary(
+        metrics, tmp_path
+    )
 
 
 def test_a_finished_stage_is_loaded_and_not_measured_again(tmp_path, monkeypatch):

@@ -61,6 +61,14 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
     assert np.linspace(10, end, 30)[region.frame] == pytest.approx(expected, abs=3)
 
 
+@pytest.mark.parametrize("start", np.linspace(12, 96, 11))
+def test_a_region_lies_within_the_stretch_that_is_judged(start):
+    """Holes over both ends of it: their faces reach out, what is said of them does not."""
+    coverage = measure_coverage(tube(straight, lambda s, a: patch(start, start + 12, 60, 120)(s, a)), cameras(straight))
+    for region in coverage.regions:
+        assert 0 <= region.arc_range[0] <= region.arc <= region.arc_range[1] <= coverage.length + 1e-9
+
+
 def test_a_needle_of_the_closing_without_area_is_no_region(holed, monkeypatch):
     """Poisson's surface has such triangles; one that stands off the wall was once a region, and its middle 0 / 0."""
     poisson = closed_wall._poisson

@@ -1,24 +1,12 @@
 """The report in a browser: a headless Chromium opens it from disk and clicks through it."""
 
-import shutil
-import time
-
 import cv2
 import numpy as np
 import pytest
 
 from pipeline.report.page.page import write_page
+from tests.helpers.showing.chromium import CHROMIUM, FLAGS, PATIENCE_MS, complaints, until
 from tests.helpers.tiny_run import make_tiny_run
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-# WebGL without a graphics card is SwiftShader's; the others keep the browser from calling home.
-FLAGS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update"),
-    *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-)
-PATIENCE_MS = 60_000  # a busy machine draws slowly; nothing here waits without need
-HARMLESS = ("willReadFrequently", "GPU stall")  # plotly's and the software renderer's remarks on speed
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 slow = pytest.mark.slow  # each is quick, but they are many and share a browser; the first is the everyday one
@@ -48,14 +36,6 @@ def opened(browser, tmp_path_factory):
     return page, said, fetched
 
 
-def until(page, condition):
-    """Wait on this side: playwright's own waits for a function need `eval`, which the page's policy forbids."""
-    end = time.monotonic() + PATIENCE_MS / 1000
-    while not condition():
-        assert time.monotonic() < end, "it never came to pass"
-        page.wait_for_timeout(50)
-
-
 def frame_shown(page):
     return page.inner_text(".keyframe.current h3")
 
@@ -67,10 +47,6 @@ def picture_shown(page):
 def visible(page):
     """Visibility of the view's traces by their order in scene.js."""
     return page.evaluate("document.getElementById('view3d').data.map(trace => trace.visible !== false)")
-
-
-def complaints(said):
-    return [text for text in said if not any(word in text for word in HARMLESS)]
 
 
 def test_it_is_drawn_and_clicked_through_and_says_and_fetches_nothing(opened):

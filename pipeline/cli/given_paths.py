@@ -1,0 +1,26 @@
+"""A mistyped name is answered at once: these checks come before the packages that would read the file are loaded."""
+
+from pathlib import Path
+
+from haustra.core.errors import HaustraError
+
+
+def must_exist(*paths: Path | str | None) -> None:
+    """HaustraError for the first that is not there; None is one that was not given."""
+    for path in paths:
+        if path is not None and not Path(path).exists():
+            raise HaustraError(f"there is no file or folder {path}")
+
+
+def must_be_run(folder: Path) -> None:
+    """HaustraError where a folder holds no record of a run."""
+    must_exist(folder)
+    if not (folder / "run.yaml").is_file():
+        raise HaustraError(f"{folder} is not a run folder: it has no run.yaml")
+
+
+def must_be_named_or_exist(option: str, choice: str | None) -> None:
+    """HaustraError for a choice that is neither the name of something known, which holds no dot and no slash, nor a
+    file."""
+    if choice is not None and ("/" in choice or "." in choice) and not Path(choice).exists():
+        raise HaustraError(f"{option}: there is no file {choice}")

@@ -1,0 +1,1 @@
+"""What this machine has of what `reconstruct` needs, and whether it works: the text of a bug report."""

@@ -1,0 +1,60 @@
+#!/bin/sh
+# The image's steps in a fresh environment, as far as they go without Docker: wheel and sdist, installed each, then the
+# entry point with the first second of the embedded clip, without a network where `unshare` can take it away.
+#   sh scripts/check_image.sh [WORK]
+set -eu
+
+root=$(cd "$(dirname "$0")/.." && pwd)
+work=${1-$(mktemp -d)}
+mkdir -p "$work"
+export PIP_TORCH="${PIP_TORCH-}"
+
+echo "== sources as git has them"
+rm -rf "$work/src" && mkdir "$work/src"
+git -C "$root" archive HEAD | tar x -C "$work/src"
+
+echo "== sdist and wheel"
+rm -rf "$work/wheels" "$work/sdist"
+(cd "$work/src" && python3 -m build --sdist --quiet --outdir "$work/sdist" .)
+python3 -m tarfile -l "$work"/sdist/haustra-*.tar.gz >"$work/sdist.list"
+sh "$work/src/scripts/image_steps.sh" wheel "$work"/sdist/haustra-*.tar.gz "$work/wheels"
+python3 -m zipfile -l "$work"/wheels/haustra-*.whl >"$work/wheel.list"
+for needed in pipeline/demo/video.mp4 completion/weights/mscsa.safetensors pipeline/report/page/report.js \
+    haustra/core/endomapper_scopes.json pipeline/report/viewer/player.html; do
+    grep -q "$needed" "$work/wheel.list" || { echo "error: the wheel lacks $needed" >&2 && exit 1; }
+done
+
+echo "== an empty environment"
+[ -x "$work/venv/bin/haustra" ] || sh "$work/src/scripts/image_steps.sh" install "$work/venv" "$work/wheels" "$root/constraints.txt"
+"$work/venv/bin/pip" install --quiet --no-deps --force-reinstall "$work"/wheels/haustra-*.whl
+cd "$work" # not in the checkout, whose packages would come first
+PATH="$work/venv/bin:$PATH"
+HOME="$work/home" NUMBA_CACHE_DIR="$work/numba" MPLCONFIGDIR="$work/matplotlib"
+export PATH HOME NUMBA_CACHE_DIR MPLCONFIGDIR
+unset PYTHONPATH
+python -P -c "import pipeline; assert 'venv' in pipeline.__file__, pipeline.__file__"
+haustra doctor
+
+echo "== CLiMB's contract, without a network"
+rm -rf "$work/input" "$work/output" && mkdir "$work/input"
+python - "$work/input/clip.mp4" <<'PY'
+import sys
+
+import av
+
+from pipeline.demo import VIDEO
+
+with av.open(str(VIDEO)) as source, av.open(sys.argv[1], "w") as target:
+    stream = target.add_stream("libx264", rate=30)
+    stream.width = stream.height = 320
+    for _, frame in zip(range(30), source.decode(video=0)):
+        target.mux(stream.encode(av.VideoFrame.from_ndarray(frame.to_ndarray(format="rgb24"), format="rgb24")))
+    target.mux(stream.encode())
+PY
+offline=""
+if unshare --user --map-root-user --net true 2>/dev/null; then offline="unshare --user --map-root-user --net"; fi
+$offline sh "$work/src/scripts/image_steps.sh" run climb "$work/input" "$work/output" --runs 1
+for file in camera_trajectory/cam_traj_map_000.txt 3D_maps/000/points3D.txt runtime.txt; do
+    [ -s "$work/output/clip/1/$file" ] || { echo "error: clip/1/$file is missing" >&2 && exit 1; }
+done
+echo "the image's steps work"

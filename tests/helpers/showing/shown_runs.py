@@ -1,0 +1,30 @@
+"""Finished runs as `haustra view` finds them, without any video."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pipeline.report.page.page import write_page
+from pipeline.run_folder.workspace import write_json
+from tests.helpers.tiny_run import make_tiny_run
+
+
+def make_shown_run(root: Path) -> None:
+    """A tiny run with its report, record, metrics and path."""
+    root.mkdir(parents=True)
+    run = make_tiny_run(root)
+    write_page(*run.parts)
+    write_json(run.workspace.metrics, run.metrics)
+    run.workspace.record["stages"]["report"] = {}
+    run.workspace.save()
+    submap = run.completed[0].submap
+    lines = [
+        tum_line(run.frames.seconds_of(int(frame)), pose[:3, 3], Rotation.from_matrix(pose[:3, :3]))
+        for frame, pose in zip(submap.frames, submap.world_from_camera, strict=True)
+    ]
+    run.workspace.trajectory.write_text("".join(lines))
+
+
+def tum_line(seconds: float, centre: np.ndarray, turn: Rotation) -> str:
+    return f"{seconds:.6f} " + " ".join(f"{value:.9f}" for value in (*centre, *turn.as_quat())) + "\n"

@@ -1,0 +1,72 @@
+"""A mistyped name is answered before anything heavy is loaded, and names what was not found."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from haustra.core.errors import HaustraError
+from pipeline.cli.given_paths import must_be_named_or_exist
+
+COMMANDS = [
+    ["reconstruct", "no.mp4"],
+    ["reconstruct", "film.mp4", "--camera", "no.json"],
+    ["reconstruct", "film.mp4", "--model", "no.safetensors"],
+    ["reconstruct", "film.mp4", "--scale", "no.yaml"],
+    ["reconstruct", "film.mp4", "--poses", "no.txt"],
+    ["reconstruct", "film.mp4", "--stereo", "no.yaml"],
+    ["reconstruct", "film.mp4", "--depth-folder", "no"],
+    ["reconstruct", "film.mp4", "--config", "no.yaml"],
+    ["reconstruct", "--demo", "--camera", "no.json"],
+    ["batch", "film.mp4", "-o", "out", "--config", "no.yaml"],
+    ["compare", "no", "film.mp4"],
+    ["compare", "run", "no"],
+    ["export", "no", "colon.obj"],
+    ["evaluate", "film.mp4", "no"],
+    ["train", "no", "--out", "weights.safetensors"],
+    ["view", "no"],
+]
+SCRIPT = """
+import contextlib, io, json, sys
+from pipeline.cli.main import app, run_cleanly
+told = []
+for words in json.load(sys.stdin):
+    sys.argv = ["haustra", *words]
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error):
+        code = run_cleanly(app)
+    told.append([code, error.getvalue(), sorted({"torch", "cv2", "numpy", "av"} & set(sys.modules))])
+print(json.dumps(told))
+"""
+
+
+def test_every_command_names_what_is_not_there_at_once(tmp_path: Path) -> None:
+    (tmp_path / "film.mp4").write_bytes(b"not looked at")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.yaml").write_text("{}")
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], input=json.dumps(COMMANDS), capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    for words, (code, error, heavy) in zip(COMMANDS, json.loads(done.stdout), strict=True):
+        wrong = next(word for word in words if word.split(".")[0] == "no")
+        assert code == 1, words
+        assert len(error.splitlines()) == 1, words
+        assert f"{wrong}\n" in error or f"{wrong} " in error, words
+        assert not heavy, words
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "run"]
+
+
+@pytest.mark.parametrize("choice", [None, "auto", "colonoscope", "endomapper-03", __file__])
+def test_names_and_files_pass(choice: str | None) -> None:
+    must_be_named_or_exist("--camera", choice)
+
+
+@pytest.mark.parametrize("choice", ["lens.json", "folder/lens", "./lens"])
+def test_a_file_that_is_not_there_does_not(choice: str) -> None:
+    with pytest.raises(HaustraError, match="--camera: there is no file"):
+        must_be_named_or_exist("--camera", choice)

@@ -1,0 +1,61 @@
+"""Clocks and units that would explain a bad fit are named, and nothing is said of a good one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.truth.hints import Timed, clock_hint, unit_hint
+
+RATE, FRAMES = 30, 300
+
+
+def winding(seed: int, frames: int = FRAMES) -> np.ndarray:
+    """A smooth path (N,3) that repeats nothing, some 100 mm long."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(frames) / RATE
+    waves = [np.sin(t[:, None] * rng.uniform(0.5, 2.5, 3) + rng.uniform(0, 6, 3)) * rng.uniform(2, 6) for _ in range(4)]
+    return np.sum(waves, axis=0) + t[:, None] * (2, 0, 8)
+
+
+def seen(seed: int, noise: float = 0.05) -> Timed:
+    """A run's path: turned, in its own unit, with noise."""
+    rng = np.random.default_rng(seed + 1000)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    centres = 0.03 * (winding(seed) + rng.normal(0, noise, (FRAMES, 3))) @ turn.T + rng.normal(size=3)
+    return Timed(np.arange(FRAMES) / RATE, centres)
+
+
+@pytest.mark.parametrize("shift", [-3.0, -2.2, -1.4, -0.7, -0.4, 0.3, 0.5, 1.0, 1.4, 2.5, 3.5])
+def test_a_clock_that_is_off_is_named(shift: float) -> None:
+    run = seen(int(abs(shift) * 10))
+    truth = Timed(run.seconds + shift, winding(int(abs(shift) * 10)))
+    hint = clock_hint(run, truth)
+    assert f"the true times {-round(shift * RATE) / RATE:+.3g} s" in hint
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_right_clock_is_left_alone(seed: int) -> None:
+    assert clock_hint(seen(seed), Timed(np.arange(FRAMES) / RATE, winding(seed))) == ""
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_path_that_is_wrong_under_every_clock_is_no_matter_of_clocks(seed: int) -> None:
+    walk = np.cumsum(np.random.default_rng(seed).normal(size=(FRAMES, 3)), axis=0)
+    assert clock_hint(Timed(np.arange(FRAMES) / RATE, walk), Timed(np.arange(FRAMES) / RATE, winding(seed + 50))) == ""
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("unit", "name", "factor"), [(1e-3, "metres", 1000), (1e-2, "centimetres", 100)])
+def test_units_are_named_where_the_run_has_millimetres(seed: int, unit: float, name: str, factor: int) -> None:
+    scale = unit * np.random.default_rng(seed).uniform(0.8, 1.25)
+    hint = unit_hint(Timed(np.arange(FRAMES) / RATE, unit * winding(seed)), scale, True)
+    assert f"say {name}: multiply the truth by {factor}" in hint
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_metres_are_guessed_at_where_the_run_has_none(seed: int) -> None:
+    assert "metres" in unit_hint(Timed(np.arange(FRAMES) / RATE, 1e-3 * winding(seed)), 1e-3, False)
+    assert unit_hint(Timed(np.arange(FRAMES) / RATE, winding(seed)), 31.0, False) == ""
+    assert unit_hint(Timed(np.arange(FRAMES) / RATE, winding(seed)), 1.03, True) == ""
