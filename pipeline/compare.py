@@ -25,13 +25,15 @@ from reconstruction.evaluation.trajectory_metrics import (
 )
 from reconstruction.mesh.formats import MESH_FORMATS
 from reconstruction.mesh.mesh_io import read_mesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 MIN_PAIRED = 0.5  # share of the fewer poses, the run's or the true ones, that must be of one time
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of the main submap; `surface` is None where the truth has none, `se3` where the run has no millimetres.
+    """Errors of the main submap; `surface` is None where the truth has none, `se3` and `surface_se3`, in the run's own
+    millimetres, where it has none.
 
     `coverage` is a sentence where the run is no tube, and None where the truth does not know what was seen.
     """
@@ -43,6 +45,7 @@ class Comparison:
     simcol3d: SimCol3DErrors
     surface: SurfaceErrors | None
     coverage: CoverageErrors | str | None = None
+    surface_se3: SurfaceErrors | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -64,6 +67,8 @@ class Comparison:
         )
         if self.surface is not None:
             lines.append(f"surface     {self.surface}")
+        if self.surface_se3 is not None:
+            lines.append(f"  in mm     {self.surface_se3}, moved by the path's SE(3)")
         if self.coverage is not None:
             lines.append(f"coverage    {self.coverage}")
         return "\n".join(lines)
@@ -73,7 +78,8 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     """Compare a finished run with an RGB-D folder or a TUM file.
 
     The surface is moved by the Sim(3) that is fitted to the camera poses alone, so that a wrong surface cannot hide
-    behind its own alignment. A mesh without a path is refused: the run's frame and unit are arbitrary.
+    behind its own alignment; of a run in mm by their SE(3), too. A mesh without a path is refused: the run's frame and
+    unit are arbitrary.
     """
     if not 0 < tau < np.inf:
         raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
@@ -89,13 +95,21 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    points, surface, coverage = _true_surface(truth), None, None
+    points, surface, coverage, surface_se3 = _true_surface(truth), None, None, None
     if points is not None:
-        truth_from_run = align_poses(estimated, true)
-        mesh = read_mesh(finished.mesh).transformed(truth_from_run)
-        surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
+        truth_from_run, mesh = align_poses(estimated, true), read_mesh(finished.mesh)
+        surface = _surface(mesh, truth_from_run, points, tau)
         coverage = _coverage(finished, truth_from_run, truth)
-    return Comparison(metrics["frames"]["posed"], metrics["frames"]["total"], sim3, se3, simcol3d, surface, coverage)
+        if se3 is not None:
+            surface_se3 = _surface(mesh, align_poses(estimated, true, with_scale=False), points, tau)
+    posed, total = metrics["frames"]["posed"], metrics["frames"]["total"]
+    return Comparison(posed, total, sim3, se3, simcol3d, surface, coverage, surface_se3)
+
+
+def _surface(
+    mesh: SurfaceMesh, truth_from_run: NDArray[np.float64], points: ReferenceSurface, tau: float
+) -> SurfaceErrors:
+    return surface_errors(mesh.transformed(truth_from_run), points, tau, np.random.default_rng(0), "mm")
 
 
 def paired(

@@ -22,13 +22,14 @@ from pipeline.frontend.odometry.chunks import (
     temp_dir,
     track_chunks,
 )
-from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
+from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, make_all_metric, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader, single_threaded
 from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.prefetch import prefetched
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
 from pipeline.matching.sift_cache import SiftCache
@@ -90,6 +91,9 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         started = time.perf_counter()
         maps, stitching = _tracked(frames, settings, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
+        sensor = open_sensor(workspace, frames.camera.width)
+        if sensor is not None:
+            make_all_metric(maps, sensor.measured, progress)
         held = adjust_maps(maps, features, progress, changed=stitching is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()
