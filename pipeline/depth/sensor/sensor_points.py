@@ -15,18 +15,29 @@ def sensor_points(sensor: SensorDepth, frame: int, lens: Camera, pinhole: Camera
 
     lens: of the working picture.
     """
-    found = sensor.cells(frame)
+    found = in_pinhole(sensor, frame, lens, pinhole)
     if found is None:
         return SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    pixels, depth, sigma = found
+    chosen = one_a_cell(pixels, max(2.0, CELL * pinhole.width))
+    return SparseDepth(pixels[chosen], depth[chosen] / mm_per_unit, sigma[chosen] / depth[chosen])
+
+
+def in_pinhole(
+    sensor: SensorDepth, frame: int, lens: Camera, pinhole: Camera
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Pixels (K,2) of the pinhole's picture, depth (K,) and standard deviation (K,), mm, of all cells of a frame that
+    have depth; None for a frame without an image."""
+    found = sensor.cells(frame)
+    if found is None:
+        return None
     working, depth, sigma = found
     inside = np.flatnonzero(((working >= 0) & (working < [lens.width, lens.height])).all(axis=1))
     plane, good = lens.unproject(working[inside])
     pixels = plane * np.array(pinhole.focal) + np.array(pinhole.centre)
     good &= (pixels >= 0).all(axis=1) & (pixels < [pinhole.width, pinhole.height]).all(axis=1)
-    known, pixels = inside[good], pixels[good]
-    chosen = one_a_cell(pixels, max(2.0, CELL * pinhole.width))
-    depth, sigma = depth[known][chosen], sigma[known][chosen]
-    return SparseDepth(pixels[chosen], depth / mm_per_unit, sigma / depth)
+    known = inside[good]
+    return pixels[good], depth[known], sigma[known]
 
 
 def one_a_cell(pixels: NDArray[np.float64], side: float) -> NDArray[np.int64]:

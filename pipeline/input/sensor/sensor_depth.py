@@ -6,7 +6,7 @@ along the camera's axis.
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -37,6 +37,12 @@ class SensorDepth:
     box: tuple[int, int, int, int]
     scale: float
     size: tuple[int, int]
+
+    @cached_property
+    def spacing_px(self) -> float:
+        """Working pixels from one of the sensor's cells to the next."""
+        first = self.image(min(self.files)) if self.files else None
+        return 1.0 if first is None else self.size[0] * self.scale / first[0].shape[1]
 
     def image(self, frame: int) -> tuple[Array, Array] | None:
         """(h,w) depth in mm, 0 = none, and (h,w) its standard deviation, mm; None for a frame without an image."""
