@@ -57,7 +57,11 @@ def figures_of(folder: Path) -> dict[str, Any]:
     figures: dict[str, Any] = {"with_poses": None, "without": None, "ceiling": None, "failed": None}
     with tempfile.TemporaryDirectory() as scratch:
         try:
-            run = reconstruct(folder, Path(scratch) / "posed", _config(folder).model_copy(update={"poses": poses}))
+            run = reconstruct(
+                folder,
+                Path(scratch) / "posed",
+                _config(folder).model_copy(update={"poses": poses, "front_end": "auto"}),
+            )
             posed = compare_run(run.folder, folder)
             assert posed.surface_se3 is not None
             figures["with_poses"] = 100 * posed.surface_se3.f_score

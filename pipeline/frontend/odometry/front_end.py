@@ -12,6 +12,7 @@ from haustra.core.ray_table import RayTable
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.backward_tracking import extend_backwards
+from pipeline.frontend.odometry.bridging import bridge_maps, clouds_of
 from pipeline.frontend.odometry.chunks import (
     Stitching,
     jobs_of,
@@ -100,6 +101,9 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         if maps and not camera.trusted:
             camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
         merged, joins = join_maps(maps, held, features, settings.seed, progress)
+        if sensor is not None and len(merged) > 1:
+            merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
+            joins += bridged
         return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, stitching)
 
 
