@@ -16,5 +16,6 @@ if __name__ == "__main__":
             "phantom_sfm",
             "kiss_icp",
             "known_poses",
+            "blind_stretch",
         ],
     )

@@ -98,7 +98,12 @@ def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds:
     usual, _ = WallPatches.of(before).fit(last, np.eye(4))
     before = np.concatenate([before, last])
     wall = WallPatches.of(moved_by(here[end], before))
-    pose = wall.registered(after, _followed(here, there, wall, clouds))
+
+    def registered(frame: int, guess: Array) -> Array:
+        cloud = clouds(frame) if (begin - frame) % EVERY == 0 else None
+        return guess if cloud is None else wall.registered(cloud, guess)
+
+    pose = wall.registered(after, _followed(here, there, registered))
     back = WallPatches.of(after).registered(before, inverse(pose) @ here[end])
     apart = inverse(pose) @ here[end] @ inverse(back)  # of the first frame, by the way back, from its pose
     turn, shift = _tangent(apart)[:3], apart[:3, 3]
@@ -109,16 +114,18 @@ def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds:
     return np.asarray(pose @ _motion(_tangent(apart) / 2))
 
 
-def _followed(here: dict[int, Array], there: dict[int, Array], wall: WallPatches, clouds: Clouds) -> Array:
-    """The pose after the gap by registering some of its frames, one after the other, from the velocity."""
+def velocity_over_gap(here: dict[int, Array], there: dict[int, Array]) -> Array:
+    """world_from_camera (4,4) of the first frame of `there` by the velocity alone."""
+    return _followed(here, there, lambda _, pose: pose)
+
+
+def _followed(here: dict[int, Array], there: dict[int, Array], corrected: Callable[[int, Array], Array]) -> Array:
+    """The pose after the gap, frame by frame from a velocity that goes from that before it to that after it."""
     end, begin = max(here), min(there)
     pose, leaving, coming = here[end], _pace(here, end, -PACE), _pace(there, begin, PACE)
     for frame in range(end + 1, begin + 1):
         share = (frame - end - 0.5) / (begin - end)
-        pose = pose @ _motion((1 - share) * leaving + share * coming)
-        cloud = clouds(frame) if (begin - frame) % EVERY == 0 else None
-        if cloud is not None:
-            pose = wall.registered(cloud, pose)
+        pose = corrected(frame, pose @ _motion((1 - share) * leaving + share * coming))
     return pose
 
 
