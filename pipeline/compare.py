@@ -26,13 +26,15 @@ from reconstruction.evaluation.trajectory_metrics import (
 )
 from reconstruction.mesh.formats import MESH_FORMATS
 from reconstruction.mesh.mesh_io import read_mesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 MIN_PAIRED = 0.5  # share of the fewer poses, the run's or the true ones, that must be of one time
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of the main submap; `surface` is None where the truth has none, `se3` where the run has no millimetres.
+    """Errors of the main submap; `surface` is None where the truth has none, `se3` and `surface_se3`, in the run's own
+    millimetres, where it has none.
 
     `coverage` is a sentence where the run is no tube, and None where the truth does not know what was seen. `hints`:
     sentences on clocks and units that would explain a bad fit.
@@ -46,6 +48,7 @@ class Comparison:
     surface: SurfaceErrors | None
     coverage: CoverageErrors | str | None = None
     hints: tuple[str, ...] = ()
+    surface_se3: SurfaceErrors | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -67,6 +70,8 @@ class Comparison:
         )
         if self.surface is not None:
             lines.append(f"surface     {self.surface}")
+        if self.surface_se3 is not None:
+            lines.append(f"  in mm     {self.surface_se3}, moved by the path's SE(3)")
         if self.coverage is not None:
             lines.append(f"coverage    {self.coverage}")
         lines += [f"CAUTION     {hint}" for hint in self.hints]
@@ -77,7 +82,8 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     """Compare a finished run with an RGB-D folder or a TUM file.
 
     The surface is moved by the Sim(3) that is fitted to the camera poses alone, so that a wrong surface cannot hide
-    behind its own alignment. A mesh without a path is refused: the run's frame and unit are arbitrary.
+    behind its own alignment; of a run in mm by their SE(3), too. A mesh without a path is refused: the run's frame and
+    unit are arbitrary.
     """
     if not 0 < tau < np.inf:
         raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
@@ -93,17 +99,25 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    points, surface, coverage = _true_surface(truth), None, None
+    points, surface, coverage, surface_se3 = _true_surface(truth), None, None, None
     if points is not None:
-        truth_from_run = align_poses(estimated, true)
-        mesh = read_mesh(finished.mesh).transformed(truth_from_run)
-        surface = surface_errors(mesh, points, tau, np.random.default_rng(0), "mm")
+        truth_from_run, mesh = align_poses(estimated, true), read_mesh(finished.mesh)
+        surface = _surface(mesh, truth_from_run, points, tau)
         coverage = _coverage(finished, truth_from_run, truth)
+        if se3 is not None:
+            surface_se3 = _surface(mesh, align_poses(estimated, true, with_scale=False), points, tau)
     true_path_of_run = Timed(true_seconds, true_world_from_camera[:, :3, 3])
     clock = clock_hint(Timed(seconds, world_from_camera[:, :3, 3]), true_path_of_run)
     hints = (clock, unit_hint(true_path_of_run, sim3.scale, se3 is not None))
+    found = tuple(hint for hint in hints if hint)
     counts = metrics["frames"]["posed"], metrics["frames"]["total"]
-    return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, tuple(hint for hint in hints if hint))
+    return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3)
+
+
+def _surface(
+    mesh: SurfaceMesh, truth_from_run: NDArray[np.float64], points: ReferenceSurface, tau: float
+) -> SurfaceErrors:
+    return surface_errors(mesh.transformed(truth_from_run), points, tau, np.random.default_rng(0), "mm")
 
 
 def paired(

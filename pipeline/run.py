@@ -12,7 +12,6 @@ from pipeline.depth.completion_stage import STAGE as DEPTH_STAGE
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.multiview_stage import refine_depth
 from pipeline.depth.preparation import Preparation
-from pipeline.depth.sensor.sensor_depth import check_sensor, open_sensor
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
 from pipeline.frontend.registry import check_front_end
@@ -20,6 +19,7 @@ from pipeline.frontend.structure_stage import scene_unit, solve_structure
 from pipeline.input.calibration import check_choice
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.pose_files.registry import lens_beside
+from pipeline.input.sensor.sensor_depth import check_sensor, open_sensor
 from pipeline.input.stereo.stereo_source import open_source
 from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage

@@ -22,6 +22,7 @@ DROPPED = 0.05
 GRAZING = np.cos(np.radians(75))  # of the angle between ray and normal: beyond, too little light comes back
 BURNT = 250  # grey level
 UNIT_MM = 0.01
+BLIND_PX = 12.0  # sigma of the blur that leaves nothing to track
 
 
 def sensed(
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--factor", type=float, default=1.0, help="of all depths: a wrong unit")
     parser.add_argument("--shift", type=int, default=0, help="frames by which the depth is late")
+    parser.add_argument("--blind", type=int, nargs=2, help="first and last frame whose picture is blurred away")
     parser.add_argument("--seed", type=int, default=0)
     wanted = parser.parse_args()
     about, camera = json.loads((wanted.folder / "camera.json").read_text()), read_camera(wanted.folder / "camera.json")
@@ -71,6 +73,10 @@ def main() -> None:
         cv2.imwrite(
             str(wanted.out / "depth" / path.name), np.clip(np.rint(depth / UNIT_MM), 0, 65535).astype(np.uint16)
         )
+    for number in range(wanted.blind[0], wanted.blind[1] + 1) if wanted.blind else ():
+        picture = wanted.out / "rgb" / files[number].name
+        blurred = cv2.GaussianBlur(cv2.imread(str(picture)), (0, 0), BLIND_PX)
+        cv2.imwrite(str(picture), blurred)
     told = about | {"depth": "sensor", "depth_unit_mm": UNIT_MM}
     (wanted.out / "camera.json").write_text(json.dumps(told))
 

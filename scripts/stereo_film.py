@@ -49,7 +49,7 @@ def main() -> None:
     script = write_script(phantom)
     second_eye = np.eye(4)
     second_eye[0, 3] = wanted.baseline
-    film = phantom.film(script.world_from_camera @ second_eye, script.timeline, script.peristalsis)
+    film = phantom.film(script.world_from_camera @ second_eye, script.timeline, script.wall)
     (wanted.out / "rgb").mkdir(parents=True)
     for number, frame in enumerate(film):
         name = f"{number:05d}.png"

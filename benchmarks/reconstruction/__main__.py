@@ -15,5 +15,7 @@ if __name__ == "__main__":
             "depth_against_truth",
             "phantom_sfm",
             "kiss_icp",
+            "known_poses",
+            "blind_stretch",
         ],
     )

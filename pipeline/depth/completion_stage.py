@@ -23,9 +23,9 @@ from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sensor.joined_points import points_of
-from pipeline.depth.sensor.sensor_depth import open_sensor
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, write_json

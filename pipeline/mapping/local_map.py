@@ -5,6 +5,7 @@ keyframe before it and 12 bytes for each point that it saw, which the result nee
 `map_adjustment`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
@@ -19,6 +20,9 @@ WINDOW = 8  # latest keyframes, those that a local bundle adjustment moves
 MAX_BIRTH_ERROR_PX = 1.2  # of a new point, in all its views
 MIN_ANGLE = np.radians(1.2)  # of a new point's rays; a third of a pixel is then a tenth of the depth
 ROOM = 1024  # tracks that a new map has room for
+
+# Depth (N,) in mm that a sensor measured at pixels (N,2) of a frame, and its standard deviation (N,); both 0 = none.
+DepthAt = Callable[[int, Array], tuple[Array, Array]]
 
 
 class TrackKind(IntEnum):
@@ -100,10 +104,14 @@ class TrackedFrame:
 
 
 class LocalMap:
-    """Keyframes, tracks with their points, and tracked frames in one scene frame."""
+    """Keyframes, tracks with their points, and tracked frames in one scene frame.
+
+    depth_at: what a sensor measured, where the map is in millimetres; its adjustments then hold to it.
+    """
 
     def __init__(self, rays: RayTable) -> None:
         self.rays = rays
+        self.depth_at: DepthAt | None = None
         self.tracks = MapTracks()
         self.keyframes: list[Keyframe] = []
         self.tracked_frames: list[TrackedFrame] = []
@@ -139,6 +147,13 @@ class LocalMap:
         self.rays = rays
         for keyframe in self.keyframes:
             keyframe.xy, keyframe.jacobian = rays.unproject(keyframe.pixels)
+
+    def rescale(self, factor: float) -> None:
+        """Make the unit smaller by `factor`, which all lengths grow by."""
+        self.tracks.points *= factor
+        for keyframe in self.keyframes:
+            keyframe.camera_from_world = scaled(keyframe.camera_from_world, factor)
+        self.tracked_frames = [tracked.scaled(factor) for tracked in self.tracked_frames]
 
     def insert_tracks(self, points: Array, kind: TrackKind) -> NDArray[np.int64]:
         """Numbers (N,) of new tracks with points (N,3), after all others."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from haustra.core.progress import ProgressCallback, no_progress
 from haustra.core.se3 import Array, compose, in_camera
 from pipeline.mapping.local_map import WINDOW, Keyframe, LocalMap
+from pipeline.mapping.metric_map import measured_depth
 from pipeline.optimization.bundle_adjustment import DAMPING, TOLERANCE, Bundle, adjust
 
 MOST_FIXED = 6  # other keyframes that saw the same points and stay
@@ -205,6 +206,7 @@ def _bundle(
         np.concatenate([k.xy[m] for k, m in zip(cameras, masks, strict=True)]),
         np.concatenate([k.jacobian[m] for k, m in zip(cameras, masks, strict=True)]),
         fixed,
+        None if local_map.depth_at is None else measured_depth(local_map.depth_at, cameras, masks),
     )
     return bundle, tracks
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.se3 import Array, moved
+from pipeline.optimization.depth_residuals import MeasuredDepth, add_depth_equations, depth_cost
 from pipeline.optimization.kernels import MIN_DEPTH, halved, normal_equations, onto_cameras, onto_points, robust_cost
 from pipeline.optimization.schur import Coupling, gram, solve
 
@@ -23,7 +24,8 @@ class Bundle:
     """Cameras (C), points (P) and observations (M), sorted by camera.
 
     rotation (C,3,3), translation (C,3): camera_from_world. points (P,3). camera, point: (M,) rows. xy (M,2) on the
-    plane z = 1, jacobian (M,2,2) pixels per unit there. fixed (C,) cameras that stay.
+    plane z = 1, jacobian (M,2,2) pixels per unit there. fixed (C,) cameras that stay. measured: depth that a sensor
+    gave at some of the observations.
     """
 
     rotation: Array
@@ -34,10 +36,11 @@ class Bundle:
     xy: Array
     jacobian: Array
     fixed: NDArray[np.bool_]
+    measured: MeasuredDepth | None = None
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64], Array, Array]:
-        """All but `fixed`, as the kernels take them."""
+        """All but `fixed` and `measured`, as the kernels take them."""
         return self.rotation, self.translation, self.points, self.camera, self.point, self.xy, self.jacobian
 
     def residuals(self) -> Array:
@@ -57,7 +60,7 @@ def adjust(
 
     It ends where a step lowers the cost by less than `tolerance` of itself. `damping`: of the first step, as a share of
     the diagonal; what costs little to bend, as the scale along a path, it holds back most.
-    Without two fixed cameras the scale is free; the damping then keeps it where it was.
+    Without two fixed cameras and without measured depth the scale is free; the damping then keeps it where it was.
     """
     bundle = _contiguous(bundle)
     coupling = Coupling.of(bundle.camera, bundle.point, len(bundle.rotation), len(bundle.points))
@@ -92,7 +95,10 @@ def reprojections(local: Array, xy: Array, jacobian: Array) -> Array:
 
 
 def _cost(bundle: Bundle, loss_px: float) -> float:
-    return robust_cost(*bundle.arrays, loss_px)
+    cost, given = robust_cost(*bundle.arrays, loss_px), bundle.measured
+    if given is not None:
+        cost += depth_cost(*bundle.arrays[:5], given.observation, given.depth, given.error, loss_px)
+    return cost
 
 
 def _contiguous(bundle: Bundle) -> Bundle:
@@ -100,7 +106,9 @@ def _contiguous(bundle: Bundle) -> Bundle:
     floats = (bundle.rotation, bundle.translation, bundle.points, bundle.xy, bundle.jacobian)
     rotation, translation, points, xy, jacobian = (np.ascontiguousarray(a, np.float64) for a in floats)
     camera, point = (np.ascontiguousarray(a, np.int64) for a in (bundle.camera, bundle.point))
-    return Bundle(rotation, translation, points, camera, point, xy, jacobian, np.ascontiguousarray(bundle.fixed))
+    measured = None if bundle.measured is None else bundle.measured.contiguous()
+    fixed = np.ascontiguousarray(bundle.fixed)
+    return Bundle(rotation, translation, points, camera, point, xy, jacobian, fixed, measured)
 
 
 @dataclass(frozen=True)
@@ -115,7 +123,11 @@ class _System:
 
 
 def _linearise(bundle: Bundle, loss_px: float) -> _System:
-    return _System(*normal_equations(*bundle.arrays, bundle.fixed, loss_px))
+    blocks, given = normal_equations(*bundle.arrays, bundle.fixed, loss_px), bundle.measured
+    if given is not None:
+        arrays = (*bundle.arrays[:5], given.observation, given.depth, given.error)
+        add_depth_equations(*arrays, bundle.fixed, loss_px, *blocks)
+    return _System(*blocks)
 
 
 def _solve(bundle: Bundle, coupling: Coupling, system: _System, damping: float) -> tuple[Array, Array] | None:

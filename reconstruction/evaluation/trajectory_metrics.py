@@ -145,17 +145,17 @@ def _align_poses(estimated: Array, truth: Array, with_scale: bool) -> Array:
     return about_the_line @ truth_from_estimate
 
 
-def align_poses(estimated: Array, truth: Array) -> Array:
-    """The Sim(3) `truth_from_estimate` (4,4) that fits centres and orientations of (N,4,4) together.
+def align_poses(estimated: Array, truth: Array, with_scale: bool = True) -> Array:
+    """The Sim(3) `truth_from_estimate` (4,4), or the SE(3), that fits centres and orientations of (N,4,4) together.
 
     Centres of a nearly straight path hardly constrain the roll about it, and a surface 20 mm off the path would move by
     millimetres. So Umeyama also gets the tips of each camera's three axes, as long as the true centres' spread.
     """
     estimated, truth = _paired(estimated, truth)
-    from_centres = umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale=True)
+    from_centres = umeyama(estimated[:, :3, 3], truth[:, :3, 3], with_scale)
     scale = float(scale_of(from_centres))
     reach = float(np.sqrt(truth[:, :3, 3].var(axis=0).sum()))
-    return umeyama(_centres_and_tips(estimated, reach / scale), _centres_and_tips(truth, reach), with_scale=True)
+    return umeyama(_centres_and_tips(estimated, reach / scale), _centres_and_tips(truth, reach), with_scale)
 
 
 def _centres_and_tips(world_from_camera: Array, length: float) -> Array:

@@ -6,10 +6,12 @@ import numpy as np
 
 from haustra.core.progress import Progress
 from pipeline.depth.completed_submap import CompletedSubmap
-from pipeline.depth.sensor.sensor_depth import SensorDepth
+from pipeline.depth.sensor.gathered_points import SensedFilm
+from pipeline.depth.sensor.sensor_points import sensor_points
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.depth.sparse_depth import OUTLIER_RATIO, SparseDepth, SparseDepthMaker, is_outlier
 from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.submap import refined_camera
 
 
@@ -25,10 +27,14 @@ def points_of(
         return maker.sparse_depth
     progress.log(str(scale))
     lens = refined_camera(frames.camera, completed.submap)
+    film = SensedFilm(completed.submap, sensor, lens, completed.camera, scale.mm_per_unit)
 
     def joined(row: int) -> SparseDepth:
-        frame = int(completed.submap.frames[row])
-        return join(maker.sparse_depth(row), sensor.points(frame, lens, completed.camera, scale.mm_per_unit))
+        gathered = film.gathered(row)
+        if len(gathered.depth) == 0:
+            frame = int(completed.submap.frames[row])
+            gathered = sensor_points(sensor, frame, lens, completed.camera, scale.mm_per_unit)
+        return join(maker.sparse_depth(row), gathered)
 
     return joined
 

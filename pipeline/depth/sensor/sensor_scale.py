@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.depth.sensor.sensor_depth import SensorDepth
 from pipeline.depth.sparse_depth import reliable_points
+from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.submap import Submap
 
 Array = NDArray[np.float64]

@@ -92,7 +92,7 @@ def stitch(first: LocalMap, second: LocalMap, first_from_second: Array) -> Local
     """One map in the first one's world, frames in order. What either saw in a frame is seen in it; up to the middle of
     the shared frames poses are the first one's, from there on the second's. Neither map may have features."""
     here, there = frame_observations(first), frame_observations(second)
-    middle = np.median(sorted(here.keys() & there.keys()))
+    middle = np.median(sorted(here.keys() & there.keys()) or [max(here)])
     offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
     result = LocalMap(first.rays)
     result.tracks.place(0, first.tracks)

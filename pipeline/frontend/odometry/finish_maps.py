@@ -5,12 +5,20 @@ import copy
 from haustra.core.progress import Progress
 from pipeline.frontend.base import MIN_FRAMES
 from pipeline.mapping.final_adjustment import adjust_to_features
-from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.local_map import DepthAt, LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all
+from pipeline.mapping.metric_map import make_metric
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_merging import merge_maps
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift import FindFeatures
+
+
+def make_all_metric(maps: list[LocalMap], depth_at: DepthAt, progress: Progress) -> None:
+    """Maps that a sensor saw enough of in millimetres, to be adjusted with what it measured."""
+    scales = [make_metric(local_map, depth_at) for local_map in maps if local_map.depth_at is None]
+    if None in scales:
+        progress.log(f"the sensor saw too few points of {scales.count(None)} of {len(maps)} maps to adjust them by it")
 
 
 def adjust_maps(

@@ -13,6 +13,7 @@ from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.backward_tracking import extend_backwards
+from pipeline.frontend.odometry.bridging import bridge_maps, clouds_of
 from pipeline.frontend.odometry.chunks import (
     Stitching,
     jobs_of,
@@ -22,12 +23,13 @@ from pipeline.frontend.odometry.chunks import (
     temp_dir,
     track_chunks,
 )
-from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, submaps_of
+from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, make_all_metric, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.state_machine import Odometry
 from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
 from pipeline.matching.sift_cache import SiftCache
@@ -89,12 +91,18 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         started = time.perf_counter()
         maps, stitching = _tracked(frames, settings, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
+        sensor = open_sensor(workspace, frames.camera.width)
+        if sensor is not None:
+            make_all_metric(maps, sensor.measured, progress)
         held = adjust_maps(maps, features, progress, changed=stitching is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
             camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
         merged, joins = join_maps(maps, held, features, settings.seed, progress)
+        if sensor is not None and len(merged) > 1:
+            merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
+            joins += bridged
         return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, stitching)
 
 

@@ -1,7 +1,8 @@
-"""Rectification of a stereo pair and its depth: OpenCV's `stereoRectify` and semi-global matching, with a check from
-right to left."""
+"""Rectification of a stereo pair and its depth: OpenCV's `stereoRectify` and dense inverse search (Kroeger et al., ECCV
+2016), with a check from right to left."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,11 +15,12 @@ from pipeline.input.stereo.rig_file import StereoRig
 Picture = NDArray[np.uint8]
 NEAREST_MM = 8.0  # of the wall
 MATCHED_WIDTH = 640  # px; wider pictures are matched smaller
-BLOCK = 5  # px, of a matched patch
+RIM = 5  # px around a jump in disparity
 EDGE = 0.2  # of the disparity, its range within a patch at an edge: patches carry the near side's over the far one
 AGREE_PX = 0.5  # between left to right and right to left
-REFINED_PX, REFINEMENTS = 17, 3  # window and rounds of the last refinement
-FLAT = 4.0  # squared grey levels a pixel, of a window without texture: it then stays
+MOST_DOWN_PX = 1.0  # off the row; rectified matches lie on one
+LEAST_PX = 0.5  # of a disparity
+DARK = 8  # grey level up to which nothing is matched
 PRECISION_PX = 0.3  # of a disparity
 FEWEST_MATCHES = 30
 RATIO = 0.75  # of a match's distance to the second best one's
@@ -53,16 +55,16 @@ class RectifiedRig:
         size = round(self._shrink * left.shape[1]), round(self._shrink * left.shape[0])
         small = [cv2.resize(eye, size, interpolation=cv2.INTER_AREA) for eye in (left, right)]
         first, second = (cv2.cvtColor(eye, cv2.COLOR_RGB2GRAY) for eye in small)
+        there, back = _flows(first, second)
+        x, y = np.meshgrid(np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32))
+        met = x + there[..., 0]
+        returned = cv2.remap(back, met, y + there[..., 1], cv2.INTER_LINEAR)[..., 0]
+        disparity = -there[..., 0].astype(np.float64)
+        known = (disparity > LEAST_PX) & (met >= 0) & (first > DARK) & ~_at_edge(disparity)
+        known &= (np.abs(there[..., 0] + returned) <= AGREE_PX) & (np.abs(there[..., 1]) <= MOST_DOWN_PX)
         focal = self.camera.focal[0] * self._shrink
-        most = 16 * int(np.ceil(focal * self.baseline_mm / NEAREST_MM / 16))
-        there = _disparity(first, second, most)
-        back = _disparity(second[:, ::-1], first[:, ::-1], most)[:, ::-1]
-        column = np.arange(first.shape[1])[None] - np.rint(there).astype(int)
-        row = np.arange(first.shape[0])[:, None]
-        agree = np.abs(back[row, np.clip(column, 0, first.shape[1] - 1)] - there) <= AGREE_PX
-        known = (there > 0.5) & (column >= 0) & agree & (first > 8) & ~_at_edge(there)
-        fine = _refined(first, second, there, known)
-        return np.where(known & (fine > 0.5), focal * self.baseline_mm / np.maximum(fine, 0.5), 0.0)
+        depth = focal * self.baseline_mm / np.maximum(disparity, LEAST_PX)
+        return np.where(known & (depth >= NEAREST_MM), depth, 0.0)
 
     def check(self, pairs: list[tuple[Picture, Picture]]) -> None:
         """HaustraError, one sentence, where rectified pairs are not of this rig, or the eyes are swapped."""
@@ -125,49 +127,26 @@ def rectify(rig: StereoRig, size: tuple[int, int]) -> RectifiedRig:
     return RectifiedRig(camera, (maps[0], maps[1]), rig.baseline_mm)
 
 
-def _refined(left: Picture, right: Picture, disparity: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray:
-    """(H,W) disparity by least squares on grey values (Lucas and Kanade) within `REFINED_PX`, each pixel from its own:
-    semi-global matching takes patches to be square to the axis, which bends oblique wall by up to 4 %."""
-    first, there = left.astype(np.float32), right.astype(np.float32)
-    found, weight = disparity.astype(np.float32), known.astype(np.float32)
-    x, y = np.meshgrid(np.arange(found.shape[1], dtype=np.float32), np.arange(found.shape[0], dtype=np.float32))
-
-    def summed(values: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(cv2.boxFilter(weight * values, -1, (REFINED_PX, REFINED_PX), normalize=False), np.float32)
-
-    count = np.maximum(summed(np.ones_like(found)), 1)
-    for _ in range(REFINEMENTS):
-        moved = cv2.remap(there, x - found, y, cv2.INTER_CUBIC)
-        slope, off = cv2.Sobel(moved, cv2.CV_32F, 1, 0, ksize=3) / 8, first - moved
-        mean_slope, mean_off = summed(slope) / count, summed(off) / count  # the two eyes' brightness may differ
-        across = summed(slope * off) - count * mean_slope * mean_off
-        square = summed(slope * slope) - count * mean_slope**2
-        found += np.where(known, np.clip(-across / (square + FLAT), -0.5, 0.5), 0)
-    return found.astype(np.float64)
+def _flows(left: Picture, right: Picture) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(H,W,2) px from each pixel of the left grey picture to where the right one shows it, and back. In one thread: the
+    search goes in as many stripes as there are threads, which shows in the result."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        search.setFinestScale(0)
+        eyes = np.ascontiguousarray(left), np.ascontiguousarray(right)
+        nothing: Any = None
+        found = search.calc(*eyes, nothing), search.calc(*eyes[::-1], nothing)
+    finally:
+        cv2.setNumThreads(threads)
+    there, back = (np.asarray(flow, np.float32) for flow in found)
+    return there, back
 
 
 def _at_edge(disparity: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(H,W) True within a patch of a jump in disparity, on both sides."""
-    window = np.ones((2 * BLOCK + 1, 2 * BLOCK + 1), np.uint8)
+    window = np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)
     values = disparity.astype(np.float32)
     lowest, highest = cv2.erode(values, window), cv2.dilate(values, window)
     return np.asarray(highest - lowest > EDGE * np.maximum(values, 1.0))
-
-
-def _disparity(left: Picture, right: Picture, most: int) -> NDArray[np.float64]:
-    """(H,W) px, negative where there is none; padded, so that the left border is matched too."""
-    matcher = cv2.StereoSGBM.create(
-        minDisparity=0,
-        numDisparities=most,
-        blockSize=BLOCK,
-        P1=8 * BLOCK**2,
-        P2=32 * BLOCK**2,
-        uniquenessRatio=10,
-        speckleWindowSize=150,
-        speckleRange=1,
-        mode=cv2.STEREO_SGBM_MODE_HH,
-    )
-    padded = [
-        cv2.copyMakeBorder(np.ascontiguousarray(eye), 0, 0, most, 0, cv2.BORDER_CONSTANT) for eye in (left, right)
-    ]
-    return np.asarray(matcher.compute(*padded)[:, most:] / 16.0, np.float64)

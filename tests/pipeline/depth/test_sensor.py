@@ -15,10 +15,11 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sensor.joined_points import join, points_of
-from pipeline.depth.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
+from pipeline.depth.sensor.sensor_points import sensor_points
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.scale import ScaleSource, find_scale, scale_of_sensor
@@ -122,7 +123,7 @@ def test_the_scale_is_found_through_noise_holes_and_a_cropped_picture(sensor):
 
 def test_its_points_lie_on_the_wall(sensor):
     pinhole = make_rectifier(CAMERA).camera
-    found = sensor.points(7, CAMERA, pinhole, MM_PER_UNIT)
+    found = sensor_points(sensor, 7, CAMERA, pinhole, MM_PER_UNIT)
     assert len(found.depth) > 300
     np.testing.assert_allclose(found.error, 0.02, atol=1e-9)
     true = wall_depth(through(pinhole, found.pixels), 7) / MM_PER_UNIT

@@ -6,25 +6,22 @@ along the camera's axis.
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_json
 from pipeline.config import SensorSettings
-from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import SENSED_MM
 from pipeline.input.image_folder import images_of, in_natural_order
 from pipeline.run_folder.workspace import Workspace
 
 Array = NDArray[np.float64]
 SENSOR = "sensor"  # what an RGB-D folder's camera.json calls depth that is no truth
-CELL = 1 / 36  # of the width, side of a cell that gives one point to completion, which was trained on a few hundred
 LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
 CACHED = 8
 
@@ -41,6 +38,12 @@ class SensorDepth:
     scale: float
     size: tuple[int, int]
 
+    @cached_property
+    def spacing_px(self) -> float:
+        """Working pixels from one of the sensor's cells to the next."""
+        first = self.image(min(self.files)) if self.files else None
+        return 1.0 if first is None else self.size[0] * self.scale / first[0].shape[1]
+
     def image(self, frame: int) -> tuple[Array, Array] | None:
         """(h,w) depth in mm, 0 = none, and (h,w) its standard deviation, mm; None for a frame without an image."""
         path = self.files.get(frame)
@@ -56,36 +59,31 @@ class SensorDepth:
 
     def at(self, frame: int, pixels: Array) -> Array:
         """(K,) depth in mm at working pixels (K,2), of the sensor's cell there; 0 = none."""
+        return self.measured(frame, pixels)[0]
+
+    def measured(self, frame: int, pixels: Array) -> tuple[Array, Array]:
+        """(K,) depth in mm at working pixels (K,2), of the sensor's cell there, and (K,) its standard deviation, mm;
+        both 0 where there is none."""
         found = _cached_image(self, frame)
         if found is None:
-            return np.zeros(len(pixels))
-        depth = found[0]
+            return np.zeros(len(pixels)), np.zeros(len(pixels))
+        depth, sigma = found
         source = pixels / self.scale + np.array(self.box[:2])
         cell = np.floor(source / np.array(self.size) * np.array(depth.shape[::-1])).astype(int)
-        inside = ((cell >= 0) & (cell < depth.shape[::-1])).all(axis=1)
-        column, row = np.where(inside[:, None], cell, 0).T
-        return np.where(inside, depth[row, column], 0.0)
+        column, row = np.clip(cell, 0, np.array(depth.shape[::-1]) - 1).T
+        known = ((cell >= 0) & (cell < depth.shape[::-1])).all(axis=1) & (depth[row, column] > 0)
+        return np.where(known, depth[row, column], 0.0), np.where(known, sigma[row, column], 0.0)
 
-    def points(self, frame: int, lens: Camera, pinhole: Camera, mm_per_unit: float) -> SparseDepth:
-        """Points of a frame in the pinhole's picture and in scene units, one a cell, those nearest to its middle.
-
-        lens: of the working picture.
-        """
+    def cells(self, frame: int) -> tuple[Array, Array, Array] | None:
+        """Working pixels (K,2) of the middles of the cells that have depth, their depth (K,) and standard deviation
+        (K,), mm; None for a frame without an image."""
         found = self.image(frame)
         if found is None:
-            return SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+            return None
         depth, sigma = (values.ravel() for values in found)
         known = np.flatnonzero(depth > 0)
-        working = (self._centres(found[0].shape)[known] - np.array(self.box[:2])) * self.scale
-        inside = ((working >= 0) & (working < [lens.width, lens.height])).all(axis=1)
-        known, working = known[inside], working[inside]
-        plane, good = lens.unproject(working)
-        pixels = plane * np.array(pinhole.focal) + np.array(pinhole.centre)
-        good &= (pixels >= 0).all(axis=1) & (pixels < [pinhole.width, pinhole.height]).all(axis=1)
-        known, pixels = known[good], pixels[good]
-        error = sigma[known] / depth[known]
-        chosen = _one_a_cell(pixels, max(2.0, CELL * pinhole.width))
-        return SparseDepth(pixels[chosen], depth[known][chosen] / mm_per_unit, error[chosen])
+        pixels = (self._centres(found[0].shape)[known] - np.array(self.box[:2])) * self.scale
+        return pixels, depth[known], sigma[known]
 
     def _centres(self, shape: tuple[int, ...]) -> Array:
         """(h*w,2) source pixels of the sensor's cells."""
@@ -110,16 +108,6 @@ def _confidence(path: Path, shape: tuple[int, ...]) -> Array:
     if image is None or image.shape != shape:
         raise HaustraError(f"{beside} is no 8-bit confidence of the size of its depth")
     return image / 255.0
-
-
-def _one_a_cell(pixels: Array, side: float) -> NDArray[np.int64]:
-    """Rows of the pixel nearest to the middle in each square of the picture: to choose by the error would choose by the
-    depth, and at the edge of a fold always the same side of it."""
-    off = np.linalg.norm(pixels / side - np.floor(pixels / side) - 0.5, axis=1)
-    order = np.lexsort((pixels[:, 0], pixels[:, 1], off))
-    cell = np.floor(pixels[order] / side).astype(np.int64)
-    _, first = np.unique(cell[:, 1] * 100_000 + cell[:, 0], return_index=True)
-    return np.sort(order[first])
 
 
 def depth_folder(source: Path, settings: SensorSettings) -> Path | None:

@@ -1,0 +1,175 @@
+"""Maps joined over a stretch that shows nothing, by what a sensor measured in it.
+
+A burnt, blurred or covered second ends a map, and the next begins in a world of its own. Where both are in millimetres,
+clouds between them are registered to those of the last good frames (`cloud_registration`), from a
+velocity that goes from the one that the first map ends with to the one that the second begins with. What a tube leaves
+free, the turn about its axis and the way along it, stays with that velocity.
+"""
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from haustra.core.progress import Progress
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, inverse
+from pipeline.frontend.odometry.chunk_stitching import frame_observations, stitch
+from pipeline.frontend.odometry.cloud_registration import WallPatches, moved_by
+from pipeline.input.sensor.sensor_depth import SensorDepth
+from pipeline.mapping.final_adjustment import adjust_to_features
+from pipeline.mapping.local_map import LocalMap
+from pipeline.matching.sift import FindFeatures
+
+Clouds = Callable[[int], Array | None]  # (N,3) of a frame, mm, in the camera's axes
+MOST_FRAMES = 60  # of a gap: two seconds
+REACH, STEP = 40, 4  # frames on either side of the gap that are taken together, and how far apart
+EVERY = 3  # frames of the gap, of which one is registered
+PACE = 8  # frames over which a velocity is measured
+MOST_POINTS, FARTHEST_MM = 1500, 80.0  # of a cloud
+FEWEST_POINTS = 200
+# Chosen on the gaps of docs/lab/blind_stretch.md.
+MOST_WORSE = 1.8  # times as far from the wall as the last good frame's cloud, and a cloud does not belong there
+LEAST_SHARE = 0.35  # of the first cloud after the gap that lies where wall was seen before it
+MOST_TURN, MOST_SHIFT_MM = np.radians(6.0), 2.5  # between the way over the gap and the way back
+
+
+def clouds_of(sensor: SensorDepth, rays: RayTable) -> Clouds:
+    """Thinned evenly; None for a frame of which the sensor saw too little."""
+
+    def cloud(frame: int) -> Array | None:
+        found = sensor.cells(frame)
+        if found is None:
+            return None
+        pixels, depth, _ = found
+        near = (depth < FARTHEST_MM) & (pixels >= 0).all(axis=1)
+        near &= (pixels < [rays.camera.width, rays.camera.height]).all(axis=1)
+        step = max(1, int(near.sum()) // MOST_POINTS)
+        pixels, depth = pixels[near][::step], depth[near][::step]
+        if len(depth) < FEWEST_POINTS:
+            return None
+        return np.asarray(np.column_stack([rays.unproject(pixels)[0], np.ones(len(depth))]) * depth[:, None])
+
+    return cloud
+
+
+def bridge_maps(
+    maps: list[LocalMap], clouds: Clouds, find: FindFeatures, progress: Progress
+) -> tuple[list[LocalMap], int]:
+    """Metric maps that follow one another joined where the sensor shows the way, then adjusted to their features; how
+    many were. Where features do not hold the whole, the parts stay as they are, in one world."""
+    result: list[LocalMap] = []
+    count = 0
+    for local_map in sorted(maps, key=lambda m: min(m.frames)):
+        before = result[-1] if result else None
+        moved = None if before is None else first_from_second(before, local_map, clouds)
+        if before is None or moved is None:
+            result.append(local_map)
+            continue
+        gap = min(local_map.frames) - max(before.frames)
+        whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
+        by = adjust_to_features(whole, find)
+        held = "" if by is not None else "; features do not hold the seam"
+        progress.log(f"the map from frame {min(local_map.frames)} on joined over {gap} frames by depth{held}")
+        result[-1], count = whole, count + 1
+    return result, count
+
+
+def first_from_second(first: LocalMap, second: LocalMap, clouds: Clouds) -> Array | None:
+    """The second world in the first (4,4), both mm; None where the gap is long, or the clouds do not fit."""
+    if first.depth_at is None or second.depth_at is None:
+        return None
+    here, there = (poses_of(local_map) for local_map in (first, second))
+    pose = registered_over_gap(here, there, clouds)
+    return None if pose is None else np.asarray(pose @ inverse(there[min(there)]))
+
+
+def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds: Clouds) -> Array | None:
+    """world_from_camera (4,4) of the first frame of `there` in the world of `here`, poses by frame; None where the gap
+    is long, the clouds overlap too little or do not fit, or the way back is another one."""
+    end, begin = max(here), min(there)
+    if not 0 < begin - end <= MOST_FRAMES or min(len(here), len(there)) <= PACE:
+        return None
+    before, last = joint_cloud(here, end, -1, clouds, least=STEP), clouds(end)
+    after, first = joint_cloud(there, begin, 1, clouds), clouds(begin)
+    if before is None or last is None or after is None or first is None:
+        return None
+    usual, _ = WallPatches.of(before).fit(last, np.eye(4))
+    before = np.concatenate([before, last])
+    wall = WallPatches.of(moved_by(here[end], before))
+
+    def registered(frame: int, guess: Array) -> Array:
+        cloud = clouds(frame) if (begin - frame) % EVERY == 0 else None
+        return guess if cloud is None else wall.registered(cloud, guess)
+
+    pose = wall.registered(after, _followed(here, there, registered))
+    back = WallPatches.of(after).registered(before, inverse(pose) @ here[end])
+    apart = inverse(pose) @ here[end] @ inverse(back)  # of the first frame, by the way back, from its pose
+    turn, shift = _tangent(apart)[:3], apart[:3, 3]
+    off, share = wall.fit(first, pose)
+    one_way = np.linalg.norm(turn) <= MOST_TURN and np.linalg.norm(shift) <= MOST_SHIFT_MM
+    if not one_way or off > MOST_WORSE * usual or share < LEAST_SHARE:
+        return None
+    return np.asarray(pose @ _motion(_tangent(apart) / 2))
+
+
+def velocity_over_gap(here: dict[int, Array], there: dict[int, Array]) -> Array:
+    """world_from_camera (4,4) of the first frame of `there` by the velocity alone."""
+    return _followed(here, there, lambda _, pose: pose)
+
+
+def _followed(here: dict[int, Array], there: dict[int, Array], corrected: Callable[[int, Array], Array]) -> Array:
+    """The pose after the gap, frame by frame from a velocity that goes from that before it to that after it."""
+    end, begin = max(here), min(there)
+    pose, leaving, coming = here[end], _pace(here, end, -PACE), _pace(there, begin, PACE)
+    for frame in range(end + 1, begin + 1):
+        share = (frame - end - 0.5) / (begin - end)
+        pose = corrected(frame, pose @ _motion((1 - share) * leaving + share * coming))
+    return pose
+
+
+def joint_cloud(poses: dict[int, Array], frame: int, direction: int, clouds: Clouds, least: int = 0) -> Array | None:
+    """Clouds (N,3) of a frame and those up to `REACH` after or before it, one in `STEP`, in the frame's axes."""
+    others = [frame + direction * step for step in range(least, REACH + 1, STEP)]
+    seen = [
+        moved_by(inverse(poses[frame]) @ poses[other], cloud)
+        for other in others
+        if other in poses and (cloud := clouds(other)) is not None
+    ]
+    return np.concatenate(seen) if seen else None
+
+
+def poses_of(local_map: LocalMap) -> dict[int, Array]:
+    """world_from_camera (4,4) by frame."""
+    return {frame: inverse(seen.camera_from_world) for frame, seen in frame_observations(local_map).items()}
+
+
+def _pace(poses: dict[int, Array], frame: int, steps: int) -> Array:
+    """Motion (6,) of one frame, in the camera's axes, over `steps` frames from `frame` on."""
+    known = [other for other in poses if 0 < (other - frame) * np.sign(steps) <= abs(steps)]
+    other = max(known, key=lambda k: abs(k - frame), default=frame)
+    if other == frame:
+        return np.zeros(6)
+    first, second = min(frame, other), max(frame, other)
+    return _tangent(inverse(poses[first]) @ poses[second]) / (second - first)
+
+
+def _tangent(motion: Array) -> Array:
+    """(6,) rotation vector and shift of a motion (4,4)."""
+    return np.concatenate([Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]])
+
+
+def _motion(tangent: Array) -> Array:
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_rotvec(tangent[:3]).as_matrix()
+    motion[:3, 3] = tangent[3:]
+    return motion
+
+
+def _joined(first: LocalMap, second: LocalMap, moved: Array) -> LocalMap:
+    for local_map in (first, second):
+        local_map.forget_features()
+    whole = stitch(first, second, moved)
+    whole.depth_at = first.depth_at
+    return whole

@@ -1,0 +1,103 @@
+"""Registration of depth clouds against the clouds of frames before them, point to plane.
+
+Directions in which a tube looks the same, along its axis and about it, are those eigenvectors of the Hessian along
+which hardly a normal points: there the guess stays (Zhang et al., "On degeneracy of optimization-based state estimation
+problems", ICRA 2016). Point to point, as in KISS-ICP (Vizzo et al., RA-L 2023), slides: docs/lab/blind_stretch.md.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from haustra.core.se3 import Array
+
+VOXEL_MM = 1.0  # edge of a cube whose points are made one
+NEIGHBOURS = 20  # points that give a plane
+FLAT = 0.5  # least over middle spread of a plane's points
+MOST_OFF_MM, LOSS_MM = 4.0, 0.7  # of a match from its plane's point, and Cauchy's
+HELD = 0.03  # mean square of what a unit step moves along the normals, of 1: a third where no direction is special
+ITERATIONS, DONE_MM = 15, 1e-3
+FEWEST = 50  # matches
+
+
+@dataclass(frozen=True)
+class WallPatches:
+    """Planes through points: centres (N,3), mm, and normals (N,3) in one world; places (N,3) where they are found."""
+
+    centres: Array
+    normals: Array
+    flat: NDArray[np.bool_]
+    tree: cKDTree
+
+    @staticmethod
+    def of(points: Array) -> "WallPatches":
+        """Of clouds' points (P,3) in one world."""
+        places = _thinned(points)
+        near = places[cKDTree(places).query(places, k=min(NEIGHBOURS, len(places)))[1]]
+        centres = near.mean(axis=1)
+        off = near - centres[:, None]
+        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
+        return WallPatches(centres, axes[:, :, 0], spread[:, 0] < FLAT * spread[:, 1], cKDTree(places))
+
+    def registered(self, cloud: Array, guess: Array, held: float = HELD) -> Array:
+        """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
+        that less than `held` speaks for."""
+        pose = guess
+        for _ in range(ITERATIONS):
+            points = moved_by(pose, cloud)
+            distance, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
+            good = np.isfinite(distance)
+            good[good] = self.flat[patch[good]]
+            if good.sum() < FEWEST:
+                return guess
+            step, size = self._step(points[good], patch[good], held)
+            pose = step @ pose
+            if size < DONE_MM:
+                break
+        return np.asarray(pose)
+
+    def fit(self, cloud: Array, pose: Array) -> tuple[float, float]:
+        """Median distance (mm) of a cloud's points at a pose from the planes that they have, and the share that has
+        one."""
+        points = moved_by(pose, cloud)
+        off, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
+        good = np.isfinite(off)
+        patch, points = patch[good], points[good]
+        if len(points) == 0:
+            return np.inf, 0.0
+        off = np.abs(np.einsum("ni,ni->n", points - self.centres[patch], self.normals[patch]))
+        return float(np.median(off)), float(good.mean())
+
+    def _step(self, points: Array, patch: NDArray[np.int64], held: float) -> tuple[Array, float]:
+        """A motion (4,4) of the world that brings points (N,3) to their planes, and its length, mm."""
+        normals = self.normals[patch]
+        off = np.einsum("ni,ni->n", points - self.centres[patch], normals)
+        weight = 1 / (1 + (off / LOSS_MM) ** 2)
+        centre = points.mean(axis=0)
+        arm = points - centre
+        reach = float(np.sqrt((arm**2).sum(axis=1).mean()))
+        slopes = np.concatenate([np.cross(arm, normals) / reach, normals], axis=1)  # of a turn by 1 / reach, a shift
+        hessian = (slopes * weight[:, None]).T @ slopes / weight.sum()
+        strength, directions = np.linalg.eigh(hessian)
+        sure = strength > held
+        side = -directions[:, sure].T @ (slopes.T @ (weight * off)) / weight.sum()
+        tangent = directions[:, sure] @ (side / strength[sure])
+        step = np.eye(4)
+        step[:3, :3] = Rotation.from_rotvec(tangent[:3] / reach).as_matrix()
+        step[:3, 3] = centre + tangent[3:] - step[:3, :3] @ centre
+        return step, float(np.linalg.norm(tangent))
+
+
+def moved_by(transform: Array, points: Array) -> Array:
+    return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
+
+
+def _thinned(points: Array) -> Array:
+    """The mean (M,3) of the points in each cube."""
+    _, cube, count = np.unique(
+        np.floor(points / VOXEL_MM).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    return np.stack([np.bincount(cube.ravel(), column) / count for column in points.T], axis=1)

@@ -1,0 +1,48 @@
+"""A map made metric by a sensor's depth: brought to millimetres, and from then on adjusted with what the sensor
+measured at its observations."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.se3 import Array, in_camera
+from pipeline.mapping.local_map import DepthAt, Keyframe, LocalMap
+from pipeline.optimization.depth_residuals import MeasuredDepth
+
+FEWEST = 30  # observations with depth, without which a map has no scale
+LEAST_ERROR = 0.003  # share of the depth; a cell of a sensor covers some wall, whatever it says of its noise
+
+
+def make_metric(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None = None) -> float | None:
+    """Bring the map to millimetres by the median ratio of its observations' depths, and let its adjustments see them;
+    None, and nothing done, where too few have one. Returns mm per former unit.
+
+    frames: of the keyframes that are asked; None: all.
+    """
+    scale = metric_scale(local_map, depth_at, frames)
+    if scale is not None:
+        local_map.rescale(scale)
+        local_map.depth_at = depth_at
+    return scale
+
+
+def metric_scale(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None = None) -> float | None:
+    """mm per unit of the map; None where too few observations have a depth."""
+    log_ratio = [np.zeros(0)]
+    for keyframe in local_map.keyframes:
+        if frames is not None and keyframe.frame not in frames:
+            continue
+        points, pixels = local_map.visible_points(keyframe)
+        mapped, measured = in_camera(keyframe.camera_from_world, points)[:, 2], depth_at(keyframe.frame, pixels)[0]
+        known = (mapped > 0) & (measured > 0)
+        log_ratio.append(np.log(measured[known] / mapped[known]))
+    every = np.concatenate(log_ratio)
+    return float(np.exp(np.median(every))) if len(every) >= FEWEST else None
+
+
+def measured_depth(depth_at: DepthAt, keyframes: list[Keyframe], masks: list[NDArray[np.bool_]]) -> MeasuredDepth:
+    """What the sensor says of the observations that `masks` (N,) choose of each keyframe, in their order, mm."""
+    found = [depth_at(keyframe.frame, keyframe.pixels[mask]) for keyframe, mask in zip(keyframes, masks, strict=True)]
+    depth: Array = np.concatenate([one for one, _ in found])
+    sigma: Array = np.concatenate([one for _, one in found])
+    known = np.flatnonzero(depth > 0)
+    return MeasuredDepth(known, depth[known], np.maximum(sigma[known] / depth[known], LEAST_ERROR))
