@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from haustra.core.errors import HaustraError
-from pipeline.compare import paired, true_path
+from pipeline.compare import true_path
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import read_colmap_poses
+from pipeline.input.pose_files.pairing import paired
 from pipeline.input.pose_files.pose_table import FilmFrames
 from reconstruction.evaluation.climb import MIN_COMMON, ClimbErrors, climb_errors
 

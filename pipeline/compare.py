@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
+from pipeline.input.pose_files.pairing import paired
 from pipeline.truth.hints import Timed, clock_hint, unit_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
@@ -20,15 +21,12 @@ from reconstruction.evaluation.trajectory_metrics import (
     SimCol3DErrors,
     TrajectoryErrors,
     align_poses,
-    associate,
     simcol3d_errors,
     trajectory_errors,
 )
 from reconstruction.mesh.formats import MESH_FORMATS
 from reconstruction.mesh.mesh_io import read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
-
-MIN_PAIRED = 0.5  # share of the fewer poses, the run's or the true ones, that must be of one time
 
 
 @dataclass(frozen=True)
@@ -118,39 +116,6 @@ def _surface(
     mesh: SurfaceMesh, truth_from_run: NDArray[np.float64], points: ReferenceSurface, tau: float
 ) -> SurfaceErrors:
     return surface_errors(mesh.transformed(truth_from_run), points, tau, np.random.default_rng(0), "mm")
-
-
-def paired(
-    seconds: NDArray[np.float64], true_seconds: NDArray[np.float64], truth: Path
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of the run's poses (K,) and of the true ones (K,) that are of one time: half the truth's spacing apart at
-    most, closer than any other frame. HaustraError where most have no partner: the few that have one met by chance."""
-    spacing = float(np.median(np.diff(true_seconds)))
-    try:
-        mine, theirs = associate(seconds, true_seconds, max_difference=0.5 * spacing)
-    except HaustraError:
-        mine = theirs = np.empty(0, np.int64)
-    most = min(len(seconds), len(true_seconds))
-    if len(mine) < max(3, MIN_PAIRED * most):
-        times = f"{true_seconds[0]:g} to {true_seconds[-1]:g} s, the run's from {seconds[0]:g} to {seconds[-1]:g} s"
-        raise HaustraError(
-            f"only {len(mine)} of {most} poses of the run and {truth} are of one time: its times go from {times}"
-            f"{_reason(seconds, true_seconds, spacing)}"
-        )
-    return mine, theirs
-
-
-def _reason(seconds: NDArray[np.float64], true_seconds: NDArray[np.float64], spacing: float) -> str:
-    """What the true times look like instead of the run's seconds."""
-    ours = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    ratio = spacing / max(ours, 1e-9)
-    for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
-        if spacing >= 10 and 0.1 * factor < ratio < 30 * factor:
-            return f"; they look like {unit}: divide them by {factor:g}"
-    if np.allclose(true_seconds, np.round(true_seconds), rtol=0, atol=1e-6):
-        return "; they look like frame numbers: divide them by the film's frames a second"
-    shift = true_seconds[0] - seconds[0]
-    return f"; if both are of the same stretch of film, a clock {shift:+.3g} s off would explain that"
 
 
 def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:

@@ -2,12 +2,12 @@
 
     haustra phantom SUITE --suite
     python scripts/simulated_sensor.py SUITE/loop SENSED/loop --noise 0.03 --blind 100 129
-    python -m benchmarks.reconstruction blind-stretch SENSED/* --truth SUITE --json benchmarks/results/blind_stretch.json
+    python -m benchmarks.reconstruction blind-stretch SENSED/* --truth SUITE --json benchmarks/results/blind.json
 
-Tracking (`--fast`, lens given) of each folder without the sensor's depth and with it: submaps, frames posed, and the ATE
-of the largest submap after Sim(3), and SE(3) where it is in mm. Then the registration alone: at every 40th frame the
-next 30 are taken for blind, true poses are given on both sides, and the first pose after the gap is compared with the
-truth: from constant velocity, and registered; None where it is refused. Rendered by `python scripts/blind_page.py`.
+Tracking (`--fast`, lens given) of each folder without the sensor's depth and with it: submaps, frames posed, and the
+ATE of the largest submap after Sim(3), and SE(3) where it is in mm. Then the registration alone: at every 40th frame
+the next 30 are taken for blind, true poses are given on both sides, and the first pose after the gap is compared with
+the truth: from constant velocity, and registered; None where it is refused. Rendered by `python scripts/blind_page.py`.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import angle_between, inverse
 from haustra.core.text import read_json
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
-from pipeline.frontend.odometry.bridging import Clouds, clouds_of, registered_over_gap, velocity_over_gap
+from pipeline.frontend.odometry.bridging.gap import Clouds, clouds_of, registered_over_gap, velocity_over_gap
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.given_settings import SensorSettings
 from pipeline.input.frames import read_frames

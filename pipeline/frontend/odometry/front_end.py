@@ -13,7 +13,7 @@ from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.backward_tracking import extend_backwards
-from pipeline.frontend.odometry.bridging import bridge_maps, clouds_of
+from pipeline.frontend.odometry.bridging.gap import bridge_maps, clouds_of
 from pipeline.frontend.odometry.chunks import (
     Stitching,
     jobs_of,

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.input.image_folder import images_of
+from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
 from pipeline.run_folder.workspace import Workspace
-from reconstruction.evaluation.trajectory_metrics import associate
 
 Array = NDArray[np.float64]
-MIN_PAIRED = 0.5  # share of the fewer, poses or frames, that must belong together
-FEWEST = 3
 
 
 @dataclass(frozen=True)
@@ -91,19 +89,7 @@ def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict
 
 
 def _by_time(table: PoseTable, seconds: Array, film: FilmFrames) -> dict[int, Array]:
-    spacing = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    try:
-        mine, theirs = associate(film.seconds, seconds, max_difference=0.5 * spacing + 1e-6)
-    except HaustraError:
-        mine = theirs = np.empty(0, np.int64)
-    if len(mine) < MIN_PAIRED * min(len(seconds), len(film.seconds)):
-        times = f"{seconds[0]:g} to {seconds[-1]:g} s, the film's from {film.seconds[0]:g} to {film.seconds[-1]:g} s"
-        numbers = np.allclose(seconds, np.round(seconds), rtol=0, atol=1e-6) and len(seconds) > 1
-        hint = "; they look like frame numbers: divide them by the film's frames a second" if numbers else ""
-        raise HaustraError(
-            f"only {len(mine)} of the {len(seconds)} poses of {table.path} are of the time of a frame: their times go "
-            f"from {times}{hint}"
-        )
+    mine, theirs = paired(film.seconds, seconds, table.path, "frames of the film")
     return {int(film.index[m]): table.world_from_camera[t] for m, t in zip(mine, theirs, strict=True)}
 
 

@@ -125,7 +125,7 @@ def test_a_trackers_csv(tmp_path):
 
 def test_poses_of_another_film_by_their_times_and_names():
     poses = np.tile(np.eye(4), (COUNT, 1, 1))
-    with pytest.raises(HaustraError, match=r"only 0 of the 5 poses .* 100 to 104 s.*frame numbers"):
+    with pytest.raises(HaustraError, match=r"only 0 of 5 frames of the film and .* 100 to 104 s.*frame numbers"):
         poses_by_frame(PoseTable("a.txt", poses, 100.0 + np.arange(COUNT)), film())
     with pytest.raises(HaustraError, match="only 0 of the 5 poses"):
         poses_by_frame(PoseTable("a", poses, names=tuple(f"{900 + k}.png" for k in range(COUNT))), film())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.compare import paired
+from pipeline.input.pose_files.pairing import paired
 
 RUN = np.arange(60) / 30
 TRUTH = Path("truth.txt")

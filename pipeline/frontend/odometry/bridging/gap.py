@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
+from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches, moved_by
 from pipeline.frontend.odometry.chunk_stitching import frame_observations, stitch
-from pipeline.frontend.odometry.cloud_registration import WallPatches, moved_by
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.final_adjustment import adjust_to_features
 from pipeline.mapping.local_map import LocalMap
