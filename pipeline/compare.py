@@ -120,7 +120,12 @@ def _surface(
 
 def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:
     """The run's own coverage, moved to the truth, against the true wall's own flags."""
-    wall = read_true_wall(truth / "mesh.ply") if truth.is_dir() and (truth / "mesh.ply").exists() else None
+    if not truth.is_dir():
+        return None
+    known = read_data_set_truth(truth)
+    wall = known.wall if known is not None else None
+    if wall is None and (truth / "mesh.ply").exists():
+        wall = read_true_wall(truth / "mesh.ply")
     if wall is None:
         return None
     try:

@@ -15,7 +15,7 @@ from pipeline.depth.preparation import Preparation
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
 from pipeline.frontend.registry import check_front_end
-from pipeline.frontend.structure_stage import scene_unit, solve_structure
+from pipeline.frontend.structure_stage import scene_unit, scene_units, solve_structure
 from pipeline.input.calibration import check_choice
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.pose_files.registry import lens_beside
@@ -86,7 +86,8 @@ def _given_scales(
     """Of each submap as it is fused: from a sensor's depth, or from the unit of poses."""
     sensor = open_sensor(workspace, frames.camera.width)
     if sensor is not None:
-        return tuple(scale_of_sensor(sensor_scale(one.submap, sensor)) for one in submaps)
+        found, units = [sensor_scale(one.submap, sensor) for one in submaps], scene_units(workspace)
+        return tuple(scale_of_sensor(None if one is None else one.in_unit_of(units)) for one in found)
     if config.poses.file is not None:
         return (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit),)
     return ()

@@ -27,9 +27,10 @@ depth of the run without poses (odometry), fused with its keyframes where they t
 READ = """
 ## How to read it
 
-`--poses` is above the ceiling: its points are triangulated with exact poses, and SIFT features of all frames that see
-them, so that the depth which is completed from them is better too, not its place alone. Placing the depth of odometry
-exactly changes little: what is lost there is depth, not path.
+`--poses` is mostly above the ceiling: its points are triangulated with exact poses from SIFT features, so that the
+depth which is completed from them is better too, not its place alone. On `loop`, which comes back to places that it has
+seen, it is 1.3 points below. Placing the depth of odometry exactly changes little: what is lost there is depth, not
+path.
 """
 
 

@@ -70,7 +70,12 @@ def closes_loops(workspace: Workspace) -> bool:
 
 def scene_unit(workspace: Workspace) -> float:
     """How much one scene unit of the first submap is in the unit in which its front end found it."""
-    return float(workspace.result(STAGE)["units"][0])
+    return scene_units(workspace)[0]
+
+
+def scene_units(workspace: Workspace) -> list[float]:
+    """The same of each submap."""
+    return [float(unit) for unit in workspace.result(STAGE)["units"]]
 
 
 def camera_trust(guess: Camera, submap: Submap) -> str:

@@ -22,7 +22,7 @@ MIN_ANGLE = np.radians(1.2)  # of a new point's rays; a third of a pixel is then
 ROOM = 1024  # tracks that a new map has room for
 
 # Depth (N,) in mm that a sensor measured at pixels (N,2) of a frame, and its standard deviation (N,); both 0 = none.
-DepthAt = Callable[[int, Array], tuple[Array, Array]]
+DepthAt = Callable[[int, NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
 class TrackKind(IntEnum):

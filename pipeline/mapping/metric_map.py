@@ -4,7 +4,7 @@ measured at its observations."""
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.se3 import Array, in_camera
+from haustra.core.se3 import in_camera
 from pipeline.mapping.local_map import DepthAt, Keyframe, LocalMap
 from pipeline.optimization.depth_residuals import MeasuredDepth
 
@@ -32,7 +32,10 @@ def metric_scale(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | Non
         if frames is not None and keyframe.frame not in frames:
             continue
         points, pixels = local_map.visible_points(keyframe)
-        mapped, measured = in_camera(keyframe.camera_from_world, points)[:, 2], depth_at(keyframe.frame, pixels)[0]
+        mapped, measured = (
+            in_camera(keyframe.camera_from_world, points)[:, 2],
+            depth_at(keyframe.frame, pixels.astype(np.float64))[0],
+        )
         known = (mapped > 0) & (measured > 0)
         log_ratio.append(np.log(measured[known] / mapped[known]))
     every = np.concatenate(log_ratio)
@@ -41,8 +44,9 @@ def metric_scale(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | Non
 
 def measured_depth(depth_at: DepthAt, keyframes: list[Keyframe], masks: list[NDArray[np.bool_]]) -> MeasuredDepth:
     """What the sensor says of the observations that `masks` (N,) choose of each keyframe, in their order, mm."""
-    found = [depth_at(keyframe.frame, keyframe.pixels[mask]) for keyframe, mask in zip(keyframes, masks, strict=True)]
-    depth: Array = np.concatenate([one for one, _ in found])
-    sigma: Array = np.concatenate([one for _, one in found])
+    seen = [(k.frame, k.pixels[mask].astype(np.float64)) for k, mask in zip(keyframes, masks, strict=True)]
+    found = [depth_at(frame, pixels) for frame, pixels in seen]
+    depth = np.concatenate([one for one, _ in found]).astype(np.float64)
+    sigma = np.concatenate([one for _, one in found]).astype(np.float64)
     known = np.flatnonzero(depth > 0)
     return MeasuredDepth(known, depth[known], np.maximum(sigma[known] / depth[known], LEAST_ERROR))

@@ -11,6 +11,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.ray_table import RayTable
 from haustra.core.text import read_text
+from reconstruction.evaluation.coverage_metrics import TrueWall
 from reconstruction.evaluation.reference_surface import ReferenceSurface, reference_from_views
 
 Array = NDArray[np.float64]
@@ -21,12 +22,13 @@ MOST_VIEWS = 100  # depth images that make the surface, spread over the film
 class DataSetTruth:
     """world_from_camera (N,4,4), OpenCV's axes, mm; row k is of frame k of the film, or of time seconds (N,) where
     there are any. depths: z-depth (H,W) in mm of each frame, 0 = none; camera: of them, at its own size; None without
-    depth."""
+    depth. wall: whose faces know whether any frame saw them."""
 
     world_from_camera: Array
     seconds: Array | None = None
     depths: Iterable[NDArray[np.float32]] = field(default_factory=tuple)
     camera: Camera | None = None
+    wall: TrueWall | None = None
 
     def surface(self) -> ReferenceSurface | None:
         """Reference surface from the depth images; None without any."""

@@ -64,12 +64,13 @@ class SensedFilm:
         pixels, depth, sigma = found
         rays = np.column_stack([(pixels - self.pinhole.centre) / self.pinhole.focal, np.ones(len(pixels))])
         poses = self.submap.world_from_camera
-        local = in_camera(inverse(poses[row]) @ poses[other], rays * (depth / self.mm_per_unit)[:, None])
+        points = rays * (depth / self.mm_per_unit)[:, None]
+        local: Array = in_camera(inverse(poses[row]) @ poses[other], points).astype(np.float64)
         front = local[:, 2] > 1e-6
         place = np.floor(self.pinhole.project(local[front]) / fine).astype(np.int64)
         rows = -(-self.pinhole.height // fine)
         inside = ((place >= 0) & (place < [columns, rows])).all(axis=1)
-        cell = place[inside] @ [1, columns]
+        cell = place[inside, 1] * columns + place[inside, 0]
         return _nearest_wall(cell, local[front][inside, 2], (sigma / depth)[front][inside], rows * columns)
 
 

@@ -5,7 +5,7 @@ Their ratio is the scale; its median over all is exact to a few thousandths, wha
 ratios after each frame's own median says how well the two agree.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ FEWEST_IN_FRAME = 8
 SHIFTS = (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)  # frames by which the sensor may be off
 BETTER = 0.9  # a shift must lower the disagreement to this part of it
 MOST_DISAGREEMENT = 0.12  # median absolute log ratio; 3 % of noise and the map's own error leave 0.03 to 0.05
+SAME_UNIT = 0.01  # between the median and the unit of a map that was adjusted in mm; they differ by 0.1 to 0.3 %
 NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
 
 
@@ -41,6 +42,12 @@ class SensorScale:
             f"frames the two differ by {100 * self.disagreement:.1f} % in the median, from frame to frame the scale by "
             f"{100 * self.drift:.1f} %"
         )
+
+    def in_unit_of(self, units: list[float]) -> "SensorScale":
+        """The scale of a map that was adjusted in mm, whose unit is then one of these, mm: the adjustment weighs each
+        depth by its error and its point's rays, the median does not. Of another map, the median."""
+        near = min(units, key=lambda unit: abs(unit / self.mm_per_unit - 1), default=self.mm_per_unit)
+        return replace(self, mm_per_unit=near) if abs(near / self.mm_per_unit - 1) < SAME_UNIT else self
 
 
 def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:

@@ -14,6 +14,7 @@ from pipeline.config import Config, SensorSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
+from pipeline.depth.sensor.gathered_points import SensedFilm
 from pipeline.depth.sensor.joined_points import join, points_of
 from pipeline.depth.sensor.sensor_points import sensor_points
 from pipeline.depth.sensor.sensor_scale import sensor_scale
@@ -195,3 +196,33 @@ def test_a_sensor_that_sees_nothing_gives_no_scale(sensor):
     nothing = SensorDepth({}, sensor.settings, 0.05, BOX, SCALE, SOURCE)
     assert sensor_scale(submap(), nothing) is None
     assert scale_of_sensor(None) is None
+
+
+def test_frames_around_outvote_what_one_frame_gets_wrong(sensor, tmp_path):
+    """A patch that frame 8 has at half its depth, and one that it has not at all."""
+    raw = cv2.imread(str(sensor.files[8]), cv2.IMREAD_UNCHANGED)
+    raw[20:28, 4:14] //= 2
+    raw[8:16, 30:40] = 0
+    (tmp_path / "wrong").mkdir()
+    cv2.imwrite(str(tmp_path / "wrong/8.png"), raw)
+    wrong = replace(sensor, files=sensor.files | {8: tmp_path / "wrong/8.png"})
+    pinhole = make_rectifier(CAMERA).camera
+    film = SensedFilm(submap(), wrong, CAMERA, pinhole, MM_PER_UNIT)
+    found, alone = film.gathered(8), sensor_points(wrong, 8, CAMERA, pinhole, MM_PER_UNIT)
+    off = [np.abs(np.log(p.depth * MM_PER_UNIT / wall_depth(through(pinhole, p.pixels), 8))) for p in (found, alone)]
+    assert (off[1] > 0.5).sum() >= 5
+    assert (off[0] > 0.3).sum() == 0
+    assert np.median(off[0]) < np.median(off[1])
+    assert (found.error < alone.error.min()).all()
+
+
+def test_a_film_of_two_frames_is_not_outvoted(sensor):
+    pinhole, two = make_rectifier(CAMERA).camera, replace(sensor, files={8: sensor.files[8], 12: sensor.files[12]})
+    assert len(SensedFilm(submap(), two, CAMERA, pinhole, MM_PER_UNIT).gathered(8).depth) == 0
+
+
+def test_a_map_that_was_adjusted_in_millimetres_has_its_own_unit(sensor):
+    found = sensor_scale(submap(), sensor)
+    assert found.in_unit_of([3.0, 1.003 * found.mm_per_unit]).mm_per_unit == 1.003 * found.mm_per_unit
+    assert found.in_unit_of([3.0, 1.02 * found.mm_per_unit]) == found
+    assert found.in_unit_of([]) == found

@@ -129,3 +129,20 @@ def test_readers_and_presets_have_one_lens():
         assert lens == PRESETS[preset].camera.params
     assert PRESETS["endoslam-unitycam"].camera.params[:4] == readers.UNITYCAM_LENS
     assert PRESETS["csd"].camera.params == readers.CSD_LENS
+
+
+def test_c3vd_s_coverage_mesh_says_which_wall_was_seen(tmp_path):
+    truth = poses()
+    write_c3vd(tmp_path / "cecum_t1_a", truth)
+    corners = ["v 0 0 40", "v 10 0 40", "v 10 10 40", "v 0 10 40", "vt 0.25 0.5", "vt 0.75 0.5"]
+    path = tmp_path / "cecum_t1_a" / "coverage_mesh.obj"
+    path.write_text("\n".join([*corners, "f 1/1 2/1 3/1", "f 1/2/1 3/2/1 4/2/1"]) + "\n")
+    wall = read_data_set_truth(tmp_path / "cecum_t1_a").wall
+    assert wall.seen.tolist() == [True, False]
+    np.testing.assert_allclose(wall.mesh.face_areas, [50, 50])
+    path.write_text("\n".join([*corners, "f 1 2 3"]))
+    with pytest.raises(HaustraError, match="v/vt are expected"):
+        read_data_set_truth(tmp_path / "cecum_t1_a")
+    path.write_text("\n".join([*corners, "f 1/1 2/2 3/3"]))
+    with pytest.raises(HaustraError, match="not 1"):
+        read_data_set_truth(tmp_path / "cecum_t1_a")
