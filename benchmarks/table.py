@@ -12,15 +12,15 @@ of no commit.
 
 import argparse
 import json
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.common.record import ROOT, environment, spread
+from benchmarks.common.runner import add_seeds, run
 
 RECORD, README = ROOT / "benchmarks/results/table.json", ROOT / "README.md"
 CTCOLON = ROOT.parent / "shared/data/ctcolon"
@@ -166,19 +166,21 @@ def measure_rows(keys: list[str], seeds: list[int], record: dict[str, Any], path
         print(_line(row, record["rows"][key]), flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser("python -m benchmarks.table", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
-    parser.add_argument("--seeds", type=int, default=3, help="as many runs of each: seed 0, 1, ...")
-    parser.add_argument("--json", type=Path, default=RECORD, help="the record; the README is of the usual one alone")
+    add_seeds(parser, 3)
     parser.add_argument("--render", action="store_true", help="measure nothing")
-    given = parser.parse_args()
-    record = json.loads(given.json.read_text()) if given.json.exists() else {"rows": {}}
-    if not given.render:
-        measure_rows(given.rows, [int(seed) for seed in np.arange(given.seeds)], record, given.json)
-    if given.json == RECORD:
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """Measure, write the record after each row, and render the README, which is of the usual record alone."""
+    path = arguments.json or RECORD
+    record = json.loads(path.read_text()) if path.exists() else {"rows": {}}
+    if not arguments.render:
+        measure_rows(arguments.rows, list(range(arguments.seeds)), record, path)
+    if path == RECORD:
         write_readme(record)
 
 
 if __name__ == "__main__":
-    main()
+    run(sys.modules[__name__], "benchmarks.table")
