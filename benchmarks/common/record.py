@@ -21,12 +21,16 @@ def shown(of: dict[str, Any], form: str = ".4g") -> str:
 
 
 def environment(checkout: Path = ROOT) -> dict[str, Any]:
-    """Commit of a checkout (with "+" if its tree is changed elsewhere than in the records), processor, number of
+    """Commit of a checkout (with "+" if its tree is changed elsewhere than in the
+    records and the README, which shows them), processor, number of
     cores, Python."""
     git = ["git", "-C", str(checkout)]
     commit = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     changed = subprocess.run(
-        [*git, "status", "--porcelain", "--", ".", ":!benchmarks/results"], capture_output=True, text=True, check=False
+        [*git, "status", "--porcelain", "--", ".", ":!benchmarks/results", ":!README.md"],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout
     model = [line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")]
     return {
