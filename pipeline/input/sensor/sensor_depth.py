@@ -136,6 +136,8 @@ def check_sensor(source: Path, settings: SensorSettings) -> None:
 
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
     """The sensor of a run, whose working pictures have that width; None where it has none."""
+    if "source" not in workspace.record:  # frames that did not come from a film
+        return None
     source, settings = Path(workspace.record["source"]["path"]), workspace.config.sensor
     folder = depth_folder(source, settings)
     if workspace.config.stereo.calibration is not None and settings.depth != "none":
