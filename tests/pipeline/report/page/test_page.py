@@ -164,7 +164,7 @@ def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
     picture, rng = tmp_path / "coverage.png", np.random.default_rng(0)
     cv2.imwrite(str(picture), rng.integers(0, 256, (200, 300, 3)))  # 180 kB
     result = replace(made.coverage[0], picture=picture)
-    monkeypatch.setattr("pipeline.report.page.page.MOST_STATIC", 1)  # a few small pictures, slowly drawn
+    monkeypatch.setattr("pipeline.report.page.pictures.MOST_STATIC", 1)  # a few small pictures, slowly drawn
     submaps = [made.metrics["submaps"][0]] * count
     write_page(
         made.frames,
