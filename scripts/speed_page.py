@@ -23,7 +23,7 @@ HEAD = """# Speed of whole runs
   seed 0. F-score at 1 mm and ATE of the largest submap, after the Sim(3) of its camera path. Median of {runs} runs; for
   the ratio the median of the ratios of each turn, and in brackets the least and the greatest.
 - **Films:** the CT colon and easy_withdrawal were looked at while the stages were made faster; that keyframes lie 0.045
-  of the width apart was chosen on these, on flexure and on three films of `benchmarks/exposure_choosing.yaml`.
+  of the width apart was chosen on these, on flexure, events and the films of `benchmarks/exposure_choosing.yaml`.
 
 | film | method | frames | frames/s | time over this version's | peak MiB | F at 1 mm, % | ATE, unit of the truth |
 | --- | --- | --- | --- | --- | --- | --- | --- |
@@ -37,9 +37,9 @@ READ = """
   than half of the points (before: 0.7) are shared with the last keyframe.
 - **Side by side.** Two frames are completed at once, each by one thread, rather than one after the other by two.
   Features of loop closing, the preparation of keyframes for fusion and the report's pictures are made in threads; files
-  and pictures while the coverage is measured. The bytes of the mesh are those of one thread.
+  and pictures while the coverage is measured. The CT colon's mesh had the same bytes before and after.
 - **Loaded while frames are read**: torch, the network, Open3D, trimesh, Matplotlib. An import holds Python's
-  interpreter, so that reading slows meanwhile; about half of the time is won.
+  interpreter, so that reading slows meanwhile.
 - **Decimation by pyfqmr**, which keeps the borders of a mesh where it can: {decimation}.
 
 ## What was not

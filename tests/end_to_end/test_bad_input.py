@@ -127,7 +127,7 @@ def test_poses_that_are_none_or_of_another_film(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(6))
     assert_one_sentence(run("a.mp4", "--poses", "poses.txt"), "there is no file or folder poses.txt")
     (tmp_path / "poses.txt").write_text("".join(f"{100 + k} 0 0 {k} 0 0 0 1\n" for k in range(6)))
-    assert_one_sentence(run("a.mp4", "--poses", "poses.txt"), "only 0 of 6 frames of the film and poses.txt are of one time")
+    assert_one_sentence(run("a.mp4", "--poses", "poses.txt"), "0 of 6 frames of the film and poses.txt are of one time")
 
 
 def test_unknown_preset(run, tmp_path):
