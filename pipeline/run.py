@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from completion.weights.shipped_weights import SHIPPED_WEIGHTS, validate_weights
+from completion.weights.shipped_weights import SHIPPED_WEIGHTS, check_whole, resolve_weights, validate_weights
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -66,11 +66,10 @@ def reconstruct(
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)
-        with ThreadPoolExecutor(2, "report") as threads:  # while the coverage is measured
-            pictures = threads.submit(draw_pictures, frames, completed, surfaces)
-            geometry = threads.submit(write_geometry, frames, completed, surfaces, workspace, progress)
+        with ThreadPoolExecutor(1, "report") as thread:  # while files are written and the coverage is measured
+            pictures = thread.submit(draw_pictures, frames, completed, surfaces)
+            timed("files", write_geometry)(frames, completed, surfaces, workspace, progress)
             coverage = timed("coverage", coverage_stage)(frames, completed, surfaces, workspace)
-            timed("files", geometry.result)()
             done = timed.to_list() if profile else None
             timed("report", write_report)(frames, completed, surfaces, coverage, workspace, pictures.result, done)
         if profile:
@@ -106,6 +105,8 @@ def _check(config: Config, video: Source, scale: ScaleSource) -> None:
     check_front_end(config.front_end, config.front_end_settings)
     check_choice(config.camera, video.path)
     check_sensor(video.path, config.sensor)
+    if config.model in SHIPPED_WEIGHTS:
+        check_whole(resolve_weights(config.model))  # without torch, which is loaded in the background
     if config.model not in SHIPPED_WEIGHTS or config.depth.iterations is not None:
         validate_weights(config.model, config.depth.iterations)
     if config.device == "cuda":

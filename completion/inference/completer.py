@@ -19,7 +19,7 @@ from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
-from haustra.core.threads import processors
+from haustra.core.threads import workers
 
 # Dark images are brought to the exposure of the training frames. Bright ones stay: dimmed, a burnt wall would look like
 # a grey one, and that it is burnt says that it is near.
@@ -96,7 +96,7 @@ class DepthCompleter:
     @property
     def at_once(self) -> int:
         """How many frames are best completed at once, each in a thread of its own; see `working_side_by_side`."""
-        return processors() if self.device.type == "cpu" else 1
+        return workers() if self.device.type == "cpu" else 1
 
     @property
     def batch_size(self) -> int:

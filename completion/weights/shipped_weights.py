@@ -1,5 +1,6 @@
 """Names and files of the weights that come with the package, and validation of a model before any work."""
 
+import json
 from importlib import resources
 from pathlib import Path
 
@@ -15,6 +16,23 @@ def resolve_weights(model: str | Path) -> Path:
     if Path(model).is_file():
         return Path(model)
     raise CompletionError(f"no model '{model}': give a weight file or one of {', '.join(SHIPPED_WEIGHTS)}")
+
+
+def check_whole(path: Path) -> None:
+    """CompletionError for a safetensors file that is cut off, by its header alone and without torch.
+
+    Format: 8 bytes with the header's length, the header in JSON with each tensor's `data_offsets`, then the tensors.
+    """
+    try:
+        with path.open("rb") as file:
+            length = int.from_bytes(file.read(8), "little")
+            header = json.loads(file.read(min(length, path.stat().st_size)))
+        ends = [entry["data_offsets"][1] for name, entry in header.items() if name != "__metadata__"]
+        whole = 8 + length + max(ends)
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise CompletionError(f"the weights {path} are damaged ({error}); install haustra again") from error
+    if path.stat().st_size != whole:
+        raise CompletionError(f"the weights {path} have {path.stat().st_size} bytes of {whole}; install haustra again")
 
 
 def validate_weights(model: str | Path, iterations: int | None = None) -> None:

@@ -10,6 +10,8 @@ from typing import TypeVar
 import cv2
 from threadpoolctl import threadpool_limits
 
+MOST_WORKERS = 4  # each holds a frame and what is made of it; where a quota allows less than there are, 4 do no harm
+
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
@@ -31,6 +33,11 @@ def prefetched(make: Callable[[Item], Made], items: Sequence[Item], count: int =
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def workers() -> int:
+    """How many threads share a stage's work: the processors, but no more than hold their items in memory at once."""
+    return min(MOST_WORKERS, processors())
 
 
 def processors() -> int:

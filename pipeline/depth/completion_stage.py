@@ -127,7 +127,8 @@ def _complete(
     sparse = {row: points(row) for row in rows}
     enough = [row for row in rows if len(sparse[row].depth) >= MIN_POINTS]
     index = {row: int(submap.submap.frames[row]) for row in enough}
-    missing = [row for row in enough if not store.has_depth(index[row])]
+    # The whole batch anew where any of it is missing: a GPU's values may depend on the batch, and a stop must not.
+    missing = enough if any(not store.has_depth(index[row]) for row in enough) else []
     inside = cv2.erode(content, np.ones((3, 3), np.uint8)) > 0 if not content.all() else content > 0
     maps = [sparse[row].maps(*content.shape) for row in missing]
     for row, depth, confidence in zip(missing, *_predicted([submap.rgb(row) for row in missing], maps, completer)):

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import scale_of
-from haustra.core.threads import prefetched, processors, single_threaded
+from haustra.core.threads import prefetched, single_threaded, workers
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.matching.keyframe_features import KeyframeFeatures, lift_features
@@ -104,7 +104,7 @@ def _features(
         return known.get(row) or _lifted(completed, maker, rays, row)
 
     with single_threaded():
-        features = list(prefetched(of_row, rows.tolist(), processors(), processors()))
+        features = list(prefetched(of_row, rows.tolist(), workers(), workers()))
     return SubmapFeatures(completed, features, rays)
 
 

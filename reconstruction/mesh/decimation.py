@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 # How eagerly edges are collapsed, in the order in which it is tried: pyfqmr's `aggressiveness`, and whether the mesh's
-# borders stay. Borders that stay keep a mesh of 170,000 faces within 0.0007 of itself at a third of its faces (0.04
-# where they are free), but few faces cannot be reached with them (docs/lab/speed.md).
+# borders stay. Borders that stay keep the mesh's holes as they are, but few faces cannot be reached with them.
 ATTEMPTS = ((3.0, True), (5.0, False))
 
 
@@ -23,13 +22,15 @@ def decimated(mesh: SurfaceMesh, triangles: int) -> SurfaceMesh:
         return mesh
     from scipy.spatial import cKDTree
 
-    # Centred, as quadric errors are squares of coordinates.
-    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    # Centred, as quadric errors are squares of coordinates, and of one size in every unit: pyfqmr's limits are lengths.
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 1e-300)
     for aggressiveness, keep_border in ATTEMPTS:
-        vertices, faces = _collapsed(mesh.vertices - middle, mesh.faces, triangles, aggressiveness, keep_border)
+        unit = (mesh.vertices - middle) / size
+        vertices, faces = _collapsed(unit, mesh.faces, triangles, aggressiveness, keep_border)
         if len(faces) <= triangles:
             break
-    vertices = vertices + middle
+    vertices = vertices * size + middle
     nearest = cKDTree(mesh.vertices).query(vertices)[1]
     return SurfaceMesh.from_triangles(
         vertices,

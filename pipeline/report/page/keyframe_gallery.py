@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.threads import prefetched, processors
+from haustra.core.threads import prefetched, workers
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.input.frames import Frames
@@ -127,7 +127,7 @@ def _draw(
         encoded = [_webp(picture, quality) for picture in pictures]
         return Panels((encoded[0], encoded[1], encoded[2], encoded[3]), len(sparse.depth))
 
-    yield from prefetched(drawn, shown, processors(), processors())
+    yield from prefetched(drawn, shown, workers(), workers())
 
 
 def _depth_range(completed: CompletedSubmap, factor: float) -> tuple[float, float]:

@@ -74,7 +74,7 @@ async function start() {
   turn = await ask("turn", `${names.a}::${names.b}`);
   part("linked").textContent = turn ? "Both are of one film: the camera looks at both from the same side."
     : "These are different films, or they share too few poses: the camera turns both from their own first views.";
-  turn = turn || transposed(between(first.submaps[0].axes, second.submaps[0].axes));
+  turn = turn || between(first.submaps[0].axes, second.submaps[0].axes);
   part("outside").addEventListener("click", () => scenes.a.fromOutside().then(() => follow("a")));
   part("link").addEventListener("change", () => follow("a"));
   for (const [name, set] of [["wall", "setWall"], ["paint", "setPaint"]])

@@ -43,10 +43,18 @@ def find_runs(folder: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     level = [folder]
     for _ in range(DEEPEST):
-        inner = [path for parent in level for path in sorted(parent.iterdir()) if path.is_dir()]
+        inner = [path for parent in level for path in _folders_in(parent)]
         found |= {path.relative_to(folder).as_posix(): path for path in inner if (path / RECORD_NAME).is_file()}
         level = [path for path in inner if not (path / RECORD_NAME).is_file()]
     return dict(list(found.items())[:MOST_RUNS])
+
+
+def _folders_in(parent: Path) -> list[Path]:
+    """Those that may be read; another user's are passed over."""
+    try:
+        return [path for path in sorted(parent.iterdir()) if path.is_dir()]
+    except OSError:
+        return []
 
 
 def row_of(name: str, folder: Path) -> RunRow:

@@ -82,6 +82,25 @@ def test_a_lens_that_spreads_colours_outwards_is_no_such_processor() -> None:
     assert look_at(map(spread, still_of(5, 4))).fringe_px == 0
 
 
+@pytest.mark.parametrize("gain", [0.5, 1.0])
+@pytest.mark.parametrize("step", [1, 3, 6])
+def test_rows_of_unlike_gain_on_a_smooth_wall_are_no_combs(step: int, gain: float) -> None:
+    """As of a sensor whose two greens differ, or of line noise: nothing is of another time."""
+    rng = np.random.default_rng(step)
+    wall = cv2.GaussianBlur(rng.uniform(0, 255, (160, 400)), (0, 0), 2.0)
+    wall = 128 + (wall - wall.mean()) / wall.std() * 8
+    rows = np.where(np.arange(160) % 2, gain, -gain)[:, None]
+    frames = [np.repeat((wall[:, step * k : step * k + 160] + rows)[..., None], 3, 2) for k in range(COUNT)]
+    assert not look_at([np.rint(frame).astype(np.uint8) for frame in frames]).combed
+
+
+def test_rows_that_differ_while_the_picture_stands_are_no_combs() -> None:
+    rows = np.where(np.arange(160) % 2, 6, -6)[:, None, None]
+    standing = [still_of(2, 0)[0]] * 6
+    frames = [np.clip(frame.astype(int) + rows, 0, 255).astype(np.uint8) for frame in standing + still_of(2, 4)]
+    assert not look_at(frames).combed
+
+
 def test_a_film_that_stands_says_nothing() -> None:
     assert not look_at(combed(still_of(0, 0), 0)).notes
 

@@ -201,6 +201,16 @@ def test_a_decimated_mesh_is_the_same_surface():
     assert len(decimated(mesh, len(mesh.faces) // 15).faces) <= len(mesh.faces) // 15
 
 
+@pytest.mark.parametrize("factor", [1e-3, 1.0, 1e4])
+def test_decimation_knows_no_unit(factor):
+    mesh = read_mesh(FOLDER / "mesh.ply")
+    target = len(mesh.faces) // 3
+    few = decimated(mesh, target)
+    scaled = decimated(mesh.transformed(np.diag([factor] * 3 + [1.0])), target)
+    assert abs(len(scaled.faces) - len(few.faces)) < 0.01 * target
+    np.testing.assert_allclose(scaled.face_areas.sum() / factor**2, few.face_areas.sum(), rtol=1e-3)
+
+
 def _face_vectors(mesh):
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
