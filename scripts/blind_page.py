@@ -18,7 +18,7 @@ HEAD = """# A second without pictures
 - **Command:** `haustra phantom SUITE --suite`; of each film `python scripts/simulated_sensor.py SUITE/FILM SENSED/FILM
   --noise 0.03 --blind FIRST LAST` (64x64 zones, 3 % of noise, 30 pictures blurred away); then
   `python -m benchmarks.reconstruction blind-stretch SENSED/* --truth SUITE --json benchmarks/results/blind.json`.
-  Rendered by `python scripts/blind_page.py > docs/lab/blind_stretch.md`.
+  On commit {commit}. Rendered by `python scripts/blind_page.py > docs/lab/blind_stretch.md`.
 
 ## Tracking
 
@@ -64,7 +64,7 @@ and {worst_deg:.1f} deg at worst; velocity alone is off by {guess_mm:.1f} mm and
 
 def page(record: dict[str, Any]) -> str:
     runs = record["runs"]
-    lines = [HEAD]
+    lines = [HEAD.replace("{commit}", record["environment"]["commit"][:7])]
     lines += [_tracked(run) for run in runs if run["method"] != "registration"]
     lines.append(GAPS)
     gaps = [(run["sequence"], gap) for run in runs if run["method"] == "registration" for gap in run["gaps"]]

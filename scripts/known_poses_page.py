@@ -15,7 +15,8 @@ HEAD = """# True poses instead of tracking
 - **Date:** 2026-11-25
 - **Question:** Does `--poses` with true poses reach what completed depth can give at true poses?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction known-poses SUITE/*
-  --json benchmarks/results/known_poses.json`. Rendered by
+  --json benchmarks/results/known_poses.json`, on commit {commit} with changes (+), where keyframes lay 0.02 of the
+  width apart (0.045 since). Rendered by
   `python scripts/known_poses_page.py > docs/lab/known_poses.md`.
 
 F-score at 1 mm, `--fast`, lens given, one run each. `--poses`: in the run's own mm, after SE(3). Ceiling: completed
@@ -35,7 +36,7 @@ path; but on `events`, where tracking ends several times, poses join what it lea
 
 
 def page(record: dict[str, Any]) -> str:
-    return "\n".join([HEAD, *(_row(run) for run in record["runs"]), READ])
+    return "\n".join([HEAD.replace("{commit}", record["environment"]["commit"][:7]), *(_row(run) for run in record["runs"]), READ])
 
 
 def _row(run: dict[str, Any]) -> str:
