@@ -36,7 +36,9 @@ path; but on `events`, where tracking ends several times, poses join what it lea
 
 
 def page(record: dict[str, Any]) -> str:
-    return "\n".join([HEAD.replace("{commit}", record["environment"]["commit"][:7]), *(_row(run) for run in record["runs"]), READ])
+    return "\n".join(
+        [HEAD.replace("{commit}", record["environment"]["commit"][:7]), *(_row(run) for run in record["runs"]), READ]
+    )
 
 
 def _row(run: dict[str, Any]) -> str:
