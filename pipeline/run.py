@@ -45,8 +45,8 @@ def reconstruct(
     """Reconstruct a video, image folder or RGB-D folder into the run folder `output`.
 
     Finished stages stay on disk whatever happens, and `resume` goes on from them. profile: write the time and memory of
-    each stage into `metrics.json`, and say them. Raises `HaustraError` (one
-    sentence) for input that cannot be reconstructed.
+    each stage into `metrics.json`, and say them. Raises `HaustraError` (one sentence) for input that cannot be
+    reconstructed.
     """
     config, progress = _with_lens_of_poses(config or Config()), progress or SilentProgress()
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))

@@ -36,8 +36,8 @@ READ = """
   apart, and one is enough, if the keyframes 1, 2 and 5 before and after do not contradict it. A view is new when less
   than half of the points (before: 0.7) are shared with the last keyframe.
 - **Side by side.** Two frames are completed at once, each by one thread, rather than one after the other by two.
-  Features of loop closing, the preparation of keyframes for fusion and the report's pictures are made in threads; files
-  and pictures while the coverage is measured.
+  Features of loop closing and the preparation of keyframes for fusion are made in threads, the report's pictures while
+  files are written and the coverage is measured.
 - **Loaded while frames are read**: torch, the network, Open3D, trimesh, Matplotlib. An import holds Python's
   interpreter, so that reading slows meanwhile.
 - **Decimation by pyfqmr**, which keeps the borders of a mesh where it can: {decimation}.

@@ -23,7 +23,6 @@ LIBRARIES = (
     "trimesh",
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
-    "plotly.offline",
 )
 
 # An import holds the interpreter for as long as this, and reading frames asks for it many times a frame.

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from haustra.core.threads import processors
+
 Verdict = Literal["ok", "note", "fault"]
 MIN_MEMORY_GB = 4.0  # of a film of some minutes; the demo clip needs half of it
 MIN_DISK_GB = 2.0  # a minute of film makes some 0.5
@@ -61,7 +63,7 @@ def processor(text: str | None = None) -> list[Finding]:
     values = {name.strip(): value.strip() for name, value in reversed(rows)}
     model = values.get("model name", platform.processor() or platform.machine())
     flags = set(values.get("flags", values.get("Features", "")).split())
-    found = [Finding("processor", f"{model}, {usable_cores()} cores usable of {os.cpu_count()}")]
+    found = [Finding("processor", f"{model}, {processors()} cores usable of {os.cpu_count()}")]
     if not flags & {"sse2", *FEATURES}:
         return [*found, Finding("instructions", "unknown", "note", "not an x86 processor, or not Linux")]
     for name, meaning in FEATURES.items():
@@ -69,11 +71,6 @@ def processor(text: str | None = None) -> list[Finding]:
         absent: Verdict = "fault" if name == "avx2" else "note"
         found.append(Finding(name, "yes" if there else "no", "ok" if there else absent, "" if there else meaning))
     return found
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory() -> Finding:

@@ -25,8 +25,8 @@ def decimated(mesh: SurfaceMesh, triangles: int) -> SurfaceMesh:
     # Centred, as quadric errors are squares of coordinates, and of one size in every unit: pyfqmr's limits are lengths.
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 1e-300)
+    unit = (mesh.vertices - middle) / size
     for aggressiveness, keep_border in ATTEMPTS:
-        unit = (mesh.vertices - middle) / size
         vertices, faces = _collapsed(unit, mesh.faces, triangles, aggressiveness, keep_border)
         if len(faces) <= triangles:
             break

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
-from haustra.core.se3 import Array
+from haustra.core.se3 import Array, exp_rotation, in_camera
 
 VOXEL_MM = 1.0  # edge of a cube whose points are made one
 NEIGHBOURS = 20  # points that give a plane
@@ -47,7 +46,7 @@ class WallPatches:
         that less than `held` speaks for."""
         pose = guess
         for _ in range(ITERATIONS):
-            points = moved_by(pose, cloud)
+            points = in_camera(pose, cloud)
             distance, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
             good = np.isfinite(distance)
             good[good] = self.flat[patch[good]]
@@ -62,7 +61,7 @@ class WallPatches:
     def fit(self, cloud: Array, pose: Array) -> tuple[float, float]:
         """Median distance (mm) of a cloud's points at a pose from the planes that they have, and the share that has
         one."""
-        points = moved_by(pose, cloud)
+        points = in_camera(pose, cloud)
         off, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
         good = np.isfinite(off)
         patch, points = patch[good], points[good]
@@ -86,13 +85,9 @@ class WallPatches:
         side = -directions[:, sure].T @ (slopes.T @ (weight * off)) / weight.sum()
         tangent = directions[:, sure] @ (side / strength[sure])
         step = np.eye(4)
-        step[:3, :3] = Rotation.from_rotvec(tangent[:3] / reach).as_matrix()
+        step[:3, :3] = exp_rotation(tangent[:3] / reach)
         step[:3, 3] = centre + tangent[3:] - step[:3, :3] @ centre
         return step, float(np.linalg.norm(tangent))
-
-
-def moved_by(transform: Array, points: Array) -> Array:
-    return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
 
 
 def _thinned(points: Array) -> Array:

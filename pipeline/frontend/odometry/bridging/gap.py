@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
-from haustra.core.se3 import Array, inverse
-from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches, moved_by
+from haustra.core.se3 import Array, compose, exp_rotation, in_camera, inverse
+from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
 from pipeline.frontend.odometry.chunk_stitching import frame_observations, stitch
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.final_adjustment import adjust_to_features
@@ -97,7 +97,7 @@ def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds:
         return None
     usual, _ = WallPatches.of(before).fit(last, np.eye(4))
     before = np.concatenate([before, last])
-    wall = WallPatches.of(moved_by(here[end], before))
+    wall = WallPatches.of(in_camera(here[end], before))
 
     def registered(frame: int, guess: Array) -> Array:
         cloud = clouds(frame) if (begin - frame) % EVERY == 0 else None
@@ -133,7 +133,7 @@ def joint_cloud(poses: dict[int, Array], frame: int, direction: int, clouds: Clo
     """Clouds (N,3) of a frame and those up to `REACH` after or before it, one in `STEP`, in the frame's axes."""
     others = [frame + direction * step for step in range(least, REACH + 1, STEP)]
     seen = [
-        moved_by(inverse(poses[frame]) @ poses[other], cloud)
+        in_camera(inverse(poses[frame]) @ poses[other], cloud)
         for other in others
         if other in poses and (cloud := clouds(other)) is not None
     ]
@@ -161,10 +161,7 @@ def _tangent(motion: Array) -> Array:
 
 
 def _motion(tangent: Array) -> Array:
-    motion = np.eye(4)
-    motion[:3, :3] = Rotation.from_rotvec(tangent[:3]).as_matrix()
-    motion[:3, 3] = tangent[3:]
-    return motion
+    return compose(exp_rotation(tangent[:3]), tangent[3:])
 
 
 def _joined(first: LocalMap, second: LocalMap, moved: Array) -> LocalMap:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from haustra.core.se3 import angle_between, inverse
-from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches, moved_by
+from haustra.core.se3 import angle_between, in_camera, inverse
+from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
 from pipeline.frontend.odometry.bridging.gap import registered_over_gap, velocity_over_gap
 
 END, BEGIN, COUNT = 50, 81, 130
@@ -38,7 +38,7 @@ def cloud(frame: int, folds: float = 3.0, seed: int = 0, noise: float = 0.02) ->
     rays = np.column_stack([rng.uniform(-1, 1, (1000, 2)), np.ones(1000)])
     depth, hit = np.full(1000, 4.0), np.zeros(1000, bool)
     for _ in range(140):
-        points = moved_by(pose(frame), rays * depth[:, None])
+        points = in_camera(pose(frame), rays * depth[:, None])
         hit |= np.hypot(points[:, 0], points[:, 1]) >= radius(points, folds, seed)
         depth[~hit] += 0.4
     return (rays * (depth * (1 + noise * rng.normal(size=1000)))[:, None])[hit & (depth < 60)]
@@ -75,7 +75,7 @@ def test_a_gap_that_is_too_long_and_a_blind_sensor_are_refused():
 @pytest.mark.parametrize("way", [(0, 0, 1.5, 0, 0, 0), (0, 0, 0, 0, 0, 0.06)])
 def test_what_a_smooth_tube_leaves_free_stays_with_the_guess(way):
     """Along a smooth tube and about its axis nothing speaks for a step; across it the wall does."""
-    wall = WallPatches.of(np.concatenate([moved_by(pose(k), cloud(k, 0.0, noise=0.005)) for k in range(0, 40, 4)]))
+    wall = WallPatches.of(np.concatenate([in_camera(pose(k), cloud(k, 0.0, noise=0.005)) for k in range(0, 40, 4)]))
     step = np.eye(4)
     step[:3, :3], step[:3, 3] = Rotation.from_rotvec(way[3:]).as_matrix(), way[:3]
     across = np.eye(4)
