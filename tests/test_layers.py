@@ -24,6 +24,7 @@ pipeline.demo
 pipeline.climb
 pipeline.compare
 pipeline.truth
+pipeline.live
 pipeline.run
 pipeline.report
 pipeline.finished_run

@@ -16,6 +16,7 @@ from pipeline.cli import run_commands as cli_runs
 from pipeline.cli.climb import climb
 from pipeline.cli.doctor import doctor
 from pipeline.cli.given_paths import must_be_run, must_exist
+from pipeline.cli.live import live
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
 
@@ -28,7 +29,7 @@ app = typer.Typer(
     help="Dense colon reconstruction from endoscope video, on a CPU.",
 )
 
-for command in (cli_runs.reconstruct, cli_runs.view, cli_runs.batch, doctor, climb):
+for command in (cli_runs.reconstruct, live, cli_runs.view, cli_runs.batch, doctor, climb):
     app.command()(command)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from haustra.core.se3 import Array
 from pipeline.mapping.submap import Submap
 
 NEAR_WALL = 80  # percentile of the motion: the middle of a lumen stands still while the wall beside the camera passes
@@ -24,7 +25,7 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     chosen = [int(good[0])]
     for row in good[1:].tolist():
         mine, last = (slice(starts[r], starts[r + 1]) for r in (row, chosen[-1]))
-        if _is_new(point[mine], pixels[mine], point[last], pixels[last], motion * width):
+        if is_new_view(point[mine], pixels[mine], point[last], pixels[last], motion * width):
             chosen.append(row)
     return np.array(chosen)
 
@@ -36,13 +37,14 @@ def _well_seen(count: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.flatnonzero(good | (near == 0))
 
 
-def _is_new(
+def is_new_view(
     points: NDArray[np.int64],
-    pixels: NDArray[np.float64],
+    pixels: Array,
     last_points: NDArray[np.int64],
-    last_pixels: NDArray[np.float64],
+    last_pixels: Array,
     min_motion_px: float,
 ) -> bool:
+    """Whether a frame shows enough that is new: tracks (N,) and their pixels (N,2), and those of the last keyframe."""
     shared, mine, theirs = np.intersect1d(points, last_points, return_indices=True)
     if len(shared) < MIN_SHARED * min(len(points), len(last_points)) or len(shared) == 0:
         return True

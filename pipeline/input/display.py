@@ -1,5 +1,6 @@
 """How a player shows a video's frames: turned and mirrored as the file says, and at times that go on."""
 
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -76,3 +77,14 @@ def upper_field(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     whole = np.empty_like(rgb)
     whole[::2], whole[1::2] = field, between[: len(rgb) // 2]
     return whole
+
+
+def as_shown(frame: "VideoFrame", aspect: Fraction, one_field: bool) -> NDArray[np.uint8]:
+    """Pixels (H,W,3) as they are to be looked at: square, and turned upright. aspect: width over height of a pixel as
+    stored; one_field: of an interlaced frame the upper field alone, since the other one is of another time."""
+    rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+    if one_field:
+        rgb = upper_field(rgb)
+    if aspect != 1:
+        rgb = cv2.resize(rgb, (round(rgb.shape[1] * float(aspect)), rgb.shape[0]), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(upright(rgb, display_matrix(frame)))

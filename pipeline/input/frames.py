@@ -72,13 +72,13 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     calibration = (
         calibrate(choice, source.path, size, area.box) if known is None else Calibration(known, "left eye, rectified")
     )
-    scale = _working_scale(area.box[2:], settings.long_side)
+    scale = working_scale(area.box[2:], settings.long_side)
     camera = calibration.camera.cropped_and_scaled(*area.box, scale)
     verdicts = _store_frames(source, settings, area, camera, workspace, progress)
     counts = Counter(verdict for _, _, verdict in verdicts)
     if counts["used"] < MIN_FRAMES:
         raise HaustraError(_too_few(counts))
-    content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
+    content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     cv2.imwrite(str(workspace.masks / "content.png"), content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
     workspace.finish(
@@ -93,7 +93,7 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
         progress.log(note)
 
 
-def _working_scale(box: tuple[int, int], long_side: int) -> float:
+def working_scale(box: tuple[int, int], long_side: int) -> float:
     """Scale to about `long_side` at which both sides come out whole: rounding one would stretch the image against the
     camera, by half a pixel at the border. One source pixel is never made larger."""
     longer, shorter = max(box), min(box)
@@ -143,7 +143,7 @@ def _store_frames(
     progress: Progress,
 ) -> list[tuple[int, float, str]]:
     """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
-    content = _resized(area.mask, area, camera, cv2.INTER_NEAREST)
+    content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     judge = FrameJudge()
     verdicts: list[tuple[int, float, str]] = []
     with progress.bar("reading frames", source.announced or None) as advance:
@@ -151,7 +151,7 @@ def _store_frames(
             advance(frame.index + 1)
             if frame.index % settings.stride:
                 continue
-            rgb = _resized(frame.rgb, area, camera, cv2.INTER_AREA)
+            rgb = resized(frame.rgb, area, camera, cv2.INTER_AREA)
             verdict = judge.judge(rgb, content)
             verdicts.append((frame.index, frame.seconds, verdict))
             if verdict == "used":
@@ -162,7 +162,7 @@ def _store_frames(
     return verdicts
 
 
-def _resized(image: NDArray[np.uint8], area: ContentArea, camera: Camera, interpolation: int) -> NDArray[np.uint8]:
+def resized(image: NDArray[np.uint8], area: ContentArea, camera: Camera, interpolation: int) -> NDArray[np.uint8]:
     """Cut the content box out and bring it to the working size."""
     x, y, width, height = area.box
     cut = image[y : y + height, x : x + width]

@@ -58,10 +58,15 @@ class SubmapFeatures:
         return [features.keyframe for features in self.features]
 
 
-def find_features(completed: CompletedSubmap, max_keyframes: int) -> SubmapFeatures:
-    """Features of evenly spaced keyframes of a submap: `max_keyframes`, or more where they would lie too far apart."""
+def find_features(
+    completed: CompletedSubmap, max_keyframes: int, known: dict[int, KeyframeFeatures] | None = None
+) -> SubmapFeatures:
+    """Features of evenly spaced keyframes of a submap: `max_keyframes`, or more where they would lie too far apart.
+
+    known: features by the keyframe's row, which are not detected again.
+    """
     step = max(1, min(-(-len(completed) // max_keyframes), MAX_STEP))
-    return _features(completed, completed.rows[::step], {}, RayTable(completed.camera))
+    return _features(completed, completed.rows[::step], known or {}, RayTable(completed.camera))
 
 
 def features_of_all(known: SubmapFeatures) -> SubmapFeatures:

@@ -121,6 +121,17 @@ class LocalMap:
         """Numbers of all frames that the map poses."""
         return {k.frame for k in self.keyframes} | {p.frame for p in self.tracked_frames}
 
+    def latest(self, count: int) -> "LocalMap":
+        """The map of its latest `count` keyframes and the frames after the first of them; tracks and keyframes are
+        shared, not copied."""
+        part, first = LocalMap(self.rays), max(0, len(self.keyframes) - count)
+        part.depth_at, part.tracks, part.keyframes = self.depth_at, self.tracks, self.keyframes[first:]
+        for tracked in reversed(self.tracked_frames):  # in the order of their keyframes
+            if tracked.keyframe < first:
+                break
+            part.tracked_frames.insert(0, replace(tracked, keyframe=tracked.keyframe - first))
+        return part
+
     def tracks_in_use(self) -> int:
         """One more than the highest track number that any keyframe holds."""
         return max((int(k.ids.max()) + 1 for k in self.keyframes if len(k.ids)), default=0)

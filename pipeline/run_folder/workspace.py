@@ -27,7 +27,10 @@ from pipeline.run_folder.lock import RunLock
 PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "gtsam", "opencv-python-headless", "av")
 RECORD_NAME = "run.yaml"
 PARTIAL = ".partial"  # ends the name of a text file that is being written
-UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL)  # all that a stop before the first record leaves
+# Of a live session: its record, its recording, and keyframes for its own use.
+LIVE_RECORD, LIVE_FILM, LIVE_FOLDER = "live.json", "film.mkv", "live"
+# All that a live session, or a stop before the first record, leaves.
+UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL, LIVE_RECORD, LIVE_FILM, LIVE_FOLDER)
 FIRST_RESULT = "structure"  # the stage before which a run that was refused is in nobody's way
 REFUSED = "refused"  # in the record: the sentence that ended such a run
 CLEARING = "clearing"  # in the record while what an earlier run left is being removed

@@ -1,0 +1,93 @@
+"""The whole of `haustra live`: session, page, and the run of the recording."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+from haustra.core.errors import HaustraError
+from haustra.core.progress import Progress, ProgressCallback
+from pipeline.config import Config
+from pipeline.finished_run import Run
+from pipeline.live.capture.live_film import open_film
+from pipeline.live.finish import begin_record, finish_run, read_record, write_record
+from pipeline.live.keyboard import watched_keyboard
+from pipeline.live.page.live_server import LivePage
+from pipeline.live.page.live_state import LiveState
+from pipeline.live.session import LiveSession
+from pipeline.run_folder.lock import RunLock
+
+
+class _ToldProgress:
+    """Progress of the run at the end, on the page and where it was to go anyway."""
+
+    def __init__(self, progress: Progress, state: LiveState) -> None:
+        self._progress, self._state = progress, state
+
+    @contextmanager
+    def bar(self, label: str, total: int | None) -> Iterator[ProgressCallback]:
+        with self._progress.bar(label, total) as advance:
+
+            def both(done: int, total: int | None = total, note: str = "") -> None:
+                self._state.finishing = (label, done, total)
+                advance(done, total, note)
+
+            yield both
+
+    def log(self, sentence: str) -> None:
+        self._state.say(sentence)
+        self._progress.log(sentence)
+
+
+def live(
+    source: str,
+    folder: Path,
+    config: Config,
+    progress: Progress,
+    *,
+    port: int = 0,
+    open_browser: bool = True,
+    loops: int = 1,
+    grows: bool = False,
+    overwrite: bool = False,
+    finish: bool = True,
+) -> Run | None:
+    """Show a source while it is filmed, then reconstruct what was recorded into `folder`.
+
+    Ends with the source, by `q`, by Ctrl-C or from the page. HaustraError, one sentence, where the source cannot be
+    opened or showed nothing; a source that is lost later ends the session like any other end.
+    finish: False leaves the run to `--resume`.
+    """
+    film = open_film(source, folder, loops, grows)
+    state = LiveState(film.name)
+    page = LivePage(state, port)  # before the folder is made: a port that is taken costs nothing
+    begin_record(folder, film.name, film.recording, config, overwrite)
+    with _shown(page, open_browser, progress.log):
+        lock = RunLock(folder)
+        try:
+            with watched_keyboard(state.stop_asked), suppress(KeyboardInterrupt):
+                LiveSession(film, folder, config, state).run()
+        except HaustraError as error:
+            state.phase, state.advice = "failed", str(error)
+            raise
+        finally:
+            lock.release()
+            write_record(folder, replace(read_record(folder), figures=state.figures()))
+        for sentence in (*state.sentences, state.summary):
+            progress.log(sentence)
+        if not finish:
+            return None
+        state.phase = "finishing"
+        run = finish_run(folder, _ToldProgress(progress, state), overwrite)
+        state.phase = "done"
+        return run
+
+
+@contextmanager
+def _shown(page: LivePage, open_browser: bool, say: Callable[[str], None]) -> Iterator[None]:
+    page.show(open_browser)
+    say(f"{page.address} shows the surface as it grows; q or Ctrl-C ends it")
+    try:
+        yield
+    finally:
+        page.end()

@@ -1,0 +1,140 @@
+"""The camera's path while frames come, and the keyframes that are worth completing once the map has settled there."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, inverse
+from pipeline.config import Config
+from pipeline.depth.keyframe_selection import is_new_view
+from pipeline.frontend.odometry.state_machine import Odometry, State
+from pipeline.live.working_view import WorkingFrame, WorkingView
+from pipeline.mapping.local_map import Keyframe, LocalMap
+from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap_of_map import to_submap
+
+SETTLED_BY = 3  # later keyframes, by which the adjustment has seen a keyframe from both sides;
+SETTLED_S = 0.8  # or so long after it, where the camera hardly moves
+AROUND = 10  # keyframes whose points a keyframe is completed with
+PATH_STEP = 1  # frames between places of the path that is shown
+
+
+@dataclass(frozen=True)
+class SettledKeyframe:
+    """A keyframe to be completed: its picture, and the map around it.
+
+    map_number: of the submap that it belongs to. row: in `around`. came: when its frame came, by `time.monotonic()`.
+    """
+
+    map_number: int
+    frame: int
+    seconds: float
+    came: float
+    rgb: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    around: Submap
+    row: int
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    keyframe: Keyframe
+    picture: WorkingFrame
+    came: float
+
+
+class LiveTracker:
+    """Odometry on frames as they come. It forgets closed maps: what they showed was completed, and is recorded.
+
+    map_number: of the current map, from 0; -1 before the first. last_keyframe: picture to go back to when lost.
+    """
+
+    def __init__(self, view: WorkingView, config: Config) -> None:
+        self.view, self.motion = view, config.depth.keyframe_motion
+        self.odometry = Odometry(RayTable(view.camera), config.seed, keyframe_motion=config.odometry.keyframe_motion)
+        self.map_number = -1
+        self.last_keyframe: WorkingFrame | None = None
+        self._map: LocalMap | None = None
+        self._waiting: deque[_Waiting] = deque()
+        self._chosen: Keyframe | None = None  # the latest that was taken to be completed
+
+    @property
+    def state(self) -> State:
+        return self.odometry.state
+
+    @property
+    def map(self) -> LocalMap | None:
+        """The one that grows now, or that the camera lost."""
+        return self._map
+
+    @property
+    def world_from_camera(self) -> Array | None:
+        """(4,4) of the latest frame that was posed; None before the first."""
+        tracker = self.odometry.tracker
+        return None if tracker is None else inverse(tracker.camera_from_world)
+
+    def process(self, frame: WorkingFrame, came: float) -> list[SettledKeyframe]:
+        """Pose the frame; the keyframes, of earlier frames, that are to be completed now."""
+        odometry = self.odometry
+        odometry.process(frame.number, frame.rgb, odometry.view(frame.rgb, frame.mask))
+        settled = self._follow_map(came)
+        if self._map is not None and odometry.keyframe == frame.number:
+            self._waiting.append(_Waiting(self._map.keyframes[-1], frame, came))
+            self.last_keyframe = frame
+        return settled + self._settled(came)
+
+    def finish(self) -> list[SettledKeyframe]:
+        """What still waits, at the end of the source."""
+        return self._released(len(self._waiting))
+
+    def submap(self, keyframes: int) -> Submap | None:
+        """The latest keyframes of the current map as it is now; None without enough points."""
+        return (
+            None if self._map is None else to_submap(self._map.latest(keyframes), self.view.camera.params, refit=False)
+        )
+
+    def _follow_map(self, came: float) -> list[SettledKeyframe]:
+        """Notice that another map was begun; what waits in the old one is taken as it is."""
+        self.odometry.maps.clear()
+        tracker = self.odometry.tracker
+        now = None if tracker is None else tracker.map
+        if now is None or now is self._map:
+            return []
+        released = self._released(len(self._waiting))
+        self._map, self._chosen, self.map_number = now, None, self.map_number + 1
+        return released
+
+    def _settled(self, came: float) -> list[SettledKeyframe]:
+        settled = max(0, len(self._waiting) - SETTLED_BY)
+        while settled < len(self._waiting) and came - self._waiting[settled].came > SETTLED_S:
+            settled += 1
+        return self._released(settled)
+
+    def _released(self, count: int) -> list[SettledKeyframe]:
+        """The oldest `count` of those that wait, without those that show nothing new."""
+        waiting = [self._waiting.popleft() for _ in range(count)]
+        chosen = (self._chosen_one(one) for one in waiting)
+        return [keyframe for keyframe in chosen if keyframe is not None]
+
+    def _chosen_one(self, waiting: _Waiting) -> SettledKeyframe | None:
+        assert self._map is not None
+        keyframe, picture = waiting.keyframe, waiting.picture
+        if self._chosen is not None and not self._is_new(keyframe, self._chosen):
+            return None
+        around = to_submap(self._map.latest(AROUND), self.view.camera.params, refit=False)
+        if around is None or picture.number not in around.frames:
+            return None
+        self._chosen = keyframe
+        row = int(np.searchsorted(around.frames, picture.number))
+        seconds, number = picture.seconds, self.map_number
+        return SettledKeyframe(number, picture.number, seconds, waiting.came, picture.rgb, picture.mask, around, row)
+
+    def _is_new(self, keyframe: Keyframe, before: Keyframe) -> bool:
+        assert self._map is not None
+        has_point = self._map.tracks.has_point
+        mine, theirs = has_point[keyframe.ids], has_point[before.ids]
+        now, then = (keyframe.ids[mine], keyframe.pixels[mine]), (before.ids[theirs], before.pixels[theirs])
+        return is_new_view(*now, *then, self.motion * self.view.camera.width)

@@ -1,0 +1,1 @@
+"""What the page of a live session is told, and the server that tells it."""

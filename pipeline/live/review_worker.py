@@ -1,0 +1,187 @@
+"""The process that looks back now and then: loops that correct the drift, and what of the wall was not seen.
+
+It works on the map as it is at that moment, from the beginning each time, with the stages' own loop closing and measure
+of coverage. It has the lowest priority: a review that takes long delays the next one, and nothing else.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, inverse
+from haustra.core.sim3 import transform_points
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.keyframe_store import DiskKeyframes
+from pipeline.depth.rectification import make_rectifier
+from pipeline.live.dense_worker import COARSER, LiveCamera, LiveSetup
+from pipeline.live.surface_part import SurfacePart
+from pipeline.loop_closing.close_loops import FAILURES
+from pipeline.loop_closing.detection import find_features, loop_candidates, verify_loops
+from pipeline.loop_closing.keyframe_pose_graph import close_loops
+from pipeline.mapping.submap import Submap
+from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.run_folder.workspace import Workspace
+from pipeline.surface.coverage_stage import EDGE_VOXELS, LISTED_RADII, half_field_of_view, lens_field_of_view
+from reconstruction.coverage.centreline import NotATube
+from reconstruction.coverage.coverage import Coverage, measure_coverage
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+MOST_REMEMBERED = 400  # keyframes whose features are kept, 40 KiB each
+MOST_LISTED = 4  # missed places, the nearest first
+
+
+@dataclass(frozen=True)
+class ReviewJob:
+    """A map as it is now. keyframes: frame numbers whose depth is on disk; parts: of its surface."""
+
+    map_number: int
+    submap: Submap
+    keyframes: tuple[int, ...]
+    parts: tuple[SurfacePart, ...]
+
+
+@dataclass(frozen=True)
+class MissedPlace:
+    """clock: hours in (0, 12], None where it goes all round; 12 is up in the picture where the stretch begins.
+    diameter: of the circle of its area, in lumen diameters. frame: that came nearest. centre (3,): in the map."""
+
+    clock: float | None
+    diameter: float
+    frame: int
+    centre: tuple[float, float, float]
+    seconds: float = 0.0  # time of that frame, which the session knows
+
+
+@dataclass(frozen=True)
+class Review:
+    """corrections: by the number of a part the similarity (4,4) that moves it to where the latest keyframe says that it
+    is; loops: accepted. covered: share of the wall passed that was seen, None with the `reason` where that cannot be
+    told. last: latest frame that was looked at."""
+
+    map_number: int
+    last: int
+    corrections: dict[int, Array] = field(default_factory=dict)
+    loops: int = 0
+    covered: float | None = None
+    reason: str = ""
+    missed: tuple[MissedPlace, ...] = ()
+
+
+class ReviewWork:
+    """Reviews of one camera's maps."""
+
+    def __init__(self, seen: LiveCamera, setup: LiveSetup) -> None:
+        self.config, self.content = setup.config, seen.content
+        self.rectifier = make_rectifier(seen.camera)
+        self._store = DiskKeyframes(Workspace(setup.folder))
+        self._known: dict[int, KeyframeFeatures] = {}  # by frame
+        rays = RayTable(seen.camera)
+        self._fields = rays, lens_field_of_view(rays, seen.content)
+
+    def __call__(self, job: ReviewJob) -> Review:
+        rows = np.flatnonzero(np.isin(job.submap.frames, job.keyframes))
+        last = int(job.submap.frames[rows[-1]]) if len(rows) else -1
+        if len(rows) < 2 or not job.parts:
+            return Review(job.map_number, last, reason="too little was seen yet")
+        completed = CompletedSubmap(job.submap, self.rectifier, rows, self._store)
+        moved, loops = self._loops_closed(completed)
+        corrections = corrections_of(completed, moved, job.parts)
+        review = Review(job.map_number, last, _from_latest(corrections), loops)
+        return self._covered(review, job, moved, corrections)
+
+    def _loops_closed(self, completed: CompletedSubmap) -> tuple[CompletedSubmap, int]:
+        """The map bent by its loops, and their number; itself where there are none."""
+        config, frames = self.config, completed.submap.frames
+        if not config.loop_closing.enabled:
+            return completed, 0
+        number = {int(frame): row for row, frame in enumerate(frames.tolist())}
+        known = {
+            number[frame]: replace(features, keyframe=number[frame])
+            for frame, features in self._known.items()
+            if frame in number
+        }
+        try:
+            seen = find_features(completed, config.loop_closing.max_keyframes, known)
+            self._known = {int(frames[one.keyframe]): one for one in seen.features[-MOST_REMEMBERED:]}
+            loops = verify_loops(seen, seen, loop_candidates(seen, config.seed), config.seed)
+            closed = close_loops(seen, loops)
+        except FAILURES:
+            return completed, 0
+        return closed.completed, len(closed.accepted)
+
+    def _covered(self, review: Review, job: ReviewJob, moved: CompletedSubmap, corrections: dict[int, Array]) -> Review:
+        rays, field_of_view = self._fields
+        poses = moved.submap.world_from_camera
+        try:
+            half = half_field_of_view(rays, self.rectifier.camera, self.content)
+            edge = EDGE_VOXELS / COARSER * max(part.voxel for part in job.parts)
+            mesh = _joined([(part, corrections[part.number]) for part in job.parts])
+            coverage = measure_coverage(mesh, poses, half, "scene units", edge, field_of_view)
+        except NotATube as reason:
+            return replace(review, reason=str(reason))
+        latest_from_map = inverse_sim3(corrections[max(corrections)])
+        missed = _missed(coverage, job.submap.frames, latest_from_map)
+        return replace(review, covered=coverage.share, missed=missed)
+
+
+def corrections_of(before: CompletedSubmap, after: CompletedSubmap, parts: tuple[SurfacePart, ...]) -> dict[int, Array]:
+    """For each part the similarity (4,4) by which its middle keyframe moved, with its depth."""
+    old, new = before.submap.world_from_camera, after.submap.world_from_camera
+    scale = np.ones(len(new)) if after.depth_scale is None else after.depth_scale
+    found = {}
+    for part in parts:
+        middle = sum(part.frames) / 2
+        row = int(before.rows[np.abs(before.submap.frames[before.rows] - middle).argmin()])
+        similar = new[row].copy()
+        similar[:3, :3] *= scale[row]
+        found[part.number] = similar @ inverse(old[row])
+    return found
+
+
+def inverse_sim3(similarity: Array) -> Array:
+    """Of a similarity (4,4)."""
+    return np.asarray(np.linalg.inv(similarity))
+
+
+def _from_latest(corrections: dict[int, Array]) -> dict[int, Array]:
+    """The same with the latest part where it is: what grows must not jump."""
+    latest = inverse_sim3(corrections[max(corrections)])
+    return {number: latest @ correction for number, correction in corrections.items()}
+
+
+def _joined(parts: list[tuple[SurfacePart, Array]]) -> SurfaceMesh:
+    offsets = np.cumsum([0] + [len(part.vertices) for part, _ in parts])
+    vertices = np.concatenate([transform_points(move, part.vertices.astype(np.float64)) for part, move in parts])
+    faces = np.concatenate([part.faces.astype(np.int64) + at for (part, _), at in zip(parts, offsets[:-1])])
+    return SurfaceMesh.from_triangles(vertices, faces)
+
+
+def _missed(coverage: Coverage, frames: NDArray[np.int64], latest_from_map: Array) -> tuple[MissedPlace, ...]:
+    """Those worth listing, the nearest to the end of the path first."""
+    worth = [region for region in coverage.regions if region.diameter >= LISTED_RADII * coverage.radius]
+    worth.sort(key=lambda region: -region.frame)
+    places = []
+    for region in worth[:MOST_LISTED]:
+        x, y, z = transform_points(latest_from_map, np.array([region.centre]))[0].tolist()
+        diameter = region.diameter / (2 * coverage.radius)
+        places.append(MissedPlace(region.clock, diameter, int(frames[region.frame]), (x, y, z)))
+    return tuple(places)
+
+
+class ReviewWorker:
+    """What the process calls with each job: the camera once, then maps. On one thread: processors belong to others."""
+
+    def __init__(self, setup: LiveSetup) -> None:
+        cv2.setNumThreads(1)
+        self._setup = setup
+        self._work: ReviewWork | None = None
+
+    def __call__(self, job: LiveCamera | ReviewJob) -> Review | None:
+        if isinstance(job, LiveCamera):
+            self._work = ReviewWork(job, self._setup)
+            return None
+        assert self._work is not None
+        return self._work(job)

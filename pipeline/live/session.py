@@ -1,0 +1,198 @@
+"""One live session: frames in, the state for the page out, until the source ends or somebody stops it."""
+
+import time
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+from haustra.core.errors import HaustraError
+from haustra.core.threads import single_threaded
+from pipeline.config import Config
+from pipeline.live.capture.frame_feed import FedFrame, FrameFeed
+from pipeline.live.capture.live_film import LiveFilm
+from pipeline.live.dense_worker import DenseResult, DenseWorker, LiveCamera, LiveSetup
+from pipeline.live.live_tracking import LiveTracker
+from pipeline.live.page.live_state import LiveState
+from pipeline.live.review_worker import Review, ReviewJob, ReviewWorker
+from pipeline.live.warm_up import warm_tracking
+from pipeline.live.worker import Worker
+from pipeline.live.working_view import ViewFinder, WorkingFrame, WorkingView
+from pipeline.run_folder.workspace import LIVE_FOLDER
+
+READY_S = 120.0  # for the network to load
+LAST_S = 20.0  # for the last keyframes, at the end of the source
+WAITING_KEYFRAMES = 2  # that wait for the depth; with the one in work they are 1 s of a busy film
+REVIEW_EVERY_S = 4.0
+REVIEWED_KEYFRAMES = 400  # of the tracker: a review's time is bounded
+RATE_OVER_S = 2.0
+NO_VIEW_AFTER = 5  # frames in a row without a usable picture
+REMEMBERED_TIMES = 20_000  # frames whose time in the film is known, for what the review says of them
+
+ADVICE = {
+    "starting": "move slowly, and sideways a little",
+    "lost": "go back to the view that is shown",
+    "black": "the picture is black",
+    "overexposed": "the picture is overexposed: move away from the wall",
+    "no texture": "nothing can be seen: clean the lens, or move away from the wall",
+    "blurred": "the picture is blurred: move slowly",
+    "duplicate": "the picture stands still",
+}
+
+
+class LiveSession:
+    """Use `run` once. What it finds is in `state`; `stop_asked` there ends it."""
+
+    def __init__(self, film: LiveFilm, folder: Path, config: Config, state: LiveState) -> None:
+        self.film, self.config, self.state = film, config, state
+        self._setup = LiveSetup(config, folder / LIVE_FOLDER)
+        self._tracker: LiveTracker | None = None
+        self._pace: deque[float] = deque()
+        self._unusable = 0
+        self._seconds: dict[int, float] = {}  # of frames, by number
+        self._keyframes: list[int] = []  # of the current map, completed
+        self._next_review = 0.0
+
+    def run(self) -> None:
+        """Until the end. HaustraError where the source showed nothing; what was lost later is in the state."""
+        with (
+            single_threaded(),
+            Worker("depth", DenseWorker, self._setup, WAITING_KEYFRAMES) as dense,
+            Worker("review", ReviewWorker, self._setup, niceness=10) as review,
+        ):
+            self._dense, self._review = dense, review
+            warm_tracking()
+            dense.wait_until_ready(READY_S)
+            with FrameFeed(self.film) as feed:
+                self._follow(feed)
+            if feed.fault and self.state.counts.came == 0:
+                raise HaustraError(feed.fault)
+            if feed.fault:
+                self.state.say(feed.fault)
+            self._end()
+
+    def _follow(self, feed: FrameFeed) -> None:
+        finder = ViewFinder(self.config.camera, self.film.recording, self.config.frames)
+        self.state.phase = "live"
+        while not self.state.stop_asked.is_set() and not feed.ended:
+            fed = feed.take(0.1)
+            counts = self.state.counts
+            counts.came, counts.skipped = feed.came, feed.skipped
+            if fed is None:
+                continue
+            if self._tracker is None:
+                view = finder.look(fed.raw.seconds, fed.raw.rgb)
+                if view is not None:
+                    self._begin(view)
+                continue
+            self._look_at(fed, self._tracker)
+            self._collect()
+        counts.came, counts.skipped = feed.came, feed.skipped
+
+    def _begin(self, view: WorkingView) -> None:
+        self._tracker = LiveTracker(view, self.config)
+        seen = LiveCamera(view.camera, view.content)
+        self._dense.submit(seen)
+        self._review.submit(seen)
+        self.state.say(f"camera: {view.origin}")
+        self._next_review = time.monotonic() + REVIEW_EVERY_S
+
+    def _look_at(self, fed: FedFrame, tracker: LiveTracker) -> None:
+        state, raw = self.state, fed.raw
+        frame = tracker.view.working_frame(raw.index, raw.seconds, raw.rgb)
+        state.seconds = raw.seconds
+        self._remember(raw.index, raw.seconds)
+        state.show_frame(frame.rgb)
+        if frame.verdict != "used":
+            self._unusable += 1
+            state.counts.unusable += 1
+            if self._unusable >= NO_VIEW_AFTER:
+                state.view, state.advice = "no view", ADVICE[frame.verdict]
+            return
+        self._unusable = 0
+        before = tracker.map_number
+        for keyframe in tracker.process(frame, fed.came):
+            self._dense.submit(keyframe)
+        self._tell(tracker, frame, before)
+
+    def _tell(self, tracker: LiveTracker, frame: WorkingFrame, map_before: int) -> None:
+        """How the tracking goes, for the page."""
+        state = self.state
+        state.counts.tracked += 1
+        if tracker.map_number != map_before:
+            self._keyframes = []
+            state.counts.maps += 1
+        state.view = tracker.state
+        state.advice = ADVICE.get(tracker.state, "")
+        pose = tracker.world_from_camera
+        if tracker.state == "tracking" and pose is not None:
+            state.counts.posed += 1
+            state.add_pose(pose, tracker.map_number)
+        elif tracker.last_keyframe is not None:
+            if state.view == "starting":
+                state.view, state.advice = "lost", ADVICE["lost"]
+            state.show_frame(tracker.last_keyframe.rgb, "back.jpg", always=state.is_watched)
+        now = time.monotonic()
+        self._pace.append(now)
+        while now - self._pace[0] > RATE_OVER_S:
+            self._pace.popleft()
+        state.rate = len(self._pace) / RATE_OVER_S
+
+    def _collect(self) -> None:
+        """What the other processes have done, and what they may do next."""
+        state = self.state
+        state.counts.dropped = self._dense.dropped
+        if self._dense.failure:
+            raise HaustraError(self._dense.failure)
+        for result in self._dense.results():
+            if result is not None:
+                self._show(result)
+        for review in self._review.results():
+            if review is not None:
+                state.add_review(self._with_times(review))
+        if time.monotonic() >= self._next_review and self._review.free:
+            self._ask_for_review()
+
+    def _show(self, result: DenseResult) -> None:
+        state = self.state
+        state.add_parts(result.parts)
+        if not result.depth_png:
+            state.counts.empty += 1
+            return
+        state.counts.shown += 1
+        state.add_latency(time.monotonic() - result.came)
+        state.keep_picture("depth.png", result.depth_png)
+        if self._tracker is not None and result.map_number == self._tracker.map_number:
+            self._keyframes.append(result.frame)
+
+    def _ask_for_review(self) -> None:
+        assert self._tracker is not None
+        number = self._tracker.map_number
+        parts = tuple(part for part in self.state.parts if part.map_number == number)
+        self._next_review = time.monotonic() + REVIEW_EVERY_S
+        submap = self._tracker.submap(REVIEWED_KEYFRAMES) if parts else None
+        if submap is not None:
+            self._review.submit(ReviewJob(number, submap, tuple(self._keyframes), parts))
+
+    def _end(self) -> None:
+        """The keyframes that still wait are completed, so that the last look shows all."""
+        if self._tracker is None:
+            raise HaustraError(f"{self.film.name} showed no lit picture in {self.state.counts.came} frames")
+        for keyframe in self._tracker.finish():
+            self._wait_for_room()
+            self._dense.submit(keyframe)
+        self._dense.wait_until_idle(LAST_S)
+        self._collect()
+
+    def _wait_for_room(self) -> None:
+        end = time.monotonic() + LAST_S
+        while self._dense.waiting > WAITING_KEYFRAMES and time.monotonic() < end and not self._dense.failure:
+            time.sleep(0.02)
+
+    def _remember(self, number: int, seconds: float) -> None:
+        self._seconds[number] = seconds
+        if len(self._seconds) > REMEMBERED_TIMES:
+            del self._seconds[next(iter(self._seconds))]
+
+    def _with_times(self, review: Review) -> Review:
+        missed = (replace(place, seconds=self._seconds.get(place.frame, 0.0)) for place in review.missed)
+        return replace(review, missed=tuple(missed))
