@@ -61,6 +61,13 @@ def write_record(folder: Path, record: LiveRecord) -> None:
     write_json(folder / LIVE_RECORD, values | {"config": record.config.model_dump(mode="json"), **record.figures})
 
 
+def forget_record(folder: Path) -> None:
+    """Of a session that saw nothing."""
+    (folder / LIVE_RECORD).unlink(missing_ok=True)
+    (folder / LIVE_FILM).unlink(missing_ok=True)
+    shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
+
+
 def read_record(folder: Path) -> LiveRecord:
     """HaustraError where the folder holds no session."""
     path = folder / LIVE_RECORD

@@ -10,7 +10,7 @@ from haustra.core.progress import Progress, ProgressCallback
 from pipeline.config import Config
 from pipeline.finished_run import Run
 from pipeline.live.capture.live_film import open_film
-from pipeline.live.finish import begin_record, finish_run, read_record, write_record
+from pipeline.live.finish import begin_record, finish_run, forget_record, read_record, write_record
 from pipeline.live.keyboard import watched_keyboard
 from pipeline.live.page.live_server import LivePage
 from pipeline.live.page.live_state import LiveState
@@ -72,7 +72,12 @@ def live(
             raise
         finally:
             lock.release()
-            write_record(folder, replace(read_record(folder), figures=state.figures()))
+            if state.counts.came == 0:  # the corrected command may have the folder
+                forget_record(folder)
+            else:
+                write_record(folder, replace(read_record(folder), figures=state.figures()))
+        if state.counts.came == 0:
+            raise HaustraError(f"the session ended before {film.name} gave a picture")
         for sentence in (*state.sentences, state.summary):
             progress.log(sentence)
         if not finish:

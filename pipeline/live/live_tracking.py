@@ -19,7 +19,6 @@ from pipeline.mapping.submap_of_map import to_submap
 SETTLED_BY = 3  # later keyframes, by which the adjustment has seen a keyframe from both sides;
 SETTLED_S = 0.8  # or so long after it, where the camera hardly moves
 AROUND = 10  # keyframes whose points a keyframe is completed with
-PATH_STEP = 1  # frames between places of the path that is shown
 
 
 @dataclass(frozen=True)
@@ -77,14 +76,14 @@ class LiveTracker:
         return None if tracker is None else inverse(tracker.camera_from_world)
 
     def process(self, frame: WorkingFrame, came: float) -> list[SettledKeyframe]:
-        """Pose the frame; the keyframes, of earlier frames, that are to be completed now."""
+        """Pose the frame; keyframes of an earlier map, which the camera has left, that are to be completed."""
         odometry = self.odometry
         odometry.process(frame.number, frame.rgb, odometry.view(frame.rgb, frame.mask))
-        settled = self._follow_map(came)
+        left = self._follow_map()
         if self._map is not None and odometry.keyframe == frame.number:
             self._waiting.append(_Waiting(self._map.keyframes[-1], frame, came))
             self.last_keyframe = frame
-        return settled + self._settled(came)
+        return left
 
     def finish(self) -> list[SettledKeyframe]:
         """What still waits, at the end of the source."""
@@ -96,7 +95,7 @@ class LiveTracker:
             None if self._map is None else to_submap(self._map.latest(keyframes), self.view.camera.params, refit=False)
         )
 
-    def _follow_map(self, came: float) -> list[SettledKeyframe]:
+    def _follow_map(self) -> list[SettledKeyframe]:
         """Notice that another map was begun; what waits in the old one is taken as it is."""
         self.odometry.maps.clear()
         tracker = self.odometry.tracker
@@ -107,9 +106,10 @@ class LiveTracker:
         self._map, self._chosen, self.map_number = now, None, self.map_number + 1
         return released
 
-    def _settled(self, came: float) -> list[SettledKeyframe]:
+    def settled(self, now: float) -> list[SettledKeyframe]:
+        """The keyframes that are to be completed at a time by `time.monotonic()`, whether frames come or not."""
         settled = max(0, len(self._waiting) - SETTLED_BY)
-        while settled < len(self._waiting) and came - self._waiting[settled].came > SETTLED_S:
+        while settled < len(self._waiting) and now - self._waiting[settled].came > SETTLED_S:
             settled += 1
         return self._released(settled)
 

@@ -27,6 +27,7 @@ from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.coverage_stage import EDGE_VOXELS, LISTED_RADII, half_field_of_view, lens_field_of_view
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.coverage.coverage import Coverage, measure_coverage
+from reconstruction.mesh.open3d_import import import_open3d
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 MOST_REMEMBERED = 400  # keyframes whose features are kept, 40 KiB each
@@ -176,6 +177,7 @@ class ReviewWorker:
 
     def __init__(self, setup: LiveSetup) -> None:
         cv2.setNumThreads(1)
+        import_open3d()  # before the film begins: it takes seconds
         self._setup = setup
         self._work: ReviewWork | None = None
 

@@ -77,15 +77,16 @@ class LiveSession:
             fed = feed.take(0.1)
             counts = self.state.counts
             counts.came, counts.skipped = feed.came, feed.skipped
-            if fed is None:
-                continue
-            if self._tracker is None:
+            if self._tracker is not None:
+                if fed is not None:
+                    self._look_at(fed, self._tracker)
+                for keyframe in self._tracker.settled(time.monotonic()):
+                    self._dense.submit(keyframe)
+                self._collect()
+            elif fed is not None:
                 view = finder.look(fed.raw.seconds, fed.raw.rgb)
                 if view is not None:
                     self._begin(view)
-                continue
-            self._look_at(fed, self._tracker)
-            self._collect()
         counts.came, counts.skipped = feed.came, feed.skipped
 
     def _begin(self, view: WorkingView) -> None:
@@ -165,7 +166,8 @@ class LiveSession:
             self._keyframes.append(result.frame)
 
     def _ask_for_review(self) -> None:
-        assert self._tracker is not None
+        if self._tracker is None:
+            return
         number = self._tracker.map_number
         parts = tuple(part for part in self.state.parts if part.map_number == number)
         self._next_review = time.monotonic() + REVIEW_EVERY_S
@@ -181,6 +183,10 @@ class LiveSession:
             self._wait_for_room()
             self._dense.submit(keyframe)
         self._dense.wait_until_idle(LAST_S)
+        self._collect()
+        self._review.wait_until_idle(LAST_S)
+        self._ask_for_review()
+        self._review.wait_until_idle(LAST_S)
         self._collect()
 
     def _wait_for_room(self) -> None:

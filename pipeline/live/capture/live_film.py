@@ -1,16 +1,17 @@
 """What a live session looks at: a film played at its own rate, a camera, a stream, or a file that grows."""
 
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
 from haustra.core.errors import HaustraError
 from pipeline.input.video import RawFrame, Source
+from pipeline.live.capture.pace import Pace
 from pipeline.live.capture.stream import Stream, device_of
 from pipeline.run_folder.workspace import LIVE_FILM
 
+LEAST_STEP_S = 1e-3  # between two rounds
 SCHEMES = ("rtsp", "rtsps", "rtp", "udp", "tcp", "srt", "http", "https")
 
 
@@ -37,18 +38,17 @@ class PlayedFilm:
         self.source = Source(path)
 
     def frames(self, stopped: threading.Event) -> Iterator[RawFrame]:
-        begun, first, index, shift, last = time.monotonic(), None, 0, 0.0, 0.0
+        pace, index, shift, last = Pace(), 0, 0.0, 0.0
         for _ in range(self.loops):
             step = 0.0
             for frame in self.source:
                 seconds = frame.seconds + shift
-                first = seconds if first is None else first
-                if stopped.wait(max(0.0, begun + seconds - first - time.monotonic())):
+                if pace.is_stopped_before(seconds, stopped):
                     return
                 step, last = seconds - last, seconds
                 yield RawFrame(index, seconds, frame.rgb)
                 index += 1
-            shift = last + max(step, 1e-3)
+            shift = last + max(step, LEAST_STEP_S)
 
 
 def open_film(name: str, folder: Path, loops: int = 1, grows: bool = False) -> LiveFilm:

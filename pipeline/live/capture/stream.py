@@ -12,6 +12,7 @@ from haustra.core.errors import HaustraError
 from pipeline.input.display import Clock, as_shown
 from pipeline.input.video import RawFrame
 from pipeline.live.capture.growing_file import GrowingFile
+from pipeline.live.capture.pace import Pace
 
 if TYPE_CHECKING:
     from av.container import InputContainer, OutputContainer
@@ -52,7 +53,7 @@ class Stream:
             film.thread_type = "SLICE"  # frame threads hold frames back
             record = None if self.grows else stack.enter_context(_Recorder(self.recording, film))
             clock = Clock(float(film.average_rate or film.guessed_rate or DEFAULT_RATE))
-            index, damaged = 0, 0
+            index, damaged, pace = 0, 0, Pace()  # a file is written in gushes
             try:
                 for packet in container.demux(film):
                     if stopped.is_set():
@@ -68,7 +69,10 @@ class Stream:
                         record.write(packet, frames)
                     for frame in frames:
                         rgb = as_shown(frame, film.sample_aspect_ratio or Fraction(1), frame.interlaced_frame)
-                        yield RawFrame(index, clock.seconds(frame.time), rgb)
+                        seconds = clock.seconds(frame.time)
+                        if self.grows and pace.is_stopped_before(seconds, stopped):
+                            return
+                        yield RawFrame(index, seconds, rgb)
                         index += 1
             except av.error.FFmpegError as error:
                 if stopped.is_set():
@@ -141,4 +145,8 @@ class _Recorder:
 
 
 def _reason(error: Exception) -> str:
+    import av
+
+    if isinstance(error, av.error.ExitError):  # how PyAV says that the time given is over
+        return "it gave nothing in time"
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

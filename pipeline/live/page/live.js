@@ -109,7 +109,7 @@ function stop() {
 
 $("stop").addEventListener("click", stop);
 document.addEventListener("keydown", event => { if (event.key === "q" && !event.ctrlKey && !event.metaKey) stop(); });
-$("follow").addEventListener("click", () => { scene.setFollowing(true); if (latest && scene.ready) scene.draw(latest); });
+$("follow").addEventListener("click", () => { scene.setFollowing(true); scene.changed = true; if (latest && scene.ready) scene.draw(latest); });
 $("outside").addEventListener("click", () => latest && scene.ready && scene.outside(latest));
 $("view3d").addEventListener("following", ({ detail }) => {
   $("follow").setAttribute("aria-pressed", detail);

@@ -2,7 +2,9 @@
 // The growing surface: parts as they come, the camera's path, and the camera. Drawn by plotly.
 
 const CAMERA_COLOUR = "#ffd166", MISSED_COLOUR = "#d55e00";
-const BEHIND = 1.6; // units of the map from which the camera is followed
+const BEHIND = 0.4; // units of the map from which the camera is followed
+const DRAW_MS = 900; // between two drawings: without a graphics card each takes a processor that the tracker needs
+const PIXELS = 1; // of the canvas for each of the page; plotly takes two
 
 class LiveScene {
   constructor(element) {
@@ -18,7 +20,7 @@ class LiveScene {
     if (state.map !== this.map) {
       this.map = state.map;
       this.parts.clear();
-      this.ready = false;
+      this.trace = null;
     }
     const shown = new Set(state.parts.map(([number]) => number));
     for (const number of this.parts.keys()) if (!shown.has(number)) this.parts.delete(number);
@@ -31,27 +33,27 @@ class LiveScene {
       this.parts.set(number, { version, key, raw, ...moved(raw, correction) });
       changed = true;
     }
-    if (changed) this.draw(state); else if (this.ready) this.drawCamera(state);
+    this.changed = this.changed || changed;
+    const now = performance.now();
+    if (this.parts.size === 0 || now - (this.drawnAt || -DRAW_MS) < DRAW_MS) return;
+    if (this.changed || this.following) this.draw(state);
+    this.drawnAt = performance.now();
   }
 
+  // One call of plotly's: each one draws everything.
   draw(state) {
-    const traces = [this.mesh(), ...this.cameraTraces(state)];
-    const box = this.box();
-    if (!this.ready) {
-      const axis = k => ({ visible: false, range: [box.low[k], box.high[k]] });
-      const layout = {
-        margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", showlegend: false,
-        scene: { xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), dragmode: "orbit", aspectmode: "data" },
-      };
-      Plotly.newPlot(this.element, traces, layout, { displayModeBar: false });
-      this.ready = true;
-    } else {
-      Plotly.react(this.element, traces, { ...this.element.layout, scene: { ...this.element.layout.scene, ...this.axes(box) } });
-    }
+    if (this.changed || !this.trace) this.trace = this.mesh();
+    this.changed = false;
+    const traces = [this.trace, ...this.cameraTraces(state)], box = this.box();
+    const camera = this.following ? this.behind(state) : this.camera || this.element.layout.scene.camera;
+    const scene = { ...this.axes(box), dragmode: "orbit", aspectmode: "data", ...(camera ? { camera } : {}) };
+    const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", showlegend: false, scene };
+    Plotly.react(this.element, traces, layout, { displayModeBar: false, plotGlPixelRatio: PIXELS });
+    if (!this.ready) this.element.on("plotly_relayout", change => { if (change["scene.camera"]) this.camera = change["scene.camera"]; });
+    this.ready = true;
     this.drawn++;
     this.element.dataset.drawn = this.drawn;
-    this.element.dataset.faces = [...this.parts.values()].reduce((sum, part) => sum + part.raw.faces.length / 3, 0);
-    this.place(state);
+    this.element.dataset.faces = this.surface.faces.length / 3;
   }
 
   axes(box) {
@@ -99,12 +101,6 @@ class LiveScene {
     return Math.hypot(...high.map((value, k) => value - low[k])) || 1;
   }
 
-  drawCamera(state) {
-    const traces = this.cameraTraces(state);
-    for (const key of ["x", "y", "z"]) traces.forEach((trace, k) => { this.element.data[1 + k][key] = trace[key]; });
-    this.place(state);
-  }
-
   // plotly's own unit: the box's sides, under aspectmode "data", have a geometric mean of one.
   toView(point) {
     const { low, high } = this.box(), side = high.map((value, k) => Math.max(value - low[k], 1e-9));
@@ -112,19 +108,14 @@ class LiveScene {
     return point.map((value, k) => (value - (low[k] + high[k]) / 2) / unit);
   }
 
-  fromView(point) {
-    const { low, high } = this.box(), side = high.map((value, k) => Math.max(value - low[k], 1e-9));
-    const unit = Math.cbrt(side[0] * side[1] * side[2]);
-    return point.map((value, k) => value * unit + (low[k] + high[k]) / 2);
-  }
-
-  place(state) {
-    if (!this.following || state.pose.length < 16) { Plotly.redraw(this.element); return; }
-    const turned = k => [state.pose[k], state.pose[4 + k], state.pose[8 + k]];
+  // The eye behind the camera, looking where it looks.
+  behind({ pose }) {
+    if (pose.length < 16) return null;
+    const turned = k => [pose[k], pose[4 + k], pose[8 + k]];
     const centre = turned(3), ahead = turned(2), up = turned(1).map(value => -value);
-    const eye = this.toView(centre.map((value, k) => value - BEHIND * 0.25 * ahead[k]));
+    const eye = this.toView(centre.map((value, k) => value - BEHIND * ahead[k]));
     const target = this.toView(centre.map((value, k) => value + ahead[k]));
-    Plotly.relayout(this.element, { "scene.camera": { eye: point(eye), center: point(target), up: point(up), projection: { type: "perspective" } } });
+    return { eye: point(eye), center: point(target), up: point(up), projection: { type: "perspective" } };
   }
 
   // From the side, far enough away for everything, with the wall towards the eye left out.
@@ -137,9 +128,9 @@ class LiveScene {
     const side = cross(axis, helper), width = Math.hypot(...side), eyeSide = side.map(value => value / width);
     const middle = low.map((value, k) => (value + high[k]) / 2), reach = 1.25 * this.size();
     this.eye = middle.map((value, k) => value + reach * eyeSide[k]);
-    const camera = { eye: point(this.toView(this.eye)), center: point(this.toView(middle)), up: point(helper.map(value => -value)), projection: { type: "perspective" } };
+    this.camera = { eye: point(this.toView(this.eye)), center: point(this.toView(middle)), up: point(helper.map(value => -value)), projection: { type: "perspective" } };
+    this.changed = true;
     this.draw(state);
-    Plotly.relayout(this.element, { "scene.camera": camera });
   }
 
   setFollowing(following) {
