@@ -6,5 +6,5 @@ if __name__ == "__main__":
     choose(
         "benchmarks.speed",
         __doc__,
-        ["throughput", "completion", "decimation", "fusion", "phantom", "window_adjustment"],
+        ["throughput", "live", "completion", "decimation", "fusion", "phantom", "window_adjustment"],
     )

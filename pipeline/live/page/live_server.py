@@ -16,6 +16,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'"
 )
+POLL_S = 0.05  # how soon the server notices that it is to end
 STOP_HEADER = "X-Haustra"  # which a page of another origin cannot send without being asked first
 PICTURES = {"frame.jpg": "image/jpeg", "back.jpg": "image/jpeg", "depth.png": "image/png"}
 Answer = tuple[bytes, str]
@@ -31,7 +32,7 @@ class LivePage(LocalServer):
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise HaustraError(f"port {port} cannot be used ({reason}); leave --port out for a free one") from error
-        self._thread = threading.Thread(target=self.serve_forever, name="page", daemon=True)
+        self._thread = threading.Thread(target=self.serve_forever, args=(POLL_S,), name="page", daemon=True)
 
     def show(self, open_browser: bool) -> None:
         """Begin to answer."""

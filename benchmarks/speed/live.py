@@ -1,0 +1,127 @@
+"""Whether `haustra live` keeps up with films played at their own rate, and how soon and steadily.
+
+    python -m benchmarks.speed live ../shared/data/ctcolon SUITE/easy_withdrawal --runs 3 --json live.json
+    python -m benchmarks.speed live ../shared/data/ctcolon --seconds 600 --json live_looped.json
+
+Each run is the command itself, without the run at the end, in a process of its own; its page is asked once a second, as
+a browser would, but nothing is drawn: a browser that draws without a graphics card takes a processor for itself.
+Frames kept up with are all that came but for those that were skipped, over the length of what was played. A keyframe's
+surface is shown so long after its frame came. Memory is the resident sum of the command and its processes, once a
+second; its growth is the slope of a line through the second half. Films are played again until `--seconds` are over; 0
+plays them once. Start-up, before the first frame, is not in the rates.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from benchmarks.common.record import environment, spread
+from benchmarks.common.runner import add_folders
+from pipeline.input.video import Source
+
+POLL_S = 1.0
+COMMAND = "from pipeline.cli.main import main; main()"
+GROWTH_FROM = 0.5  # of the time: before, libraries are still being loaded
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser, "films: RGB-D folders or videos")
+    parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=0.0, help="play each film again until then")
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    rows = []
+    for folder in arguments.folders:
+        for number in range(arguments.runs):
+            row = {"film": folder.name, "run": number} | _session(folder, arguments.seconds)
+            print(_sentence(row), flush=True)
+            rows.append(row)
+    names = ("kept_up_per_s", "median_s", "worst_s", "peak_mib")
+    films = {
+        name: {figure: spread([row[figure] for row in rows if row["film"] == name]) for figure in names}
+        for name in dict.fromkeys(row["film"] for row in rows)
+    }
+    return {"environment": environment(), "seconds": arguments.seconds, "runs": rows, "films": films}
+
+
+def _session(film: Path, seconds: float) -> dict[str, Any]:
+    """One session's figures."""
+    length = _length(film)
+    loops = max(1, round(seconds / length))
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "run"
+        words = ["live", str(film.resolve()), "-o", str(out), "--no-browser", "--no-finish", "--loops", str(loops)]
+        process = psutil.Popen(
+            [sys.executable, "-P", "-c", COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        address = _address(process)
+        memory, began = [], None
+        while process.poll() is None:
+            began = began or (time.monotonic() if _has_begun(address) else None)
+            if began is not None:
+                memory.append((time.monotonic() - began, _resident_mib(process)))
+            time.sleep(POLL_S)
+        if process.returncode:
+            raise SystemExit(f"the session of {film} failed: {process.stdout.read()}")
+        figures = json.loads((out / "live.json").read_text())
+    counts, after = figures["counts"], figures["surface_after_s"] or {"median": None, "worst": None}
+    when, mib = np.array(memory).T
+    late = when > GROWTH_FROM * when[-1]
+    growth = float(np.polyfit(when[late], mib[late], 1)[0]) * 60 if late.sum() > 2 else None
+    return {
+        "played_s": length * loops,
+        "kept_up_per_s": (counts["came"] - counts["skipped"]) / (length * loops),
+        "counts": counts,
+        "median_s": after["median"],
+        "worst_s": after["worst"],
+        "peak_mib": float(mib.max()),
+        "growth_mib_per_minute": growth,
+    }
+
+
+def _length(film: Path) -> float:
+    """Seconds of a film, its last frame's interval included."""
+    seconds = [frame.seconds for frame in Source(film)]
+    return seconds[-1] - seconds[0] + float(np.median(np.diff(seconds)))
+
+
+def _address(process: Any) -> str:
+    for line in process.stdout:
+        if "http://" in line:
+            return str(line.split()[0])
+    raise SystemExit("the session said no address")
+
+
+def _has_begun(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address + "state", timeout=10) as answer:
+            return bool(json.load(answer)["counts"]["came"])
+    except OSError:
+        return False
+
+
+def _resident_mib(process: Any) -> float:
+    try:
+        return float(sum(p.memory_info().rss for p in [process, *process.children(recursive=True)])) / 2**20
+    except psutil.NoSuchProcess:
+        return 0.0
+
+
+def _sentence(row: dict[str, Any]) -> str:
+    growth = row["growth_mib_per_minute"]
+    return (
+        f"{row['film']}: {row['kept_up_per_s']:.1f} frames/s of {row['counts']['came'] / row['played_s']:.1f} kept up "
+        f"with, {row['counts']['shown']} keyframes shown {row['median_s']:.2f} s (worst {row['worst_s']:.2f} s) after "
+        f"their frame, {row['counts']['dropped']} not kept up with; peak {row['peak_mib']:.0f} MiB"
+        + ("" if growth is None else f", {growth:+.1f} MiB a minute")
+    )
