@@ -18,6 +18,7 @@ from pipeline.mapping.submap_of_map import to_submap
 
 SETTLED_BY = 3  # later keyframes, by which the adjustment has seen a keyframe from both sides;
 SETTLED_S = 0.8  # or so long after it, where the camera hardly moves
+LEFT_KEYFRAMES = 200  # of a map that was left, by which it may be recognised later
 AROUND = 10  # keyframes whose points a keyframe is completed with
 
 
@@ -56,6 +57,7 @@ class LiveTracker:
         self.odometry = Odometry(RayTable(view.camera), config.seed, keyframe_motion=config.odometry.keyframe_motion)
         self.map_number = -1
         self.last_keyframe: WorkingFrame | None = None
+        self.left: tuple[int, Submap] | None = None  # number and end of the map before, once it was left
         self._map: LocalMap | None = None
         self._waiting: deque[_Waiting] = deque()
         self._chosen: Keyframe | None = None  # the latest that was taken to be completed
@@ -103,6 +105,8 @@ class LiveTracker:
         if now is None or now is self._map:
             return []
         released = self._released(len(self._waiting))
+        end = self.submap(LEFT_KEYFRAMES)
+        self.left = None if end is None else (self.map_number, end)
         self._map, self._chosen, self.map_number = now, None, self.map_number + 1
         return released
 

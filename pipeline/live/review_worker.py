@@ -19,8 +19,14 @@ from pipeline.depth.rectification import make_rectifier
 from pipeline.live.dense_worker import COARSER, LiveCamera, LiveSetup
 from pipeline.live.surface_part import SurfacePart
 from pipeline.loop_closing.close_loops import FAILURES
-from pipeline.loop_closing.detection import find_features, loop_candidates, verify_loops
-from pipeline.loop_closing.keyframe_pose_graph import close_loops
+from pipeline.loop_closing.detection import (
+    SubmapFeatures,
+    find_features,
+    loop_candidates,
+    merge_candidates,
+    verify_loops,
+)
+from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.mapping.submap import Submap
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.run_folder.workspace import Workspace
@@ -31,6 +37,7 @@ from reconstruction.mesh.open3d_import import import_open3d
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 MOST_REMEMBERED = 400  # keyframes whose features are kept, 40 KiB each
+MOST_MAPS = 4  # the current one, and those before it in which it may be recognised
 MOST_LISTED = 4  # missed places, the nearest first
 
 
@@ -59,16 +66,26 @@ class MissedPlace:
 @dataclass(frozen=True)
 class Review:
     """corrections: by the number of a part the similarity (4,4) that moves it to where the latest keyframe says that it
-    is; loops: accepted. covered: share of the wall passed that was seen, None with the `reason` where that cannot be
+    is, of earlier maps those that the current one was recognised in; loops: accepted. joined: earlier maps that were
+    recognised. covered: share of the wall passed that was seen, None with the `reason` where that cannot be
     told. last: latest frame that was looked at."""
 
     map_number: int
     last: int
     corrections: dict[int, Array] = field(default_factory=dict)
     loops: int = 0
+    joined: int = 0
     covered: float | None = None
     reason: str = ""
     missed: tuple[MissedPlace, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Reviewed:
+    """A map as it was reviewed last."""
+
+    seen: SubmapFeatures
+    parts: tuple[SurfacePart, ...]
 
 
 class ReviewWork:
@@ -79,6 +96,7 @@ class ReviewWork:
         self.rectifier = make_rectifier(seen.camera)
         self._store = DiskKeyframes(Workspace(setup.folder))
         self._known: dict[int, KeyframeFeatures] = {}  # by frame
+        self._reviewed: dict[int, _Reviewed] = {}  # the latest maps, by number
         rays = RayTable(seen.camera)
         self._fields = rays, lens_field_of_view(rays, seen.content)
 
@@ -88,30 +106,54 @@ class ReviewWork:
         if len(rows) < 2 or not job.parts:
             return Review(job.map_number, last, reason="too little was seen yet")
         completed = CompletedSubmap(job.submap, self.rectifier, rows, self._store)
-        moved, loops = self._loops_closed(completed)
-        corrections = corrections_of(completed, moved, job.parts)
-        review = Review(job.map_number, last, _from_latest(corrections), loops)
-        return self._covered(review, job, moved, corrections)
+        seen, loops = self._loops_closed(completed)
+        corrections = corrections_of(completed, seen.completed, job.parts)
+        before = self._found_again(job, seen)
+        self._reviewed.pop(job.map_number, None)
+        self._reviewed[job.map_number] = _Reviewed(seen, job.parts)
+        while len(self._reviewed) > MOST_MAPS:
+            del self._reviewed[next(iter(self._reviewed))]
+        shown = _from_latest(corrections) | {number: move for found in before for number, move in found.items()}
+        review = Review(job.map_number, last, shown, loops, len(before))
+        return self._covered(review, job, seen.completed, corrections)
 
-    def _loops_closed(self, completed: CompletedSubmap) -> tuple[CompletedSubmap, int]:
-        """The map bent by its loops, and their number; itself where there are none."""
+    def _loops_closed(self, completed: CompletedSubmap) -> tuple[SubmapFeatures, int]:
+        """The map, bent by its loops, with its features; and the number of loops."""
         config, frames = self.config, completed.submap.frames
-        if not config.loop_closing.enabled:
-            return completed, 0
         number = {int(frame): row for row, frame in enumerate(frames.tolist())}
         known = {
             number[frame]: replace(features, keyframe=number[frame])
             for frame, features in self._known.items()
             if frame in number
         }
+        seen = find_features(completed, config.loop_closing.max_keyframes, known)
+        self._known = {int(frames[one.keyframe]): one for one in seen.features[-MOST_REMEMBERED:]}
+        if not config.loop_closing.enabled:
+            return seen, 0
         try:
-            seen = find_features(completed, config.loop_closing.max_keyframes, known)
-            self._known = {int(frames[one.keyframe]): one for one in seen.features[-MOST_REMEMBERED:]}
             loops = verify_loops(seen, seen, loop_candidates(seen, config.seed), config.seed)
             closed = close_loops(seen, loops)
         except FAILURES:
-            return completed, 0
-        return closed.completed, len(closed.accepted)
+            return seen, 0
+        return replace(seen, completed=closed.completed), len(closed.accepted)
+
+    def _found_again(self, job: ReviewJob, seen: SubmapFeatures) -> list[dict[int, Array]]:
+        """Of each earlier map that shows the same places, surely: where its parts are, as the latest keyframe sees
+        them."""
+        found: list[dict[int, Array]] = []
+        for number, earlier in self._reviewed.items():
+            if number == job.map_number or not self.config.loop_closing.merge_submaps:
+                continue
+            try:
+                pairs = merge_candidates(seen, earlier.seen, self.config.seed)
+                merged = merge_by_loops((seen, earlier.seen), verify_loops(seen, earlier.seen, pairs, self.config.seed))
+            except FAILURES:
+                continue
+            if merged is not None:
+                latest = corrections_of(seen.completed, merged, job.parts[-1:])[job.parts[-1].number]
+                moved = corrections_of(earlier.seen.completed, merged, earlier.parts)
+                found.append({part: inverse_sim3(latest) @ move for part, move in moved.items()})
+        return found
 
     def _covered(self, review: Review, job: ReviewJob, moved: CompletedSubmap, corrections: dict[int, Array]) -> Review:
         rays, field_of_view = self._fields
@@ -129,17 +171,22 @@ class ReviewWork:
 
 
 def corrections_of(before: CompletedSubmap, after: CompletedSubmap, parts: tuple[SurfacePart, ...]) -> dict[int, Array]:
-    """For each part the similarity (4,4) by which its middle keyframe moved, with its depth."""
-    old, new = before.submap.world_from_camera, after.submap.world_from_camera
-    scale = np.ones(len(new)) if after.depth_scale is None else after.depth_scale
+    """For each part the similarity (4,4) by which its middle keyframe moved, with its depth; both submaps pose it."""
     found = {}
     for part in parts:
         middle = sum(part.frames) / 2
         row = int(before.rows[np.abs(before.submap.frames[before.rows] - middle).argmin()])
-        similar = new[row].copy()
-        similar[:3, :3] *= scale[row]
-        found[part.number] = similar @ inverse(old[row])
+        there = int(np.searchsorted(after.submap.frames, before.submap.frames[row]))
+        scale = _scale(after, there) / _scale(before, row)
+        similar = after.submap.world_from_camera[there].copy()
+        similar[:3, :3] *= scale
+        found[part.number] = similar @ inverse(before.submap.world_from_camera[row])
     return found
+
+
+def _scale(completed: CompletedSubmap, row: int) -> float:
+    """Of a frame's depth over what is stored."""
+    return 1.0 if completed.depth_scale is None else float(completed.depth_scale[row])
 
 
 def inverse_sim3(similarity: Array) -> Array:

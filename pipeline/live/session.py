@@ -17,12 +17,14 @@ from pipeline.live.review_worker import Review, ReviewJob, ReviewWorker
 from pipeline.live.warm_up import warm_tracking
 from pipeline.live.worker import Worker
 from pipeline.live.working_view import ViewFinder, WorkingFrame, WorkingView
+from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import LIVE_FOLDER
 
 READY_S = 120.0  # for the network to load
 LAST_S = 20.0  # for the last keyframes, at the end of the source
 WAITING_KEYFRAMES = 2  # that wait for the depth; with the one in work they are 1 s of a busy film
 REVIEW_EVERY_S = 4.0
+WAITING_REVIEWS = 2  # of the map that was left, and of the one that was begun
 REVIEWED_KEYFRAMES = 400  # of the tracker: a review's time is bounded
 RATE_OVER_S = 2.0
 NO_VIEW_AFTER = 5  # frames in a row without a usable picture
@@ -49,7 +51,7 @@ class LiveSession:
         self._pace: deque[float] = deque()
         self._unusable = 0
         self._seconds: dict[int, float] = {}  # of frames, by number
-        self._keyframes: list[int] = []  # of the current map, completed
+        self._keyframes: dict[int, list[int]] = {}  # completed, of the current map and the one before it
         self._next_review = 0.0
 
     def run(self) -> None:
@@ -57,7 +59,7 @@ class LiveSession:
         with (
             single_threaded(),
             Worker("depth", DenseWorker, self._setup, WAITING_KEYFRAMES) as dense,
-            Worker("review", ReviewWorker, self._setup, niceness=10) as review,
+            Worker("review", ReviewWorker, self._setup, WAITING_REVIEWS, niceness=10) as review,
         ):
             self._dense, self._review = dense, review
             warm_tracking()
@@ -120,8 +122,10 @@ class LiveSession:
         state = self.state
         state.counts.tracked += 1
         if tracker.map_number != map_before:
-            self._keyframes = []
             state.counts.maps += 1
+            if tracker.left is not None:
+                self._submit_review(*tracker.left)
+            self._keyframes = {tracker.map_number: []}
         state.view = tracker.state
         state.advice = ADVICE.get(tracker.state, "")
         pose = tracker.world_from_camera
@@ -162,18 +166,22 @@ class LiveSession:
         state.counts.shown += 1
         state.add_latency(time.monotonic() - result.came)
         state.keep_picture("depth.png", result.depth_png)
-        if self._tracker is not None and result.map_number == self._tracker.map_number:
-            self._keyframes.append(result.frame)
+        if result.map_number in self._keyframes:
+            self._keyframes[result.map_number].append(result.frame)
 
     def _ask_for_review(self) -> None:
         if self._tracker is None:
             return
-        number = self._tracker.map_number
-        parts = tuple(part for part in self.state.parts if part.map_number == number)
         self._next_review = time.monotonic() + REVIEW_EVERY_S
-        submap = self._tracker.submap(REVIEWED_KEYFRAMES) if parts else None
+        submap = self._tracker.submap(REVIEWED_KEYFRAMES)
         if submap is not None:
-            self._review.submit(ReviewJob(number, submap, tuple(self._keyframes), parts))
+            self._submit_review(self._tracker.map_number, submap)
+
+    def _submit_review(self, number: int, submap: Submap) -> None:
+        parts = tuple(part for part in self.state.parts if part.map_number == number)
+        keyframes = tuple(self._keyframes.get(number, ()))
+        if parts and keyframes:
+            self._review.submit(ReviewJob(number, submap, keyframes, parts))
 
     def _end(self) -> None:
         """The keyframes that still wait are completed, so that the last look shows all."""

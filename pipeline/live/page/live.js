@@ -39,7 +39,7 @@ function show(state) {
   const said = state.sentences.map(sentence => { const li = document.createElement("li"); li.textContent = sentence; return li; });
   $("sentences").replaceChildren(...said);
   $("empty").hidden = state.parts.length > 0;
-  const earlier = state.earlier ? `; ${state.earlier} part(s) from before the camera was lost are not shown` : "";
+  const earlier = state.earlier ? `; ${state.earlier} part(s) of the surface from before the camera was lost are not shown` : "";
   say("mesh-note", state.parts.length ? `${state.faces.toLocaleString("en")} triangles, scene units${earlier}` : "");
   return scene.update(state);
 }
@@ -52,7 +52,7 @@ function showCoverage(state) {
   const seen = state.coverage, missed = seen ? seen.missed : [];
   say("covered", seen && seen.covered !== null ? `${seen.covered.toFixed(0)} %` : "–");
   say("covered-words", !seen ? "not measured yet" : seen.covered === null ? seen.reason : "of the wall that the camera passed"
-    + (seen.loops ? `; ${seen.loops} loop(s) closed` : ""));
+    + (seen.loops ? `; ${seen.loops} loop(s) closed` : "") + (seen.joined ? `; ${seen.joined} earlier map(s) recognised` : ""));
   drawDial(Boolean(seen && seen.covered !== null), missed);
   const items = missed.map((place, k) => {
     const li = document.createElement("li"), ago = Math.max(0, state.seconds - place.seconds).toFixed(0);

@@ -154,7 +154,7 @@ class LiveState:
         """For the page, which asks for it several times a second."""
         self._asked = time.monotonic()
         with self._lock:
-            shown = [part for part in self._parts.values() if part.map_number == self._map_number]
+            shown = [part for part in self._parts.values() if self._is_placed(part)]
             label, done, total = self.finishing
             return {
                 "name": self.name,
@@ -177,10 +177,14 @@ class LiveState:
                 "pictures": sorted(self._pictures),
             }
 
+    def _is_placed(self, part: SurfacePart) -> bool:
+        """Whether a part is of the current map, or of one that was recognised in it."""
+        return part.map_number == self._map_number or self._correction(part) is not None
+
     def _correction(self, part: SurfacePart) -> list[float] | None:
-        """Similarity (4,4) by rows that a review found for the part; None for none."""
+        """Similarity (4,4) by rows that the last review of the current map found for the part; None for none."""
         review = self._review
-        if review is None or part.number not in review.corrections or review.map_number != part.map_number:
+        if review is None or part.number not in review.corrections or review.map_number != self._map_number:
             return None
         return np.round(review.corrections[part.number], 6).ravel().tolist()
 
@@ -190,7 +194,13 @@ class LiveState:
             return None
         missed = [vars(place) for place in review.missed]
         covered = None if review.covered is None else 100 * review.covered
-        return {"covered": covered, "reason": review.reason, "missed": missed, "loops": review.loops}
+        return {
+            "covered": covered,
+            "reason": review.reason,
+            "missed": missed,
+            "loops": review.loops,
+            "joined": review.joined,
+        }
 
 
 def _latency(seconds: list[float]) -> dict[str, float] | None:

@@ -71,7 +71,7 @@ def test_a_review_is_told_of_its_own_map_alone():
     move = np.eye(4)
     move[0, 3] = 2.0
     place = MissedPlace(3.0, 0.5, 12, (0.0, 1.0, 2.0), 0.4)
-    state.add_review(Review(0, 20, {0: move, 1: np.eye(4)}, 1, 0.875, "", (place,)))
+    state.add_review(Review(0, 20, {0: move, 1: np.eye(4)}, 1, 0, 0.875, "", (place,)))
     told = json.loads(json.dumps(state.to_dict(), allow_nan=False))
     assert told["parts"][0][2][3] == 2.0
     assert told["coverage"]["covered"] == 87.5
