@@ -30,12 +30,15 @@ from pipeline.input.video import Source
 
 POLL_S = 1.0
 COMMAND = "from pipeline.cli.main import main; main()"
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+LEAST_S = 60.0  # of play; in less, memory is still that of the start
 GROWTH_FROM = 0.5  # of the time: before, libraries are still being loaded
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser, "films: RGB-D folders or videos")
     parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--browser", help="command of a Chromium that draws the page meanwhile")
     parser.add_argument("--seconds", type=float, default=0.0, help="play each film again until then")
 
 
@@ -43,7 +46,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     rows = []
     for folder in arguments.folders:
         for number in range(arguments.runs):
-            row = {"film": folder.name, "run": number} | _session(folder, arguments.seconds)
+            row = {"film": folder.name, "run": number} | _session(folder, arguments.seconds, arguments.browser)
             print(_sentence(row), flush=True)
             rows.append(row)
     names = ("kept_up_per_s", "median_s", "worst_s", "peak_mib")
@@ -51,10 +54,12 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
         name: {figure: spread([row[figure] for row in rows if row["film"] == name]) for figure in names}
         for name in dict.fromkeys(row["film"] for row in rows)
     }
-    return {"environment": environment(), "seconds": arguments.seconds, "runs": rows, "films": films}
+    browser = "none" if arguments.browser is None else Path(arguments.browser).name
+    about = {"environment": environment(), "seconds": arguments.seconds, "browser": browser}
+    return about | {"runs": rows, "films": films}
 
 
-def _session(film: Path, seconds: float) -> dict[str, Any]:
+def _session(film: Path, seconds: float, browser: str | None) -> dict[str, Any]:
     """One session's figures."""
     length = _length(film)
     loops = max(1, round(seconds / length))
@@ -65,19 +70,23 @@ def _session(film: Path, seconds: float) -> dict[str, Any]:
             [sys.executable, "-P", "-c", COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
         address = _address(process)
+        looking = None if browser is None else subprocess.Popen([browser, *FLAGS, address], stderr=subprocess.DEVNULL)
         memory, began = [], None
         while process.poll() is None:
             began = began or (time.monotonic() if _has_begun(address) else None)
             if began is not None:
                 memory.append((time.monotonic() - began, _resident_mib(process)))
             time.sleep(POLL_S)
+        if looking is not None:
+            looking.terminate()
+            looking.wait()
         if process.returncode:
             raise SystemExit(f"the session of {film} failed: {process.stdout.read()}")
         figures = json.loads((out / "live.json").read_text())
     counts, after = figures["counts"], figures["surface_after_s"] or {"median": None, "worst": None}
     when, mib = np.array(memory).T
-    late = when > GROWTH_FROM * when[-1]
-    growth = float(np.polyfit(when[late], mib[late], 1)[0]) * 60 if late.sum() > 2 else None
+    late = (when > GROWTH_FROM * length * loops) & (when < length * loops)  # then the processes end
+    growth = float(np.polyfit(when[late], mib[late], 1)[0]) * 60 if length * loops >= LEAST_S else None
     return {
         "played_s": length * loops,
         "kept_up_per_s": (counts["came"] - counts["skipped"]) / (length * loops),

@@ -4,6 +4,7 @@ It works on the map as it is at that moment, from the beginning each time, with 
 of coverage. It has the lowest priority: a review that takes long delays the next one, and nothing else.
 """
 
+import os
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -224,6 +225,7 @@ class ReviewWorker:
 
     def __init__(self, setup: LiveSetup) -> None:
         cv2.setNumThreads(1)
+        os.environ["OMP_NUM_THREADS"] = "1"  # Open3D reads it when it is loaded
         import_open3d()  # before the film begins: it takes seconds
         self._setup = setup
         self._work: ReviewWork | None = None

@@ -1,7 +1,7 @@
 "use strict";
 // The page of a live session: asks for the state several times a second and says it in few words.
 
-const ASK_MS = 250, RETRY_MS = 1000;
+const ASK_MS = 400, RETRY_MS = 1000;
 const $ = id => document.getElementById(id);
 const WORDS = {
   waiting: ["…", "Waiting for pictures"], starting: ["◌", "Starting"], tracking: ["✓", "Tracking"],
@@ -39,7 +39,7 @@ function show(state) {
   const said = state.sentences.map(sentence => { const li = document.createElement("li"); li.textContent = sentence; return li; });
   $("sentences").replaceChildren(...said);
   $("empty").hidden = state.parts.length > 0;
-  const earlier = state.earlier ? `; ${state.earlier} part(s) of the surface from before the camera was lost are not shown` : "";
+  const earlier = state.earlier ? `; ${state.earlier} ${state.earlier === 1 ? "part" : "parts"} from before the camera was lost not shown` : "";
   say("mesh-note", state.parts.length ? `${state.faces.toLocaleString("en")} triangles, scene units${earlier}` : "");
   return scene.update(state);
 }
@@ -48,11 +48,13 @@ function clock(seconds) { return `${Math.floor(seconds / 60)}:${String(Math.floo
 
 function hours(hour) { return hour === null ? "all round" : `${Math.round(hour) || 12} o'clock`; }
 
+function counted(count, noun, what) { return count ? `; ${count} ${noun}${count === 1 ? "" : "s"} ${what}` : ""; }
+
 function showCoverage(state) {
   const seen = state.coverage, missed = seen ? seen.missed : [];
   say("covered", seen && seen.covered !== null ? `${seen.covered.toFixed(0)} %` : "–");
   say("covered-words", !seen ? "not measured yet" : seen.covered === null ? seen.reason : "of the wall that the camera passed"
-    + (seen.loops ? `; ${seen.loops} loop(s) closed` : "") + (seen.joined ? `; ${seen.joined} earlier map(s) recognised` : ""));
+    + counted(seen.loops, "loop", "closed") + counted(seen.joined, "earlier map", "recognised"));
   drawDial(Boolean(seen && seen.covered !== null), missed);
   const items = missed.map((place, k) => {
     const li = document.createElement("li"), ago = Math.max(0, state.seconds - place.seconds).toFixed(0);

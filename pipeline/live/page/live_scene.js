@@ -3,7 +3,8 @@
 
 const CAMERA_COLOUR = "#ffd166", MISSED_COLOUR = "#d55e00";
 const BEHIND = 0.4; // units of the map from which the camera is followed
-const DRAW_MS = 900; // between two drawings: without a graphics card each takes a processor that the tracker needs
+// Between two drawings. Without a graphics card each takes the processors that the tracker needs: then fewer.
+const DRAW_MS = 900, MOST_DRAW_MS = 3000, DRAW_SHARE = 0.15;
 const PIXELS = 1; // of the canvas for each of the page; plotly takes two
 
 class LiveScene {
@@ -35,9 +36,11 @@ class LiveScene {
     }
     this.changed = this.changed || changed;
     const now = performance.now();
-    if (this.parts.size === 0 || now - (this.drawnAt || -DRAW_MS) < DRAW_MS) return;
+    if (this.parts.size === 0 || now < (this.drawNext || 0)) return;
     if (this.changed || this.following) this.draw(state);
-    this.drawnAt = performance.now();
+    const took = await drawn() - now;
+    this.element.dataset.drawMs = Math.round(took);
+    this.drawNext = performance.now() + Math.min(MOST_DRAW_MS, Math.max(DRAW_MS, took / DRAW_SHARE));
   }
 
   // One call of plotly's: each one draws everything.
@@ -126,7 +129,7 @@ class LiveScene {
     const length = Math.hypot(...along) || 1, axis = along.map(value => value / length);
     const helper = Math.abs(axis[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0];
     const side = cross(axis, helper), width = Math.hypot(...side), eyeSide = side.map(value => value / width);
-    const middle = low.map((value, k) => (value + high[k]) / 2), reach = 1.25 * this.size();
+    const middle = low.map((value, k) => (value + high[k]) / 2), reach = this.size();
     this.eye = middle.map((value, k) => value + reach * eyeSide[k]);
     this.camera = { eye: point(this.toView(this.eye)), center: point(this.toView(middle)), up: point(helper.map(value => -value)), projection: { type: "perspective" } };
     this.changed = true;
@@ -138,6 +141,9 @@ class LiveScene {
     this.element.dispatchEvent(new CustomEvent("following", { detail: following }));
   }
 }
+
+// When what was asked for is on the screen.
+function drawn() { return new Promise(resolve => requestAnimationFrame(() => requestAnimationFrame(resolve))); }
 
 async function fetchPart(number) {
   const answer = await fetch(`/surface/${number}`);
