@@ -11,12 +11,14 @@ from haustra.core.progress import Progress
 from pipeline.config import Config, read_recorded
 from pipeline.finished_run import Run
 from pipeline.run import reconstruct
+from pipeline.run_folder.lock import RunLock
 from pipeline.run_folder.workspace import (
     LIVE_FILM,
     LIVE_FOLDER,
     LIVE_RECORD,
     RECORD_NAME,
     UNFINISHED_START,
+    remove_run,
     report_corruption,
     write_json,
 )
@@ -32,8 +34,8 @@ class LiveRecord:
     figures: dict[str, Any]
 
 
-def begin_record(folder: Path, source: str, recording: Path, config: Config, overwrite: bool) -> None:
-    """Make the folder of a session; HaustraError for one that holds another, unless `overwrite`."""
+def begin_record(folder: Path, source: str, recording: Path, config: Config, overwrite: bool) -> RunLock:
+    """Make the folder of a session, locked; HaustraError for one that holds another, unless `overwrite`."""
     if folder.exists() and not folder.is_dir():
         raise HaustraError(f"the output {folder} is a file; give a folder")
     taken = (RECORD_NAME, LIVE_RECORD, LIVE_FILM)
@@ -46,13 +48,14 @@ def begin_record(folder: Path, source: str, recording: Path, config: Config, ove
         raise HaustraError(f"the folder {folder} is not empty and holds no run; give another output folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        lock = RunLock(folder)
     except OSError as error:
         raise HaustraError(f"cannot create the output folder {folder}: {error.strerror}") from error
-    for name in (LIVE_RECORD, LIVE_FILM):
-        if folder / name != recording:
-            (folder / name).unlink(missing_ok=True)
-    shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
+    forget_record(folder)
+    if (folder / RECORD_NAME).exists():
+        remove_run(folder)
     write_record(folder, LiveRecord(source, recording, config, {}))
+    return lock
 
 
 def write_record(folder: Path, record: LiveRecord) -> None:
@@ -62,7 +65,7 @@ def write_record(folder: Path, record: LiveRecord) -> None:
 
 
 def forget_record(folder: Path) -> None:
-    """Of a session that saw nothing."""
+    """Of a session that saw nothing, or that is replaced."""
     (folder / LIVE_RECORD).unlink(missing_ok=True)
     (folder / LIVE_FILM).unlink(missing_ok=True)
     shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
@@ -81,14 +84,14 @@ def read_record(folder: Path) -> LiveRecord:
         return LiveRecord(values.pop("source"), recording, read_recorded(values.pop("config")), values)
 
 
-def finish_run(folder: Path, progress: Progress, overwrite: bool = False) -> Run:
+def finish_run(folder: Path, progress: Progress) -> Run:
     """The run of what was recorded, gone on with where it was begun already; the session's scratch is removed.
 
     HaustraError where nothing was recorded."""
     record = read_record(folder)
     if not record.recording.exists():
         raise HaustraError(f"nothing was recorded of {record.source}")
-    resume = not overwrite and (folder / RECORD_NAME).exists()
-    run = reconstruct(record.recording, folder, record.config, resume=resume, overwrite=overwrite, progress=progress)
+    resume = (folder / RECORD_NAME).exists()
+    run = reconstruct(record.recording, folder, record.config, resume=resume, progress=progress)
     shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
     return run

@@ -15,7 +15,6 @@ from pipeline.live.keyboard import watched_keyboard
 from pipeline.live.page.live_server import LivePage
 from pipeline.live.page.live_state import LiveState
 from pipeline.live.session import LiveSession
-from pipeline.run_folder.lock import RunLock
 
 
 class _ToldProgress:
@@ -61,9 +60,8 @@ def live(
     film = open_film(source, folder, loops, grows)
     state = LiveState(film.name)
     page = LivePage(state, port)  # before the folder is made: a port that is taken costs nothing
-    begin_record(folder, film.name, film.recording, config, overwrite)
     with _shown(page, open_browser, progress.log):
-        lock = RunLock(folder)
+        lock = begin_record(folder, film.name, film.recording, config, overwrite)
         try:
             with watched_keyboard(state.stop_asked), suppress(KeyboardInterrupt):
                 LiveSession(film, folder, config, state).run()
@@ -83,7 +81,7 @@ def live(
         if not finish:
             return None
         state.phase = "finishing"
-        run = finish_run(folder, _ToldProgress(progress, state), overwrite)
+        run = finish_run(folder, _ToldProgress(progress, state))
         state.phase = "done"
         return run
 

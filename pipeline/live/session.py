@@ -147,8 +147,9 @@ class LiveSession:
         """What the other processes have done, and what they may do next."""
         state = self.state
         state.counts.dropped = self._dense.dropped
-        if self._dense.failure:
-            raise HaustraError(self._dense.failure)
+        for failure in (self._dense.failure, self._review.failure):
+            if failure:  # the source is still recorded, and the run at the end is made of that
+                state.say(f"{failure}; the recording goes on")
         for result in self._dense.results():
             if result is not None:
                 self._show(result)
@@ -191,9 +192,9 @@ class LiveSession:
         for keyframe in self._tracker.finish():
             self._wait_for_room()
             self._dense.submit(keyframe)
-        self._dense.wait_until_idle(LAST_S)
+        for worker in (self._dense, self._review):
+            worker.wait_until_idle(LAST_S)
         self._collect()
-        self._review.wait_until_idle(LAST_S)
         self._ask_for_review()
         self._review.wait_until_idle(LAST_S)
         self._collect()

@@ -219,6 +219,15 @@ def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
     return not changed_inputs(source, config, workspace.record["source"], True)
 
 
+def remove_run(root: Path) -> None:
+    """Remove a run of one's own and nothing else that a user may have put there; hold the lock meanwhile."""
+    workspace = open_workspace(root)
+    workspace.record[CLEARING] = True
+    workspace.save()
+    _clear_if_begun(workspace)
+    workspace.record_path.unlink()
+
+
 def _clear_if_begun(workspace: Workspace) -> None:
     """Remove what an earlier run wrote where the record says that this is under way, and nothing else that a user may
     have put there."""

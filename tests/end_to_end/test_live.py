@@ -15,10 +15,11 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, VIDEO
-from pipeline.live.finish import read_record
+from pipeline.live.finish import begin_record, read_record
 from pipeline.live.live_run import live
 from pipeline.live.session import LiveSession
 from pipeline.run import reconstruct
+from pipeline.run_folder.workspace import create_workspace
 from tests.helpers.processes import wait_for
 from tests.helpers.showing.chromium import CHROMIUM, FLAGS, PATIENCE_MS, complaints, until
 
@@ -75,6 +76,18 @@ def test_a_source_that_shows_nothing_leaves_the_folder_to_the_next_command(tmp_p
     with pytest.raises(HaustraError, match="cannot be opened"):
         live("tcp://127.0.0.1:1", tmp_path / "run", load_config(None), SilentProgress(), open_browser=False)
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".lock"]
+
+
+def test_another_session_replaces_a_run_and_leaves_the_users_files(tmp_path):
+    folder = tmp_path / "run"
+    with create_workspace(folder, VIDEO, load_config(None), False) as workspace:
+        workspace.finish("frames")
+    (folder / "mesh.ply").write_text("old")
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(HaustraError, match="--overwrite replaces it"):
+        begin_record(folder, "film", VIDEO, load_config(None), False)
+    begin_record(folder, "film", VIDEO, load_config(None), True).release()
+    assert sorted(path.name for path in folder.iterdir() if path.is_file()) == [".lock", "live.json", "notes.txt"]
 
 
 @pytest.mark.slow

@@ -31,14 +31,23 @@ def device_of(name: str) -> str | None:
     return name if name.startswith("/dev/") else None
 
 
+def without_password(address: str) -> str:
+    """An address as it may be shown: without what stands before the host."""
+    scheme, mark, rest = address.partition("://")
+    host, slash, path = rest.partition("/")
+    return scheme + mark + host.rpartition("@")[2] + slash + path if mark else address
+
+
 class Stream:
     """A source that does not wait.
 
-    recording: the file to write, or the growing file itself. device: of a camera, in FFmpeg's words.
+    address: in FFmpeg's words; `name` is the same without a password, for people and files. recording: the file to
+    write, or the growing file itself. device: of a camera, in FFmpeg's words.
     """
 
-    def __init__(self, name: str, recording: Path, device: str | None = None, grows: bool = False) -> None:
-        self.name, self.recording, self.device, self.grows = name, recording, device, grows
+    def __init__(self, address: str, recording: Path, device: str | None = None, grows: bool = False) -> None:
+        self.name, self.recording, self.device, self.grows = without_password(address), recording, device, grows
+        self._address = address
         if device is not None and sys.platform == "linux" and not Path(device).exists():
             raise HaustraError(f"there is no camera {device}")
 
@@ -82,13 +91,13 @@ class Stream:
     def _open(self, stopped: threading.Event, stack: ExitStack) -> "InputContainer":
         import av
 
-        what: Any = self.device or self.name
+        what: Any = self.device or self._address
         options, kind = {}, None
         if self.device is not None:
             import av.device
 
             kind, options = CAMERA_FORMATS.get(sys.platform), {"input_format": "mjpeg"}
-        if self.name.startswith("rtsp"):
+        if self._address.startswith("rtsp"):
             options = {"rtsp_transport": "tcp"}
         if self.grows:
             what = stack.enter_context(closing(GrowingFile(self.recording, stopped)))

@@ -187,6 +187,11 @@ def test_a_stream_that_nobody_sends_is_one_sentence(tmp_path):
         next(Stream("tcp://127.0.0.1:1", tmp_path / "film.mkv").frames(threading.Event()))
 
 
+def test_a_password_is_neither_shown_nor_kept(tmp_path):
+    stream = open_film("rtsp://user:p@ss@10.0.0.5:554/scope?x=a@b", tmp_path)
+    assert stream.name == "rtsp://10.0.0.5:554/scope?x=a@b"
+
+
 def test_a_folder_cannot_grow(tmp_path):
     with pytest.raises(HaustraError, match="is a folder"):
         open_film(str(tmp_path), tmp_path, grows=True)
