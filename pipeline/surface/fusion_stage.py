@@ -70,7 +70,7 @@ def _fuse_all(
     surfaces = []
     for number, submap in enumerate(submaps):
         own = replace(settings, scale=settings.scale.of_submap(number))
-        surface = _fuse(submap, own, f"fusion of submap {number}", progress)
+        surface = fuse_submap(submap, own, f"fusion of submap {number}", progress)
         if number == 0 and len(surface.mesh.faces) == 0:
             raise HaustraError(
                 "the keyframes agree on no surface: too few of them see the same place "
@@ -114,7 +114,8 @@ def mesh_path(workspace: Workspace, number: int) -> Path:
     return workspace.mesh if number == 0 else workspace.mesh.with_name(f"mesh_{number}.ply")
 
 
-def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
+def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
+    """One submap's surface in output units; an empty mesh where no keyframe has depth. label: of the progress bar."""
     ranges = fusion_ranges(completed, settings.fusion)
     if ranges is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
