@@ -19,5 +19,6 @@ if __name__ == "__main__":
             "blind_stretch",
             "sensors",
             "foreign_poses",
+            "unknown_lens",
         ],
     )
