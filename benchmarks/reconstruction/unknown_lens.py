@@ -26,7 +26,7 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.odometry.self_calibration import lens_shift
-from pipeline.input.endomapper_scopes import SIZE, mean_colonoscope
+from pipeline.input.endomapper_scopes import colonoscope_across
 from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
 from pipeline.mapping.submap import refined_camera
@@ -34,17 +34,7 @@ from pipeline.run_folder.workspace import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
-
-def mean_lens(width: int, height: int, content: tuple[int, int, int, int]) -> Camera:
-    """The mean colonoscope's lens, whose picture's longer side is that of the content."""
-    x, y, content_width, content_height = content
-    mean, scale = mean_colonoscope(), max(content_width, content_height) / SIZE[0]
-    fx, fy = mean.focal
-    centre = x + content_width / 2, y + content_height / 2
-    return Camera(mean.model, width, height, (scale * fx, scale * fy, *centre, *mean.distortion), trusted=False)
-
-
-STARTS: dict[str, Callable[..., Camera]] = {"100 degrees": guess_camera, "mean colonoscope": mean_lens}
+STARTS: dict[str, Callable[..., Camera]] = {"100 degrees": guess_camera, "mean colonoscope": colonoscope_across}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
