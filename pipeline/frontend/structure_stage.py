@@ -240,7 +240,8 @@ def _warnings(candidates: list[Candidate], untried: list[str]) -> list[str]:
 
 def _doubt_of_lens(submap: Submap, camera: Camera, settings: FrontEndSettings, workspace: Workspace) -> list[str]:
     """Of a lens that a user named by --camera, where nothing else holds the poses."""
-    asked = camera.trusted and camera.lens.in_colmap and workspace.config.camera != "auto"
+    named = workspace.record.get("config", {}).get("camera", "auto")  # frames need not come from a film
+    asked = camera.trusted and camera.lens.in_colmap and named != "auto"
     if not asked or settings.poses.file is not None:
         return []
     sentence = doubt_of_lens(submap, camera, settings.seed, workspace.log)
