@@ -35,6 +35,12 @@ class SensorSettings(Settings):
     error_mm: float = Field(0.2, ge=0, description="mm, whatever the depth")
     error_relative: float = Field(0.02, ge=0, description="share of the depth")
     error_per_mm: float = Field(0.0, ge=0, description="of the depth's square, 1/mm")
+    adjust: bool = Field(
+        True, description="adjust odometry's maps with the depth; False: scale them as a whole, and bridge nothing"
+    )
+    points: Literal["gathered", "own", "none"] = Field(
+        "gathered", description="given to completion: of the frames around, of the keyframe alone, or none"
+    )
 
 
 class StereoSettings(Settings):

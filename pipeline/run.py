@@ -29,6 +29,7 @@ from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
+from pipeline.surface.lamp_file import lamp_of
 from pipeline.surface.scale import Scale, ScaleSource, check_scale_file, scale_of_poses, scale_of_sensor
 
 
@@ -51,6 +52,7 @@ def reconstruct(
     config, progress = _with_lens_of_poses(config or Config()), progress or SilentProgress()
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
+    lamp = lamp_of(config.fusion.lamp, config.camera)
     timed = StageClock()
     later = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.
@@ -64,7 +66,7 @@ def reconstruct(
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
-        surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
+        surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed, lamp)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)
         with ThreadPoolExecutor(1, "report") as thread:  # while files are written and the coverage is measured
             pictures = thread.submit(draw_pictures, frames, completed, surfaces)

@@ -1,4 +1,5 @@
-"""docs/lab/known_poses.md from benchmarks/results/known_poses.json: surface from true poses beside its ceiling.
+"""docs/lab/known_poses.md from benchmarks/results: known_poses.json, surface from true poses beside its ceiling, and
+foreign_poses.json, COLMAP's model as poses and what is said of wrong ones.
 
 python scripts/known_poses_page.py > docs/lab/known_poses.md
 """
@@ -9,14 +10,15 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / "benchmarks/results/known_poses.json"
+FOREIGN = ROOT / "benchmarks/results/foreign_poses.json"
 
 HEAD = """# True poses instead of tracking
 
 - **Date:** 2026-11-25
 - **Question:** Does `--poses` with true poses reach what completed depth can give at true poses?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction known-poses SUITE/*
-  --json benchmarks/results/known_poses.json`, on commit {commit} with changes (+), where keyframes lay 0.02 of the
-  width apart (0.045 since). Rendered by
+  --json benchmarks/results/known_poses.json`, and `python -m benchmarks.reconstruction foreign-poses CTCOLON
+  --json benchmarks/results/foreign_poses.json`, on commit {commit}. Rendered by
   `python scripts/known_poses_page.py > docs/lab/known_poses.md`.
 
 F-score at 1 mm, `--fast`, lens given, one run each. `--poses`: in the run's own mm, after SE(3). Ceiling: completed
@@ -29,16 +31,66 @@ READ = """
 ## How to read it
 
 `--poses` is mostly above the ceiling: its points are triangulated with exact poses from SIFT features, so that the
-depth which is completed from them is better too, not its place alone. On `loop`, which comes back to places that it has
-seen, it is 1.3 points below. Placing the depth of odometry exactly changes little: what is lost there is depth, not
+depth which is completed from them is better too, not its place alone. The least favourable film is `{worst}`, at
+{least:+.1f} points. Placing the depth of odometry exactly changes little: what is lost there is depth, not
 path; but on `events`, where tracking ends several times, poses join what it leaves apart.
 """
 
 
+COLMAP = """
+## A model of COLMAP as poses
+
+The path-traced CT colon, lens given. For each seed `--front-end sfm`, and its sparse model given back by `--poses`. ATE
+RMSE and F-score at 1 mm after Sim(3).
+
+| seed | sfm: frames, ATE, F-score | its model as poses: frames, ATE, F-score |
+|---|---|---|"""
+
+WRONG = """
+## Wrong poses
+
+True poses of the CT colon, written as a TUM file in another reading, and what is said (exit code 1).
+
+| poses | said |
+|---|---|"""
+
+
 def page(record: dict[str, Any]) -> str:
+    foreign = json.loads(FOREIGN.read_text())["runs"]
+    commits = sorted({run["commit"][:7] for run in [*record["runs"], *foreign]})
+    wrong = [run for run in foreign if "said" in run]
     return "\n".join(
-        [HEAD.replace("{commit}", record["environment"]["commit"][:7]), *(_row(run) for run in record["runs"]), READ]
+        [
+            HEAD.replace("{commit}", ", ".join(commits)),
+            *map(_row, record["runs"]),
+            _read(record["runs"]),
+            COLMAP,
+            *_beside_sfm(foreign),
+            WRONG,
+            *(f"| {run['method']} | {run['said'] or 'nothing: the run goes on'} |" for run in wrong),
+            "",
+        ]
     )
+
+
+def _read(runs: list[dict[str, Any]]) -> str:
+    over = {run["sequence"]: run["with_poses"] - run["ceiling"] for run in runs if not run["failed"]}
+    worst = min(over, key=lambda film: over[film])
+    return READ.format(worst=worst, least=over[worst]).rstrip("\n")
+
+
+def _beside_sfm(runs: list[dict[str, Any]]) -> list[str]:
+    """A row for each seed."""
+    by_seed = {(run["seed"], run["method"]): run for run in runs if "said" not in run}
+    seeds = sorted({seed for seed, _ in by_seed})
+    return [
+        f"| {seed} | {_figures(by_seed[seed, 'sfm'])} | {_figures(by_seed[seed, 'its model as poses'])} |"
+        for seed in seeds
+    ]
+
+
+def _figures(run: dict[str, Any]) -> str:
+    return f"{run['posed']} of {run['frames']}, {run['ate_mm']:.3f} mm, {run['f']:.1f} %"
 
 
 def _row(run: dict[str, Any]) -> str:

@@ -1,17 +1,19 @@
-"""The committed pages of blind stretches and of true poses are what their scripts print from the records."""
+"""The committed pages of sensors, blind stretches and given poses are what their scripts print from the records."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from scripts import blind_page, known_poses_page
+from scripts import blind_page, known_poses_page, sensors_page
 
 LAB = Path(__file__).parents[1] / "docs/lab"
 
 
 @pytest.mark.parametrize(
-    ("script", "name"), [(blind_page, "blind_stretch"), (known_poses_page, "known_poses")], ids=["blind", "poses"]
+    ("script", "name"),
+    [(blind_page, "blind_stretch"), (known_poses_page, "known_poses"), (sensors_page, "sensors")],
+    ids=["blind", "poses", "sensors"],
 )
 def test_the_page_is_what_its_record_says(script, name) -> None:
     printed = script.page(json.loads(script.RECORD.read_text()))

@@ -17,5 +17,8 @@ if __name__ == "__main__":
             "kiss_icp",
             "known_poses",
             "blind_stretch",
+            "sensors",
+            "foreign_poses",
+            "unknown_lens",
         ],
     )

@@ -28,7 +28,7 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.finished_run import Run
 from pipeline.given_settings import PoseSettings
 from pipeline.run import reconstruct
-from pipeline.surface.fusion_stage import SurfaceSettings, _fuse
+from pipeline.surface.fusion_stage import SurfaceSettings, fuse_submap
 from pipeline.surface.scale import Scale, ScaleSource
 from reconstruction.evaluation.reference_surface import read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors
@@ -84,7 +84,7 @@ def at_true_poses(run: Run, folder: Path) -> float:
     config = run.workspace.config
     scale = ScaleSource(given=(Scale(mm_per_unit, "mm", "the true path"),))
     settings = SurfaceSettings(config.fusion, config.consistency, scale, config.seed)
-    mesh = _fuse(moved, settings, "at true poses", SilentProgress()).mesh
+    mesh = fuse_submap(moved, settings, "at true poses", SilentProgress()).mesh
     return surface_errors(mesh, read_reference_surface(folder), 1.0, np.random.default_rng(0), "mm").f_score
 
 

@@ -12,6 +12,10 @@ ccd         UCL Colonoscopy CG Dataset: *.png with *_depth.png, or images/ and d
 ccd_flat    the same as it is handed out: T1_FrameBuffer_0000.png beside T1_Depth_0000.png
 csd         Colonoscopy Simulator Dataset (Zhang): SUK_L00001.png, SUK_L_depth00001.exr
 csd_cases   the same in its second repository: Case1/rgb/*.png, Case1/depth_gt/*.exr
+scared      SCARED: keyframe_1/Left_Image.png, keyframe_1/left_depth_map.tiff
+scared_frames  the same as AF-SfMLearner lays it out: image_02/data/*.png, image_02/data/groundtruth/scene_points*.tiff
+hamlyn      Hamlyn, rectified by Endo-Depth-and-Motion: image01/*.jpg, depth01/*.png
+hamlyn_tracking  its part for tracking: color/*.jpg, depth/*.png
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ import cv2
 import numpy as np
 
 from completion.data.evaluation_frame import EvaluationFrame, partner, read_depth16, read_exr, read_image, read_rgb
+from completion.data.laparoscopes import hamlyn, scared, scared_frames
 from haustra.core.errors import CompletionError
 from haustra.core.text import read_json
 
@@ -154,6 +159,10 @@ READERS = {
     "ccd_flat": Reader(CCD_PICTURES, _ccd_flat),
     "csd_cases": Reader("depth_gt/*.exr", _csd_cases),
     "csd": Reader("SUK_L_depth*.exr", _csd),
+    "scared": Reader("keyframe_*/left_depth_map.tiff", scared),
+    "scared_frames": Reader("image_02/data/groundtruth/scene_points*.tiff", scared_frames),
+    "hamlyn": Reader("depth01/*.png", hamlyn),
+    "hamlyn_tracking": Reader("color/*.jpg", hamlyn),
     "rgbd": Reader("camera.json", _rgbd),  # last: others have such a file too, for `reconstruct`
 }
 

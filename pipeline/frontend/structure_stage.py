@@ -15,6 +15,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
+from pipeline.frontend.odometry.self_calibration import doubt_of_lens
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND, chosen
 from pipeline.frontend.scoring import (
     MAX_INCONSISTENT,
@@ -108,6 +109,7 @@ def _solve(
         )
     _keep(kept, workspace)
     warnings = _warnings(kept, [other for other in (FIRST, SECOND) if other not in results])
+    warnings += _doubt_of_lens(kept[0].submap, frames.camera, settings, workspace)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     if results[name].mixed:  # loops between the submaps of two front ends are still open
         name = FIRST
@@ -234,6 +236,16 @@ def _warnings(candidates: list[Candidate], untried: list[str]) -> list[str]:
                 f"{share:.0f} % of {check.n_checked} frames nearer points are darker; {advice}"
             )
     return found
+
+
+def _doubt_of_lens(submap: Submap, camera: Camera, settings: FrontEndSettings, workspace: Workspace) -> list[str]:
+    """Of a lens that a user named by --camera, where nothing else holds the poses."""
+    named = workspace.record.get("config", {}).get("camera", "auto")  # frames need not come from a film
+    asked = camera.trusted and camera.lens.in_colmap and named != "auto"
+    if not asked or settings.poses.file is not None:
+        return []
+    sentence = doubt_of_lens(submap, camera, settings.seed, workspace.log)
+    return [sentence] if sentence else []
 
 
 def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:

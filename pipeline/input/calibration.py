@@ -8,11 +8,13 @@ from haustra.core.camera import Camera, guess_camera
 from haustra.core.errors import HaustraError
 from pipeline.input.camera_files.registry import read_lens
 from pipeline.input.camera_presets import PRESETS
+from pipeline.input.endomapper_scopes import colonoscope_across
 
 # From the middle, as a share of the side; pyslam's real files go to 0.14. Farther off, it is of another size or crop.
 FARTHEST_CENTRE = 0.2
 MOST_BEYOND = 0.9  # share of the content: a lens that turns back before it is no lens of this picture
 WORTH_SAYING = 0.01
+REFINED = "focal length and radial terms are left to the film"
 
 
 @dataclass(frozen=True)
@@ -23,15 +25,20 @@ class Calibration:
     origin: str
 
 
-def calibrate(choice: str, source: Path, size: tuple[int, int], content: tuple[int, int, int, int]) -> Calibration:
-    """Resolve the `--camera` choice for frames of size (width, height)."""
+def calibrate(
+    choice: str, source: Path, size: tuple[int, int], content: tuple[int, int, int, int], cut_corners: bool = False
+) -> Calibration:
+    """Resolve the `--camera` choice for frames of size (width, height); cut_corners: the content's are masked."""
     width, height = size
     if choice == "auto":
         beside = source / "camera.json"
         if source.is_dir() and beside.exists():
             return _reaching(_from_file(beside, size), beside, content)
+        if cut_corners:
+            camera = colonoscope_across(width, height, content)
+            return Calibration(camera, f"guessed: mean of 18 colonoscopes, whose corners are masked too; {REFINED}")
         camera = guess_camera(width, height, content)
-        return Calibration(camera, "guessed: 100 degrees across the content, focal length and k1 left to SfM")
+        return Calibration(camera, f"guessed: 100 degrees across the content; {REFINED}")
     check_choice(choice, source)
     if choice in PRESETS:
         return _from_preset(choice, size)

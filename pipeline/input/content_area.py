@@ -15,6 +15,8 @@ from haustra.core.errors import HaustraError
 from pipeline.input.burned_in_text import BORDER_LEVEL, find_overlay
 
 MIN_CONTENT = 0.05  # share of the frame; less is a lit label, not a picture
+CORNER = 0.06  # of the shorter side: squares in the corners that are looked at
+FULLER_THAN_A_DISC = 0.8  # share of the box; a disc has 0.785, the octagons of two real colonoscopes 0.90 and 0.92
 LEAST_PART = 0.01  # of the picture: smaller ones, cut off by text, are leftovers of its letters
 
 
@@ -82,6 +84,17 @@ def _outline(part: NDArray[np.uint8], kernel: NDArray[np.uint8]) -> list[NDArray
 def _area_of(mask: NDArray[np.uint8]) -> ContentArea:
     x, y, width, height = cv2.boundingRect(mask)
     return ContentArea(mask, (int(x), int(y), int(width), int(height)))
+
+
+def has_cut_corners(area: ContentArea) -> bool:
+    """Whether the content is a rectangle without its corners, as colonoscopes' processors show it: neither a whole
+    rectangle, as of a crop or a rigid endoscope's inner part, nor a disc, as of a rigid endoscope."""
+    x, y, width, height = area.box
+    shown = area.mask[y : y + height, x : x + width] > 0
+    side = max(1, round(CORNER * min(width, height)))
+    corners = (shown[:side, :side], shown[:side, -side:], shown[-side:, :side], shown[-side:, -side:])
+    dark = sum(corner.mean() < 0.5 for corner in corners)
+    return dark >= 3 and shown.mean() > FULLER_THAN_A_DISC  # a fourth may lie under burned-in text, or be left
 
 
 def highlight_mask(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

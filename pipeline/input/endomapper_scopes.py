@@ -36,6 +36,15 @@ def mean_colonoscope() -> Camera:
     return replace(_camera([*mean[:4], *terms]), trusted=False)
 
 
+def colonoscope_across(width: int, height: int, content: tuple[int, int, int, int]) -> Camera:
+    """The mean colonoscope's lens for frames of another size, whose content's longer side is that of its picture."""
+    x, y, content_width, content_height = content
+    mean, scale = mean_colonoscope(), max(content_width, content_height) / SIZE[0]
+    fx, fy = mean.focal
+    centre = x + content_width / 2, y + content_height / 2
+    return Camera(mean.model, width, height, (scale * fx, scale * fy, *centre, *mean.distortion), trusted=False)
+
+
 def _camera(lens: Sequence[float]) -> Camera:
     fx, fy, cx, cy, *terms = (float(value) for value in lens)
     return Camera("OPENCV_FISHEYE", *SIZE, (fx, fy, cx + HALF_PIXEL, cy + HALF_PIXEL, *terms))

@@ -16,7 +16,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
-from pipeline.input.content_area import ContentArea, find_content, highlight_mask
+from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.video import RawFrame, Source
 from pipeline.run_folder.stage import load_or_make
@@ -70,7 +70,9 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     area, size = _find_area(source, settings)
     known = source.camera
     calibration = (
-        calibrate(choice, source.path, size, area.box) if known is None else Calibration(known, "left eye, rectified")
+        calibrate(choice, source.path, size, area.box, has_cut_corners(area))
+        if known is None
+        else Calibration(known, "left eye, rectified")
     )
     scale = working_scale(area.box[2:], settings.long_side)
     camera = calibration.camera.cropped_and_scaled(*area.box, scale)

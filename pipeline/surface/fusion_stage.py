@@ -16,6 +16,7 @@ from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.scale import SCENE, Scale, ScaleSource, find_scale
+from reconstruction.fusion.lamp import Lamp
 from reconstruction.fusion.photometry import Illumination, fit_illumination
 from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
 from reconstruction.mesh.mesh_io import read_mesh, write_mesh
@@ -44,12 +45,13 @@ class Surface:
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """Settings of the stage's parts, the source of its scale, and the seed of the lamp's fit."""
+    """Settings of the stage's parts, the source of its scale, and the lamp with the seed of its fit."""
 
     fusion: FusionSettings
     consistency: ConsistencySettings
     scale: ScaleSource
     seed: int
+    lamp: Lamp | None = None  # measured; None: fitted to the film alone
 
 
 def fuse_depth(
@@ -70,7 +72,7 @@ def _fuse_all(
     surfaces = []
     for number, submap in enumerate(submaps):
         own = replace(settings, scale=settings.scale.of_submap(number))
-        surface = _fuse(submap, own, f"fusion of submap {number}", progress)
+        surface = fuse_submap(submap, own, f"fusion of submap {number}", progress)
         if number == 0 and len(surface.mesh.faces) == 0:
             raise HaustraError(
                 "the keyframes agree on no surface: too few of them see the same place "
@@ -103,10 +105,15 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),
-            Illumination(**record["lamp"]) if record.get("lamp") else None,
+            _recorded_lamp(record["lamp"]) if record.get("lamp") else None,
         )
         for number, record in enumerate(workspace.result(STAGE)["surfaces"])
     ]
+
+
+def _recorded_lamp(values: dict[str, Any]) -> Illumination:
+    measured = values.get("lamp")
+    return Illumination(**values | {"lamp": measured and Lamp(**measured | {"axis": tuple(measured["axis"])})})
 
 
 def mesh_path(workspace: Workspace, number: int) -> Path:
@@ -114,13 +121,14 @@ def mesh_path(workspace: Workspace, number: int) -> Path:
     return workspace.mesh if number == 0 else workspace.mesh.with_name(f"mesh_{number}.ply")
 
 
-def _fuse(completed: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
+def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: str, progress: Progress) -> Surface:
+    """One submap's surface in output units; an empty mesh where no keyframe has depth. label: of the progress bar."""
     ranges = fusion_ranges(completed, settings.fusion)
     if ranges is None:
         return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
     fusion, left_out = SurfaceFusion(ranges), []
     check = depth_filter(completed, settings.consistency, settings.fusion, ranges)
-    lamp = _lamp(completed, settings.seed) if settings.fusion.delight else None
+    lamp = _lamp(completed, settings) if settings.fusion.delight else None
 
     def prepared(place: int) -> CompletedKeyframe | int:
         return _prepared(completed.keyframe(int(completed.rows[place])), place, check, lamp, completed.camera.matrix)
@@ -154,11 +162,13 @@ def _prepared(
     return replace(keyframe, rgb=rgb, confidence=confidence)
 
 
-def _lamp(completed: CompletedSubmap, seed: int) -> Illumination | None:
+def _lamp(completed: CompletedSubmap, settings: SurfaceSettings) -> Illumination | None:
     """What the lamp does in this film, from keyframes spread over it."""
     spread = np.unique(np.linspace(0, len(completed) - 1, min(LAMP_SAMPLES, len(completed))).astype(int))
     keyframes = (completed.keyframe(int(completed.rows[place])) for place in spread)
-    return fit_illumination(((k.rgb, k.depth) for k in keyframes), completed.camera.matrix, seed)
+    return fit_illumination(
+        ((k.rgb, k.depth) for k in keyframes), completed.camera.matrix, settings.seed, settings.lamp
+    )
 
 
 def fusion_ranges(completed: CompletedSubmap, settings: FusionSettings) -> TsdfSettings | None:

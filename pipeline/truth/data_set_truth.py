@@ -35,7 +35,7 @@ class DataSetTruth:
         return None if self.camera is None else reference_from_views(self._views(self.camera))
 
     def _views(self, camera: Camera) -> Iterator[tuple[Array, Array]]:
-        rays, step = None, max(1, len(self.world_from_camera) // MOST_VIEWS)
+        rays, step = None, views_apart(len(self.world_from_camera))
         for number, (depth, pose) in enumerate(zip(self.depths, self.world_from_camera, strict=False)):
             if number % step:
                 continue
@@ -43,6 +43,11 @@ class DataSetTruth:
             known = (depth > 0) & (rays[1] > 0)
             points = rays[0][known] * depth[known, None].astype(np.float64)
             yield points @ pose[:3, :3].T + pose[:3, 3], depth[known].astype(np.float64)
+
+
+def views_apart(count: int) -> int:
+    """Of so many frames, every how many makes the surface."""
+    return max(1, count // MOST_VIEWS)
 
 
 def _rays(camera: Camera, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.uint8]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from pipeline.truth.c3vd import read_c3vd
 from pipeline.truth.data_set_truth import DataSetTruth
 from pipeline.truth.endomapper_sim import read_endomapper_sim
+from pipeline.truth.laparoscopes import read_hamlyn, read_scared, read_stereomis
 from pipeline.truth.simcol3d import read_simcol3d
 
 # A reader gives None for a folder of another layout.
@@ -13,6 +14,9 @@ TRUTH_READERS: dict[str, Callable[[Path], DataSetTruth | None]] = {
     "C3VD, C3VDv2 (pose.txt)": read_c3vd,
     "SimCol3D (SavedPosition_*.txt beside the folder)": read_simcol3d,
     "EndoMapper simulated (trajectory.csv)": read_endomapper_sim,
+    "SCARED (data/frame_data of a keyframe)": read_scared,
+    "StereoMIS (groundtruth.txt, StereoCalibration.ini)": read_stereomis,
+    "Hamlyn (depth01, without a path)": read_hamlyn,
 }
 
 

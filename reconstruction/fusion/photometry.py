@@ -8,7 +8,7 @@ to the video itself, with an exposure gain for each frame:
     log luminance = exposure_gain + a log r + b log cos(theta) + c log cos(phi),  phi between ray and optical axis;
 
 a = -2, b = 1, c = 0 for a point source. Without the third term, vignetting of a camera that backs away would be
-explained by distance.
+explained by distance. Where the lamp was measured (`Lamp`), its own fall-off takes the third term's place.
 
 Two assumptions on the mucosa: its albedo does not depend on distance, and each frame sees the same median albedo, since
 each frame's median is brought to the video's: automatic exposure cannot be told from a stretch of pale or of inflamed
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from reconstruction.fusion.depth_frame import view_cosine
+from reconstruction.fusion.lamp import Lamp
 
 GAMMA = 2.2  # of the display encoding
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709, linear
@@ -37,7 +39,6 @@ SMOOTH_SHARE = 0.02  # sigma over image width of the blur before normals are tak
 EXPONENT_BOUNDS = ((-3.0, 0.0), (0.0, 2.0), (-1.0, 6.0))  # of distance, slant, axis; light does not grow with distance
 MAX_LOG_CORRECTION = np.log(6.0)  # log factor on a pixel's luminance beyond which only its noise would show
 NOISE = 0.15  # sigma of log luminance by the mucosa's albedo pattern: scale of the soft L1 loss
-_LINEAR = np.power(np.arange(256, dtype=np.float32) / np.float32(255), np.float32(GAMMA))  # linear light of grey levels
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,11 @@ class Illumination:
     level: float  # mean over frames of the shading-corrected median log luminance, at distance `reference`
     reference: float  # median distance, unit of the depth
     frames: int  # frames that took part in the fit
+    lamp: Lamp | None = None  # measured; then `axis` is 1, the exponent of its emission
+
+    @property
+    def gamma(self) -> float:
+        return GAMMA if self.lamp is None else self.lamp.gamma
 
     def shading_corrected(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
@@ -61,19 +67,19 @@ class Illumination:
         shade, known = self._log_shade(depth, intrinsics)
         if known.sum() < MIN_PIXELS:
             return rgb
-        linear = _linear(rgb)
+        linear = _linear(rgb, self.gamma)
         exposure_gain = _median_exposure_gain(linear, shade, known & _is_exposed(rgb))
         brighten = 0.0 if exposure_gain is None else self.level - exposure_gain
         factor = np.exp(np.clip(brighten - shade, -MAX_LOG_CORRECTION, MAX_LOG_CORRECTION))
         result = np.where(known[..., None], linear * factor[..., None], linear)
-        return np.rint(255 * np.clip(result, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
+        return np.rint(255 * np.clip(result, 0, 1) ** (1 / self.gamma)).astype(np.uint8)
 
     def exposure_gain(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
     ) -> float | None:
         """Median shading-corrected log luminance of a frame; None with fewer than MIN_PIXELS usable pixels."""
         shade, known = self._log_shade(depth, intrinsics)
-        return _median_exposure_gain(_linear(rgb), shade, known & _is_exposed(rgb))
+        return _median_exposure_gain(_linear(rgb, self.gamma), shade, known & _is_exposed(rgb))
 
     def _log_shade(
         self, depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
@@ -83,7 +89,7 @@ class Illumination:
         known = distance > 0
         ratio = np.where(known, distance / self.reference, 1)
         shade = self.distance * np.log(ratio) + self.slant * np.log(np.maximum(cosine, MIN_COSINE))
-        return (shade + self.axis * np.log(ahead)).astype(np.float32), known
+        return (shade + self.axis * np.log(_off_axis(ahead, intrinsics, self.lamp))).astype(np.float32), known
 
 
 def geometry(
@@ -120,45 +126,75 @@ def _blurred(depth: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]
     return np.where(known > 0, np.exp(mean + middle), 0).astype(np.float32)
 
 
+def _off_axis(ahead: NDArray[np.float32], intrinsics: NDArray[np.float64], lamp: Lamp | None) -> NDArray[np.float32]:
+    """(H,W) what the third exponent is of: the cosine off the axis, or a measured lamp's emission."""
+    if lamp is None:
+        return ahead
+    height, width = ahead.shape
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    plane = (x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1]
+    rays = np.stack([*plane, np.ones_like(x)], axis=-1).astype(np.float32) * ahead[..., None]
+    return np.exp(lamp.log_emission(rays))
+
+
 def fit_illumination(
-    frames: Iterable[tuple[NDArray[np.uint8], NDArray[np.float32]]], intrinsics: NDArray[np.float64], seed: int = 0
+    frames: Iterable[tuple[NDArray[np.uint8], NDArray[np.float32]]],
+    intrinsics: NDArray[np.float64],
+    seed: int = 0,
+    lamp: Lamp | None = None,
 ) -> Illumination | None:
     """Robust fit of the exponents to pairs of image and depth (shapes as in `Illumination.shading_corrected`).
 
-    None if no frame has MIN_PIXELS usable pixels. `seed` fixes which pixels are drawn.
+    None if no frame has MIN_PIXELS usable pixels. `seed` fixes which pixels are drawn. lamp: measured; distance and
+    slant alone are fitted then.
     """
     rng = np.random.default_rng(seed)
-    found = [_samples(rgb, depth, intrinsics, rng) for rgb, depth in frames]
+    found = [_samples(rgb, depth, intrinsics, rng, lamp) for rgb, depth in frames]
     used = [sample for sample in found if sample is not None]
     if not used:
         return None
-    # Centred frame by frame, so that each frame's exposure gain drops out.
-    centred = np.concatenate([sample - np.median(sample, axis=0) for sample in used])
-
-    def residual(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
-        return centred[:, 0] - centred[:, 1:] @ exponents
-
-    bounds = tuple(zip(*EXPONENT_BOUNDS, strict=True))
-    solved = least_squares(residual, (-1.5, 0.5, 0.5), bounds=bounds, loss="soft_l1", f_scale=NOISE).x
+    solved = _exponents(used, lamp)
     distance = np.concatenate([sample[:, 1] for sample in used])
     reference = float(np.median(distance))
     shades = [sample[:, 0] - (sample[:, 1:] - (reference, 0, 0)) @ solved for sample in used]
     level = float(np.mean([np.median(shade) for shade in shades]))
     by_distance, by_slant, by_axis = map(float, solved)
-    return Illumination(by_distance, by_slant, by_axis, level, float(np.exp(reference)), len(used))
+    return Illumination(by_distance, by_slant, by_axis, level, float(np.exp(reference)), len(used), lamp)
+
+
+def _exponents(samples: list[NDArray[np.float64]], lamp: Lamp | None) -> NDArray[np.float64]:
+    """(3,) of distance, slant and axis, of each frame's samples (N,4); the third is 1 where the lamp was measured."""
+    if lamp is not None:
+        samples = [np.column_stack([sample[:, 0] - sample[:, 3], sample[:, 1:3]]) for sample in samples]
+    # Centred frame by frame, so that each frame's exposure gain drops out.
+    centred = np.concatenate([sample - np.median(sample, axis=0) for sample in samples])
+    free = centred.shape[1] - 1
+
+    def residual(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
+        return centred[:, 0] - centred[:, 1:] @ exponents
+
+    bounds = tuple(zip(*EXPONENT_BOUNDS[:free], strict=True))
+    solved = least_squares(residual, (-1.5, 0.5, 0.5)[:free], bounds=bounds, loss="soft_l1", f_scale=NOISE).x
+    return np.append(solved, np.ones(3 - free))
 
 
 def _samples(
-    rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64], rng: np.random.Generator
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    intrinsics: NDArray[np.float64],
+    rng: np.random.Generator,
+    lamp: Lamp | None,
 ) -> NDArray[np.float64] | None:
-    """(N,4) logarithms of luminance, distance, slant's cosine, axis' cosine of drawn usable pixels; None if too few."""
+    """(N,4) logarithms of luminance, distance, slant's cosine, fall off the axis of drawn usable pixels; None if too
+    few."""
     distance, cosine, ahead = geometry(depth, intrinsics)
     usable = np.flatnonzero((distance > 0) & (cosine > MIN_COSINE) & _is_exposed(rgb))
     if len(usable) < MIN_PIXELS:
         return None
     chosen = rng.choice(usable, min(SAMPLES, len(usable)), replace=False)
-    bright = _linear(rgb.reshape(-1, 3)[chosen]) @ LUMA
-    columns = (bright, *(image.ravel()[chosen] for image in (distance, cosine, ahead)))
+    bright = _linear(rgb.reshape(-1, 3)[chosen], GAMMA if lamp is None else lamp.gamma) @ LUMA
+    off_axis = _off_axis(ahead, intrinsics, lamp)
+    columns = (bright, *(image.ravel()[chosen] for image in (distance, cosine, off_axis)))
     return np.log(np.stack(columns, axis=1).astype(np.float64))
 
 
@@ -177,6 +213,12 @@ def _is_exposed(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return (brightest < MAX_GREY) & (brightest > MIN_GREY)
 
 
-def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _linear(rgb: NDArray[np.uint8], gamma: float) -> NDArray[np.float32]:
     """Linear light in [0,1] of grey levels, any shape."""
-    return _LINEAR[rgb]
+    return _table(gamma)[rgb]
+
+
+@lru_cache(maxsize=4)
+def _table(gamma: float) -> NDArray[np.float32]:
+    """(256,) linear light of each grey level."""
+    return np.power(np.arange(256, dtype=np.float32) / np.float32(255), np.float32(gamma))

@@ -188,7 +188,7 @@ def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch
     first = {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}
     assert 2 <= len(first) <= 4  # those beside the stopped one are ended; the network's first call is no keyframe
     with monkeypatch.context() as patch:
-        patch.setattr(surface, "_fuse", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(surface, "fuse_submap", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             reconstruct(VIDEO, folder, tiny_config(), resume=True)
     reconstruct(VIDEO, folder, tiny_config(), resume=True)
@@ -234,7 +234,7 @@ def test_submaps_without_depth_end_empty_and_not_in_a_crash(finished, monkeypatc
     empty = replace(part, rows=part.rows[:0])
     config = tiny_config()
     settings = surface.SurfaceSettings(config.fusion, config.consistency, ScaleSource(), 0)
-    surfaced = surface._fuse(empty, settings, "fusion", SilentProgress())
+    surfaced = surface.fuse_submap(empty, settings, "fusion", SilentProgress())
     assert len(surfaced.mesh.faces) == 0
 
 

@@ -1,5 +1,6 @@
-"""Small videos made on the spot."""
+"""Small videos, and pictures of points, made on the spot."""
 
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,3 +33,15 @@ def textured_frames(count: int, size: int = 160, seed: int = 0, step: int = 4) -
     # Grey-pink, since video stores colour at half the resolution.
     texture = np.clip((110 + 22 * texture)[..., None] * (1.0, 0.8, 0.75), 0, 235).astype(np.uint8)
     return [np.ascontiguousarray(texture[:, i * step : i * step + size]) for i in range(count)]
+
+
+def tiff_of_floats(values):
+    """A baseline TIFF of (H,W,3) float32 by the specification: one strip, chunky, IEEE floats."""
+    height, width, _ = values.shape
+    data = np.ascontiguousarray(values, "<f4").tobytes()
+    after = 8 + len(data)
+    tags = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, 3, after), (259, 3, 1, 1), (262, 3, 1, 2), (273, 4, 1, 8)]
+    tags += [(277, 3, 1, 3), (278, 3, 1, height), (279, 4, 1, len(data)), (284, 3, 1, 1), (339, 3, 3, after + 6)]
+    extra = struct.pack("<6H", 32, 32, 32, 3, 3, 3)
+    directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    return struct.pack("<2sHI", b"II", 42, after + len(extra)) + data + extra + directory

@@ -14,6 +14,8 @@ from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.submap import refined_camera
 
+NOTHING = SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+
 
 def points_of(
     completed: CompletedSubmap, frames: Frames, sensor: SensorDepth | None, progress: Progress
@@ -26,15 +28,17 @@ def points_of(
             progress.log("the sensor saw too few of the map's points: its depth is left out")
         return maker.sparse_depth
     progress.log(str(scale))
+    if sensor.settings.points == "none":
+        return maker.sparse_depth
     lens = refined_camera(frames.camera, completed.submap)
     film = SensedFilm(completed.submap, sensor, lens, completed.camera, scale.mm_per_unit)
 
     def joined(row: int) -> SparseDepth:
-        gathered = film.gathered(row)
-        if len(gathered.depth) == 0:
+        points = film.gathered(row) if sensor.settings.points == "gathered" else NOTHING
+        if len(points.depth) == 0:
             frame = int(completed.submap.frames[row])
-            gathered = sensor_points(sensor, frame, lens, completed.camera, scale.mm_per_unit)
-        return join(maker.sparse_depth(row), gathered)
+            points = sensor_points(sensor, frame, lens, completed.camera, scale.mm_per_unit)
+        return join(maker.sparse_depth(row), points)
 
     return joined
 

@@ -92,7 +92,7 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         maps, stitching = _tracked(frames, settings, features, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         sensor = open_sensor(workspace, frames.camera.width)
-        if sensor is not None:
+        if sensor is not None and sensor.settings.adjust:
             make_all_metric(maps, sensor.measured, progress)
         held = adjust_maps(maps, features, progress, changed=stitching is not None)
         camera = frames.camera

@@ -13,7 +13,7 @@ import numpy as np
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
-from haustra.core.progress import Progress
+from haustra.core.progress import Progress, SilentProgress
 from haustra.core.ray_table import RayTable
 from pipeline.frontend.base import COLMAP_WORKER, MAX_FOCAL_SIGMA
 from pipeline.frontend.odometry.finish_maps import adjust_maps, submaps_of
@@ -34,6 +34,10 @@ MOST_ASKED = 3  # maps; smaller ones hardly determine what the larger ones do no
 # Of the width, RMS, by which another lens shifts pixels: above the first the maps are adjusted to their corners again
 # before features are asked; below the second the lens has converged.
 LENS_RESTART, LENS_CONVERGED = 0.01, 0.001
+# Of a lens that was given: frames and points that are asked, and the shift from which on it is doubted: films find
+# their own lens within 0.008, and one of a tenth more focal length at 0.03 to 0.04 (docs/guide/calibrate.md).
+DOUBT_FRAMES, DOUBT_POINTS, DOUBT_SHIFT = 30, 1500, 0.02
+SIGMAS = 4.0  # by which the focal lengths must differ
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,27 @@ def refine_lens(
         all(map(math.isfinite, params)) and params[0] > 0 and sigma[0] <= MAX_FOCAL_SIGMA * params[0]  # NaN: False
     )
     return Lens(replace(camera, params=params) if determined else camera, sigma, determined)
+
+
+def doubt_of_lens(submap: Submap, given: Camera, seed: int, temp_dir: Path) -> str:
+    """One sentence where the film determines a lens that is clearly another than the one given; "" otherwise."""
+    few = thinned(submap, DOUBT_FRAMES, KEYFRAME_STEP)
+    if len(few.points) > DOUBT_POINTS:
+        drop = np.ones(len(few.points), bool)
+        drop[np.random.default_rng(seed).permutation(len(few.points))[:DOUBT_POINTS]] = False
+        few = few.without_points(drop)
+    found = refine_lens(few, replace(given, trusted=False), seed, temp_dir, SilentProgress(), KEYFRAME_STEP)
+    if not found.determined:
+        return ""
+    (focal, *_), (wanted, *_) = found.camera.params, given.params
+    shift = lens_shift(given, found.camera)
+    if shift < DOUBT_SHIFT or abs(focal - wanted) < SIGMAS * found.sigma[0]:
+        return ""
+    return (
+        f"the lens that was given may be another endoscope's, or of another zoom: its focal length is {wanted:.0f} px, "
+        f"and the film's motion says {focal:.0f} px (sigma {found.sigma[0]:.2g} px), which moves what is seen by "
+        f"{100 * shift:.1f} % of the width; without --camera the lens is found from the film"
+    )
 
 
 def thinned(submap: Submap, most: int, widest_step: int = FRAME_STEP) -> Submap:

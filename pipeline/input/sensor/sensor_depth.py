@@ -159,7 +159,8 @@ def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
 def _stereo_settings(workspace: Workspace) -> SensorSettings:
     """Unit and error of the depth that the frames stage wrote: its error grows with the square."""
     per_mm = float(workspace.result("frames")["depth_error_per_mm"])
-    return SensorSettings(unit_mm=SENSED_MM, error_mm=0.0, error_relative=0.003, error_per_mm=per_mm)
+    errors = {"error_mm": 0.0, "error_relative": 0.003, "error_per_mm": per_mm}
+    return workspace.config.sensor.model_copy(update={"unit_mm": SENSED_MM} | errors)
 
 
 def _by_frame(source: Path, folder: Path, by_name: bool) -> dict[int, Path]:

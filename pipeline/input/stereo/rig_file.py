@@ -1,7 +1,10 @@
-"""Calibration of a stereo rig: OpenCV's stereo YAML or XML (SCARED), and the INI of the da Vinci sets (StereoMIS).
+"""Calibration of a stereo rig: OpenCV's stereo YAML or XML (SCARED), the INI of the da Vinci sets (StereoMIS), and the
+three text files of Hamlyn.
 
 OpenCV: M1 D1 M2 D2 R T (or K1, cameraMatrix1, ...), where the second camera's point is R x + T. INI: [StereoLeft] and
-[StereoRight] with fc_x fc_y cc_x cc_y kc_0 ... res_x res_y, and [StereoRight] R_0 ... R_8, T_0 ... T_2.
+[StereoRight] with fc_x fc_y cc_x cc_y kc_0 ... res_x res_y, and [StereoRight] R_0 ... R_8, T_0 ... T_2. Hamlyn:
+camera_extrinsic.txt, three rows of R and one of T, and beside it Left_ and Right_Camera_Calibration_Intrinsic.txt,
+three rows of K and one of distortion.
 """
 
 import configparser
@@ -14,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import read_text
 from pipeline.input.camera_files.document import open_document
 
 Array = NDArray[np.float64]
@@ -25,6 +29,8 @@ NAMES = {
     "turn": ("r", "rotation", "rotationmatrix"),
     "shift": ("t", "translation", "translationvector"),
 }
+HAMLYN = ("camera_extrinsic.txt", "camera_extrinsics.txt")
+HAMLYN_EYES = ("left_camera_calibration_intrinsic.txt", "right_camera_calibration_intrinsic.txt")
 METRES, MILLIMETRES = (5e-4, 0.05), (0.5, 50.0)  # ranges of a baseline; an endoscope's is 3 to 10 mm
 
 
@@ -50,9 +56,8 @@ def read_rig(path: Path) -> StereoRig:
     """HaustraError, one sentence, for a file that is no stereo calibration."""
     if not path.is_file():
         raise HaustraError(f"there is no stereo calibration {path}")
-    document = open_document(path)
     try:
-        values = _ini(document.text) if path.suffix.lower() == ".ini" else _named(document.fields)
+        values = _values(path)
         rig = StereoRig(
             values["first"].reshape(3, 3),
             values["first_terms"].ravel(),
@@ -71,6 +76,32 @@ def read_rig(path: Path) -> StereoRig:
     if not np.allclose(rig.turn @ rig.turn.T, np.eye(3), atol=1e-3):
         raise HaustraError(f"{path}: the rotation between the cameras is none")
     return rig
+
+
+def _values(path: Path) -> dict[str, Any]:
+    if path.name.lower() in HAMLYN:
+        return _three_files(path)
+    document = open_document(path)
+    return _ini(document.text) if path.suffix.lower() == ".ini" else _named(document.fields)
+
+
+def _three_files(path: Path) -> dict[str, Any]:
+    """Of Hamlyn: the rig's file, and each eye's beside it."""
+    beside = {file.name.lower(): file for file in path.parent.iterdir()}
+    missing = [name for name in HAMLYN_EYES if name not in beside]
+    if missing:
+        raise HaustraError(f"{path} is of Hamlyn's calibration, but beside it is no {' and no '.join(missing)}")
+    (turn, shift), first, second = (_rows(file) for file in (path, *(beside[name] for name in HAMLYN_EYES)))
+    names = ("first", "first_terms", "second", "second_terms", "turn", "shift")
+    return dict(zip(names, (*first, *second, turn, shift), strict=True)) | {"size": None}
+
+
+def _rows(path: Path) -> tuple[Array, Array]:
+    """(3,3) of the first three rows, and the fourth row."""
+    rows = [np.array(line.split(), np.float64) for line in read_text(path).splitlines() if line.strip()]
+    if len(rows) < 4:
+        raise HaustraError(f"{path} has {len(rows)} rows of numbers; Hamlyn's files have four")
+    return np.stack(rows[:3]), rows[3]
 
 
 def _named(fields: dict[str, Any]) -> dict[str, Any]:

@@ -87,6 +87,18 @@ def test_a_wide_fisheye_says_how_much_is_cut():
     assert rectifier.camera.field_of_view()[0] == pytest.approx(110, abs=1)
 
 
+def test_a_picture_without_its_corners_is_guessed_to_be_a_colonoscope_s(tmp_path):
+    """The content's longer side shows the angle that EndoMapper's 1440 pixels do, about the middle of the content."""
+    guess = calibrate("auto", tmp_path, (720, 576), (40, 18, 640, 540), cut_corners=True).camera
+    mean = PRESETS["colonoscope"].camera
+    off = np.array([[0.0, 0.0], [300.0, 0.0], [-200.0, 150.0]])
+    rays, _ = guess.unproject(off + np.array([360.0, 288.0]))
+    expected, _ = mean.unproject(off * 1440 / 640 + mean.centre)
+    np.testing.assert_allclose(rays, expected, atol=1e-6)
+    assert not guess.trusted
+    assert calibrate("auto", tmp_path, (720, 576), (40, 18, 640, 540)).camera.model == "RADIAL"
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_scale_with_the_frame_and_refuse_another_shape(name, tmp_path):
     camera = PRESETS[name].camera

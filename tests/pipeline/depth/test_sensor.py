@@ -139,6 +139,19 @@ def test_they_join_those_of_the_map(sensor, workspace):
     alone = points_of(completed, frames, None, SilentProgress())(7)
     both = points_of(completed, frames, sensor, SilentProgress())(7)
     assert len(both.depth) > len(alone.depth) + 250
+    of = {
+        points: points_of(
+            completed,
+            frames,
+            replace(sensor, settings=sensor.settings.model_copy(update={"points": points})),
+            SilentProgress(),
+        )(7)
+        for points in ("own", "none")
+    }
+    np.testing.assert_array_equal(of["none"].depth, alone.depth)
+    own = sensor_points(sensor, 7, CAMERA, completed.camera, sensor_scale(submap(), sensor).mm_per_unit)
+    assert np.isin(of["own"].depth, np.concatenate([alone.depth, own.depth])).all()
+    assert len(of["own"].depth) > len(alone.depth) + 250
     lone = SparseDepth(np.array([[50.0, 40.0]]), np.array([9.0]), np.array([0.01]))
     assert 9.0 not in join(both, lone).depth  # nothing around is so deep
 

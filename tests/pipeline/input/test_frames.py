@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.input.content_area import find_content, highlight_mask
+from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.video import Source
 from tests.helpers.real_data import shared
@@ -175,3 +175,17 @@ def test_each_kind_of_useless_frame_is_named():
     black, burnt = np.zeros_like(good[0]), np.full_like(good[0], 255)
     verdicts = judge_all([*good[:6], blurred, red_out, black, burnt, good[6], good[6]])
     assert verdicts == ["used"] * 6 + ["blurred", "no texture", "black", "overexposed", "used", "duplicate"]
+
+
+@pytest.mark.parametrize(
+    ("cut", "said"),
+    [("none", False), ("octagon", True), ("one corner under text", True), ("left", False), ("disc", False)],
+)
+def test_a_colonoscope_s_picture_is_known_by_its_corners(cut, said):
+    y, x = np.mgrid[:240, :320]
+    off = np.abs(x - 159.5) / 160 + np.abs(y - 119.5) / 120
+    shown = {"none": off < 9, "octagon": off < 1.5, "one corner under text": (off < 1.5) | ((x < 60) & (y > 180))}
+    shown |= {"left": (off < 1.5) | (x > 160), "disc": (x - 159.5) ** 2 + (y - 119.5) ** 2 < 119**2}
+    left = int(np.flatnonzero(shown[cut].any(axis=0))[0])
+    area = ContentArea(np.where(shown[cut], 255, 0).astype(np.uint8), (left, 0, 320 - 2 * left, 240))
+    assert has_cut_corners(area) == said

@@ -3,8 +3,10 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
+import jsonschema
 import numpy as np
 import pytest
 import trimesh
@@ -22,6 +24,14 @@ CODE = (
     "print(json.dumps([[i.name for i in images], [list(i.projection_center()) for i in images], len(off), max(off),"
     " [list(map(int, p.color)) for p in m.points3D.values()]]))"
 )
+
+
+def by_schema(name, told):
+    """A program's schema beside this test, and that it can fail."""
+    schema = json.loads(Path(__file__).with_name(f"{name}.schema.json").read_text())
+    jsonschema.validate(told, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(told | {"misspelt": 1}, schema)
 
 
 @pytest.fixture
@@ -68,7 +78,8 @@ def test_colmap_opens_its_folder_in_text_and_binary(made, tmp_path, monkeypatch,
         for path in model.glob("*.gone"):
             if not path.name.endswith(f"{gone}.gone"):
                 path.rename(path.with_suffix(""))
-    assert (tmp_path / "out/images" / names[0]).is_file()
+    # gsplat pairs the model's names with the folder's files in order: there must be no others.
+    assert sorted(path.name for path in (tmp_path / "out/images").iterdir()) == names
     assert cv2.imread(str(tmp_path / "out/masks" / f"{names[0]}.png"), cv2.IMREAD_GRAYSCALE)[:3].max() == 0
     assert export(monkeypatch, made, tmp_path / "out", "--colmap") == 1
     assert "is there already" in capsys.readouterr().err
@@ -78,8 +89,7 @@ def test_nerfstudio_by_its_conventions(made, tmp_path, monkeypatch):
     """Its camera looks along -z with y up; a point's pixel and depth follow from transforms.json alone."""
     assert export(monkeypatch, made, tmp_path / "out", "--nerfstudio") == 0
     told = json.loads((tmp_path / "out/transforms.json").read_text())
-    needed = {"camera_model", "fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2", "frames", "ply_file_path"}
-    assert needed <= told.keys()
+    by_schema("transforms", told)
     submap, frame = made.completed[0].submap, told["frames"][5]
     matrix = np.array(frame["transform_matrix"])
     np.testing.assert_allclose(np.linalg.det(matrix[:3, :3]), 1)
@@ -100,18 +110,15 @@ def test_nerfstudio_by_its_conventions(made, tmp_path, monkeypatch):
 
 
 def test_slicer_by_its_schema(made, tmp_path, monkeypatch, capsys):
-    """markups-schema-v1.0.3: what each markup and control point must have, and the words that it knows."""
+    """By markups-schema-v1.0.3, in LPS mm."""
     assert export(monkeypatch, made, tmp_path / "out", "--slicer") == 0
     kinds = {"path.mrk.json": "Curve", "missed_regions.mrk.json": "Fiducial"}
     for name, kind in kinds.items():
         told = json.loads((tmp_path / "out" / name).read_text())
-        assert told["@schema"].endswith("markups-schema-v1.0.3.json#")
+        by_schema("markups", told)
         (markup,) = told["markups"]
         assert (markup["type"], markup["coordinateSystem"], markup["coordinateUnits"]) == (kind, "LPS", "mm")
-        for point in markup["controlPoints"]:
-            assert isinstance(point["id"], str)
-            assert (len(point["position"]), len(point["orientation"])) == (3, 9)
-            assert point["positionStatus"] == "defined"
+        assert {point["positionStatus"] for point in markup["controlPoints"]} <= {"defined"}
     path = json.loads((tmp_path / "out/path.mrk.json").read_text())["markups"][0]["controlPoints"]
     np.testing.assert_allclose([point["position"] for point in path], MM * made.completed[0].submap.centres, atol=1e-6)
     assert b"comment SPACE=LPS" in (tmp_path / "out/mesh.ply").read_bytes()[:200]

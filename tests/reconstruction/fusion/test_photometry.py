@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from reconstruction.fusion.lamp import Lamp
 from reconstruction.fusion.photometry import GAMMA, _blurred, fit_illumination, geometry
 
 K = np.array([[80.0, 0, 64], [0, 80, 48], [0, 0, 1]])
@@ -31,14 +32,14 @@ def tube(radius, tilt_x, tilt_y):
     return depth.astype(np.float32), depth * length, -(ray * inward).sum(-1) / length
 
 
-def lit(radius, tilt_x, tilt_y, exposure_gain, exponents, seed=0):
-    """Image and depth of a blotchy tube lit from the camera, and its reflectance."""
+def lit(radius, tilt_x, tilt_y, exposure_gain, exponents, seed=0, spot=1.0):
+    """Image and depth of a blotchy tube lit from the camera, and its reflectance; spot (H,W): of a lamp of its own."""
     depth, distance, cosine = tube(radius, tilt_x, tilt_y)
     rng = np.random.default_rng(seed)
     blotches = 1 + 0.15 * np.kron(rng.normal(0, 1, (HEIGHT // 8, WIDTH // 8)), np.ones((8, 8)))
     reflectance = np.clip(blotches, 0.6, 1.4)[..., None] * np.array([0.6, 0.3, 0.2])
     ahead = depth / distance
-    light = exposure_gain * (distance / 20) ** exponents[0] * cosine ** exponents[1] * ahead ** exponents[2]
+    light = exposure_gain * (distance / 20) ** exponents[0] * cosine ** exponents[1] * ahead ** exponents[2] * spot
     rgb = np.rint(255 * np.clip(reflectance * light[..., None], 0, 1) ** (1 / GAMMA)).astype(np.uint8)
     return rgb, depth, reflectance
 
@@ -148,3 +149,27 @@ def test_depth_is_blurred_as_scipy_would(unit):
     blurred = _blurred(depth, 2.5)
     np.testing.assert_allclose(blurred[known], np.exp(mean)[known], rtol=2e-6)
     assert (blurred[~known] == 0).all()
+
+
+def test_a_lamp_that_was_measured_explains_what_no_exponent_of_the_cosine_can():
+    """A spot light that points 20 degrees to the right: e^(-3 (1 - D . ray)), as EndoMapper's calibration has it."""
+    axis = np.array([np.sin(np.radians(20)), 0, np.cos(np.radians(20))])
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    spot = np.exp(-3 * (1 - rays @ axis))
+    shown = [lit(*shape, (-2.0, 1.0, 0.0), seed, spot) for seed, shape in enumerate(TUBES)]
+    frames, truths = [(rgb, depth) for rgb, depth, _ in shown], [reflectance[..., 1] for *_, reflectance in shown]
+
+    def spread(fitted):
+        shown = [(fitted.shading_corrected(rgb, depth, K)[..., 1] / 255) ** GAMMA for rgb, depth in frames]
+        usable = [rgb.max(axis=2) > 30 for rgb, _ in frames]
+        parts = zip(shown, truths, usable, strict=True)
+        off = np.concatenate([np.log(np.maximum(image, 1e-3) / true)[good] for image, true, good in parts])
+        return np.median(np.abs(off - np.median(off)))
+
+    measured = fit_illumination(frames, K, lamp=Lamp(tuple(axis), 3.0))
+    assert measured.distance == pytest.approx(-2, abs=0.1)
+    assert measured.slant == pytest.approx(1, abs=0.15)
+    assert measured.axis == 1
+    assert spread(measured) < 0.5 * spread(fit_illumination(frames, K))

@@ -12,7 +12,14 @@ from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from pipeline.frontend.odometry import self_calibration
-from pipeline.frontend.odometry.self_calibration import MAX_FOCAL_SIGMA, MIN_VIEWS, Lens, refine_lens, thinned
+from pipeline.frontend.odometry.self_calibration import (
+    MAX_FOCAL_SIGMA,
+    MIN_VIEWS,
+    Lens,
+    doubt_of_lens,
+    refine_lens,
+    thinned,
+)
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
 
@@ -197,3 +204,19 @@ def test_a_lens_shifts_nothing_against_itself_and_pixels_by_its_focal_length_aga
     # A pixel at radius r moves by r / 100, or by less where the lens compresses; the whole picture's RMS radius is 0.41
     # widths, and that of what has a ray is less.
     assert 0.0015 < self_calibration.lens_shift(camera, longer) < 0.0042
+
+
+def test_a_lens_of_another_endoscope_is_doubted(tmp_path):
+    other = Camera("SIMPLE_RADIAL", 320, 320, (140.0, 160.0, 160.0, 0.0))
+    said = doubt_of_lens(replace(filmed(*wandering()), camera_params=other.params), other, 0, tmp_path)
+    assert "focal length is 140 px" in said
+    assert "motion says 16" in said
+
+
+@pytest.mark.parametrize(
+    ("focal", "sigma", "determined"), [(160.5, 0.3, True), (170.0, 4.0, True), (190.0, 0.3, False)]
+)
+def test_a_lens_is_not_doubted_for_little(monkeypatch, tmp_path, focal, sigma, determined):
+    found = Lens(replace(TRUE, params=(focal, *TRUE.params[1:])), (sigma,), determined)
+    monkeypatch.setattr(self_calibration, "refine_lens", lambda *_: found)
+    assert doubt_of_lens(filmed(*wandering()), TRUE, 0, tmp_path) == ""

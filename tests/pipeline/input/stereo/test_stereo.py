@@ -152,3 +152,21 @@ def test_a_file_of_one_camera_is_no_rig(tmp_path):
     (tmp_path / "mono.yaml").write_text("%YAML:1.0\n---\n" + opencv_matrix("M1", K) + opencv_matrix("D1", np.zeros(5)))
     with pytest.raises(HaustraError, match="no stereo calibration: it lacks M2"):
         read_rig(tmp_path / "mono.yaml")
+
+
+def test_the_three_text_files_of_hamlyn(tmp_path):
+    rows = lambda matrix: "\n".join(" ".join(map(str, row)) for row in matrix)  # noqa: E731
+    (tmp_path / "camera_extrinsic.txt").write_text(rows(np.vstack([TURN, SHIFT])) + "\n")
+    with pytest.raises(HaustraError, match=r"beside it is no left_camera_calibration_intrinsic\.txt"):
+        read_rig(tmp_path / "camera_extrinsic.txt")
+    for eye, shift in (("Left", 0), ("Right", 2)):
+        k = K + np.array([[0, 0, shift], [0, 0, 0], [0, 0, 0]])
+        text = rows(k) + "\n-0.19 0.22 0.001 -0.002 0\n"
+        (tmp_path / f"{eye}_Camera_Calibration_Intrinsic.txt").write_text(text)
+    rig = read_rig(tmp_path / "camera_extrinsic.txt")
+    np.testing.assert_allclose(rig.turn @ [1, 2, 30] + rig.shift, TURN @ [1, 2, 30] + SHIFT)
+    assert rig.second[0, 2] - rig.first[0, 2] == 2
+    np.testing.assert_allclose(rig.first_terms, [-0.19, 0.22, 0.001, -0.002, 0])
+    (tmp_path / "Left_Camera_Calibration_Intrinsic.txt").write_text(rows(K))
+    with pytest.raises(HaustraError, match="3 rows of numbers; Hamlyn's files have four"):
+        read_rig(tmp_path / "camera_extrinsic.txt")
