@@ -10,10 +10,11 @@ from pipeline.run_folder.workspace import write_json
 from tests.helpers.tiny_run import make_tiny_run
 
 
-def make_shown_run(root: Path) -> None:
-    """A tiny run with its report, record, metrics and path."""
+def make_shown_run(root: Path, film: str = "0", frames: int = 90) -> None:
+    """A tiny run with its report, record, metrics and path; film: what stands for the digest of its source."""
     root.mkdir(parents=True)
-    run = make_tiny_run(root)
+    run = make_tiny_run(root, frames)
+    run.workspace.record["source"]["sha256"]["source"] = film
     write_page(*run.parts)
     write_json(run.workspace.metrics, run.metrics)
     run.workspace.record["stages"]["report"] = {}

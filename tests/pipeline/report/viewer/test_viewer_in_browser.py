@@ -146,6 +146,7 @@ def test_two_are_ticked_compared_and_turned_by_one_camera(opened):
 @slow
 def test_runs_of_two_films_are_found_played_and_compared_from_their_own_first_views(opened):
     """From the list through both players to the comparison, whose figures are each film's own."""
+    opened.open().evaluate("sessionStorage.clear()")
     page = opened.open()
     for name, posed in (("one", 120), ("three", 80)):
         page.click(f"#runs tbody a[href='/play?run={name}']")
