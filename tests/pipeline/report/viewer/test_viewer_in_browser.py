@@ -40,7 +40,7 @@ def opened(tmp_path_factory):
     root = tmp_path_factory.mktemp("viewed")
     for name in ("one", "two"):
         make_shown_run(root / name)
-    make_shown_run(root / "three", film="another", frames=50)
+    make_shown_run(root / "three", film="another", frames=50, judged=False)
     server = FolderServer(root)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with sync_api.sync_playwright() as playwright:
@@ -161,6 +161,8 @@ def test_runs_of_two_films_are_found_played_and_compared_from_their_own_first_vi
     assert "different films" in page.inner_text("#linked")
     cells = page.locator("#figures tbody tr").first.locator("td").all_inner_texts()
     assert [cell.split(" of ")[0] for cell in cells] == ["120", "80"]
+    assert "the light contradicts" in page.inner_text("#figures"), "the doubts of a run"
+    until(page, lambda: page.locator("p:text('coverage of three was not judged')").count() == 1)
     rng = np.random.default_rng(0)
     first, second = (Rotation.random(random_state=rng).as_matrix() for _ in range(2))
     found = page.evaluate("([a, b]) => between(a, b)", [first.tolist(), second.tolist()])
