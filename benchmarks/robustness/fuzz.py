@@ -11,7 +11,8 @@ whole also: wrong without a word, which is a path that has another clock or anot
 damaged film is not thereby a good one: a film mirrored half-way through, say, becomes two submaps, each right in
 itself. How many results have a submap that contradicts its lamp is counted too.
 
-With `--json` each input is written down as it ends, and the same command goes on with those that are left.
+With `--json` each input is written down as it ends, with its commit, and the same command goes on with those that are
+left.
 """
 
 import argparse
@@ -29,7 +30,7 @@ from typing import Any
 import av
 import numpy as np
 
-from benchmarks.common.record import write
+from benchmarks.common.record import environment, write
 from benchmarks.robustness.corruptions import OF_FRAMES, Frames, damage_file, left_alone, wrong_camera
 from benchmarks.robustness.strange_files import RATE, STRANGE, Strange, write_camera
 from haustra.core.errors import HaustraError
@@ -152,7 +153,7 @@ def attempt(number: int, front_end: str) -> dict[str, Any]:
 def attempts(numbers: list[int], front_end: str, limit: float, log: Path | None) -> list[dict[str, Any]]:
     """All of them, one after the other, in processes that may die; what a log of lines knows is not done again, but for
     what ran out of time, as on a machine that others used."""
-    context = multiprocessing.get_context("spawn")
+    context, commit = multiprocessing.get_context("spawn"), environment()["commit"]
     known = log.read_text().splitlines() if log is not None and log.exists() else []
     by_number = {one["number"]: one for one in map(json.loads, known) if one.get("text") != "TimeoutError"}
     outcomes: list[dict[str, Any]] = [by_number[number] for number in numbers if number in by_number]
@@ -168,7 +169,7 @@ def attempts(numbers: list[int], front_end: str, limit: float, log: Path | None)
                     process.kill()
                 pool.shutdown(wait=True, cancel_futures=True)
                 pool = ProcessPoolExecutor(1, mp_context=context)
-            last = outcomes[-1]
+            last = outcomes[-1] = outcomes[-1] | {"commit": commit}
             if log is not None:
                 with log.open("a") as file:
                     file.write(json.dumps(last) + "\n")

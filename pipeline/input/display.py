@@ -12,20 +12,22 @@ if TYPE_CHECKING:
 
 UPRIGHT = np.eye(2)
 RESTART = 8  # frames by which a time must fall back to be of another part of a joined film
+LEAP_S = 3600.0  # no picture stands that long: the clock of another part
 LEAST_STEP = 0.01  # of the frame interval, between frames whose stamps do not increase
 
 
 class Clock:
     """Seconds from a film's first frame, increasing from frame to frame.
 
-    Files that were cut or joined begin anywhere and start again in between: a part whose times run backwards goes on
-    where the part before it ended. rate: frames/s; has_times: False where only the rate is to be believed.
+    Files that were cut or joined begin anywhere and start again in between: a part whose times run backwards, or leap
+    an hour ahead, goes on where the part before it ended. rate: frames/s; has_times: False where only the rate is to be
+    believed.
     """
 
     def __init__(self, rate: float, has_times: bool = True) -> None:
         self.step, self.has_times = 1 / rate, has_times
         self.notes: list[str] = []
-        self._count, self._restarts = 0, 0
+        self._count, self._restarts, self._leaps = 0, 0, 0
         self._shift: float | None = None  # from the file's times to ours
         self.last = -self.step
 
@@ -37,11 +39,14 @@ class Clock:
             return self.last
         if self._shift is None:
             self._shift = -stamp
-        if stamp + self._shift < self.last - RESTART * self.step:
+        backwards = stamp + self._shift < self.last - RESTART * self.step
+        if backwards or stamp + self._shift > self.last + LEAP_S:
             self._shift = self.last + self.step - stamp
-            self._restarts += 1
-            times = f"the film's time stamps run backwards {self._restarts} times"
-            self.notes = [f"{times}: each part was put behind the one before"]
+            self._restarts += backwards
+            self._leaps += not backwards
+            counted = [("run backwards", self._restarts), ("leap over an hour ahead", self._leaps)]
+            times = " and ".join(f"{what} {count} times" for what, count in counted if count)
+            self.notes = [f"the film's time stamps {times}: each part was put behind the one before"]
         # A stamp that is repeated or a little early is of one frame alone: those after it are right.
         self.last = max(stamp + self._shift, self.last + LEAST_STEP * self.step)
         return self.last

@@ -1,6 +1,7 @@
 """Pictures of a folder: which files are frames, in which order, and 8-bit pixels out of any depth of bits."""
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -10,9 +11,12 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_json
 
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".jp2"}
+JPEG = {".jpg", ".jpeg", ".jpe", ".jfif"}
+IMAGE_SUFFIXES = JPEG | {".png", ".bmp", ".dib", ".tif", ".tiff", ".ppm", ".pgm", ".pnm", ".webp", ".jp2"}
+FILM_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".mpg", ".ts", ".wmv", ".webm", ".m4v"}
 MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
 FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
+MOST_FPS = 100_000.0
 DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras store in 16
 PROBED = 8  # pictures from which the bits of deep ones are found
 
@@ -47,12 +51,14 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     """
     inner = folder / "rgb" if (folder / "rgb").is_dir() else folder
     groups: dict[str, list[Path]] = {}
-    count = 0
-    for path in inner.iterdir():
-        # macOS leaves a "._" companion beside every file that it copies.
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith("."):
-            count += 1
-            groups.setdefault(re.sub(r"\d+", "#", path.stem).lower(), []).append(path)
+    # macOS leaves a "._" companion beside every file that it copies.
+    images = [p for p in inner.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    count, twice = len(images), len({path.stem for path in images}) < len(images)  # each frame in two formats
+    for path in images:
+        kind = re.sub(r"\d+", "#", path.stem).lower() + (path.suffix.lower() if twice else "")
+        groups.setdefault(kind, []).append(path)
+    if len(groups) > MIN_GROUP and max(map(len, groups.values())) == 1:
+        raise HaustraError(f"the names of the images in {inner} have no number that says their order; number them")
     if max(map(len, groups.values()), default=0) >= MIN_GROUP:
         groups = {name: paths for name, paths in groups.items() if len(paths) >= MIN_GROUP}
     named = {name for name in groups if any(word in name for word in ("color", "colour", "rgb", "framebuffer"))}
@@ -62,6 +68,20 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     left_out = count - len(groups.get(chosen, []))
     note = f"{left_out} images of other kinds in {inner.name} were left out" if left_out else ""
     return in_natural_order(groups.get(chosen, [])), note
+
+
+def what_else_is_in(folder: Path) -> str:
+    """A sentence's end about a folder without pictures: which to give instead, or what its files are."""
+    inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    films = [path.name for path in inside if path.suffix.lower() in FILM_SUFFIXES]
+    for path in inside:
+        if path.is_dir() and any(one.suffix.lower() in IMAGE_SUFFIXES for one in path.iterdir()):
+            return f"there are some in {path.name} inside it: give that folder"
+    if films:
+        return f"it holds the film {films[0]}: give the file" + (", or all to haustra batch" if len(films) > 1 else "")
+    kinds = Counter(path.suffix.lower() or "no suffix" for path in inside if path.is_file()).most_common(1)
+    found = f"most of its files are {kinds[0][0]}" if kinds else "it is empty"
+    return f"{found}; those that are: {' '.join(sorted(IMAGE_SUFFIXES))}"
 
 
 def in_natural_order(paths: list[Path]) -> list[Path]:
@@ -80,8 +100,14 @@ def in_natural_order(paths: list[Path]) -> list[Path]:
 
 
 def folder_fps(folder: Path) -> float:
-    """Frames a second of an RGB-D folder; `FOLDER_FPS` where it does not say."""
+    """Frames a second of an RGB-D folder; `FOLDER_FPS` where it does not say. HaustraError where it says nonsense."""
     try:
-        return float(read_json(folder / "camera.json")["fps"])
-    except (HaustraError, ValueError, KeyError, TypeError):
+        said = read_json(folder / "camera.json").get("fps")
+        fps = FOLDER_FPS if said is None else float(said)
+    except HaustraError:
         return FOLDER_FPS
+    except (ValueError, TypeError):
+        fps = 0.0
+    if not 0 < fps < MOST_FPS or isinstance(said, bool):
+        raise HaustraError(f"fps in {folder / 'camera.json'} is {said!r}, no number of frames a second")
+    return fps

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,10 +15,10 @@ from haustra.core.errors import HaustraError
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, display_matrix, upper_field, upright
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
-from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture
+from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture, what_else_is_in
 
 if TYPE_CHECKING:
-    from av import VideoFrame
+    from av import Packet, VideoFrame
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
@@ -55,7 +55,7 @@ class Source:
         if left_out:
             self._note(left_out)
         if self.is_folder and not self.images:
-            raise HaustraError(f"the folder {path} holds no images")
+            raise HaustraError(f"the folder {path} holds no images that are read; {what_else_is_in(path)}")
         if not self.is_folder and path.stat().st_size == 0:
             raise HaustraError(f"the file {path} is empty")
         self.announced = len(self.images)
@@ -90,10 +90,11 @@ class Source:
 
     def _read_folder(self) -> Iterator[RawFrame]:
         size, fps, bits = None, folder_fps(self.path), 0
+        unread: list[str] = []
         for index, path in enumerate(self.images):
             image = read_picture(path)
             if image is None:
-                self._note(f"{path.name} is not a readable image and was skipped")
+                unread.append(path.name)
                 continue
             size = size or image.shape
             if image.shape != size:
@@ -102,6 +103,11 @@ class Source:
                 bits = bits or bits_of(self.images)
                 self._note(f"the pictures hold values of {bits} bits: they were brought to 8")
             yield RawFrame(index, index / fps, in_8_bits(image, bits))
+        which = f"{len(unread)} of {len(self.images)} images, {unread[0]} the first," if unread else ""
+        if size is None:
+            raise HaustraError(f"{which} are no pictures of 8 or 16 bits, or damaged: {self.path} has no frame")
+        if unread:
+            self._note(f"{which} are no pictures of 8 or 16 bits, or damaged, and were skipped")
 
     def _read_video(self) -> Iterator[RawFrame]:
         count, size = 0, (0, 0)
@@ -168,19 +174,16 @@ class Source:
         import av
 
         damaged = 0
-        packets = container.demux(stream)
-        while True:
+        for packet in packets_of(container, stream):
             try:
-                packet = next(packets)
-                yield from packet.decode()
-            except StopIteration:
-                break
+                yield from () if packet is None else packet.decode()
+                damaged += packet is None
             except av.error.EOFError:
                 break
             except av.error.FFmpegError:
                 damaged += 1
-                if damaged > MAX_DAMAGED:
-                    break
+            if damaged > MAX_DAMAGED:
+                break
         if damaged:
             self._note(f"{damaged} damaged pieces of the video were passed over")
 
@@ -219,6 +222,20 @@ def open_video(path: Path) -> "InputContainer":
     return container
 
 
+def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | None"]:
+    """Packets of one stream or several; None for each piece of the file that cannot be read."""
+    import av
+
+    for _ in range(MAX_DAMAGED + 1):
+        try:
+            yield from container.demux(streams)
+            return
+        except av.error.EOFError:
+            return
+        except (av.error.FFmpegError, IndexError):  # IndexError: of a stream that was not there at the beginning
+            yield None
+
+
 def film_stream(path: Path) -> tuple[int, int, int]:
     """Number, among a file's video streams, of the one with most pictures, which is no cover and no still of a label;
     how many streams there are; and how many frames that one claims."""
@@ -227,7 +244,8 @@ def film_stream(path: Path) -> tuple[int, int, int]:
         number = 0
         if len(streams) > 1:
             pictures = dict.fromkeys((stream.index for stream in streams), 0)
-            for packet in container.demux(streams):
-                pictures[packet.stream.index] += packet.size > 0
+            for packet in packets_of(container, streams):
+                if packet is not None:
+                    pictures[packet.stream.index] += packet.size > 0
             number = max(range(len(streams)), key=lambda place: (pictures[streams[place].index], -place))
         return number, len(streams), streams[number].frames

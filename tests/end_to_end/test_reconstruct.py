@@ -163,40 +163,6 @@ def test_export_writes_every_format(finished, tmp_path, suffix, monkeypatch, cap
     assert len(loaded.faces) == finished[1].metrics["submaps"][0]["faces"]
 
 
-def test_two_runs_of_one_seed_agree_to_the_bit(finished, tmp_path):
-    reconstruct(VIDEO, tmp_path / "again", tiny_config())
-    for name in ("trajectory.tum", "mesh.ply", "sparse/0/points3D.bin"):
-        assert (tmp_path / "again" / name).read_bytes() == (finished[0] / name).read_bytes(), name
-
-
-def test_a_stopped_run_goes_on_and_ends_the_same(finished, tmp_path, monkeypatch):
-    """Ctrl-C in completion after some keyframes, then in fusion; each resume keeps what was done."""
-    calls = []
-    complete = DepthCompleter.batch
-
-    def stop_at_the_fourth(self, *arrays):
-        calls.append(1)
-        if len(calls) == 4:
-            raise KeyboardInterrupt
-        return complete(self, *arrays)
-
-    folder = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        patch.setattr(DepthCompleter, "batch", stop_at_the_fourth)
-        with pytest.raises(KeyboardInterrupt):
-            reconstruct(VIDEO, folder, tiny_config())
-    first = {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}
-    assert 2 <= len(first) <= 4  # those beside the stopped one are ended; the network's first call is no keyframe
-    with monkeypatch.context() as patch:
-        patch.setattr(surface, "fuse_submap", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-        with pytest.raises(KeyboardInterrupt):
-            reconstruct(VIDEO, folder, tiny_config(), resume=True)
-    reconstruct(VIDEO, folder, tiny_config(), resume=True)
-    assert {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}.items() >= first.items()
-    for name in ("trajectory.tum", "mesh.ply"):
-        assert (folder / name).read_bytes() == (finished[0] / name).read_bytes(), f"{name} depends on the stop"
-
-
 class StopAtOnce(SilentProgress):
     """Ctrl-C as soon as COLMAP reports its first step."""
 
@@ -209,14 +175,36 @@ class StopAtOnce(SilentProgress):
         yield advance
 
 
-def test_ctrl_c_stops_colmap_at_once_and_resume_goes_on(tmp_path, finished):
+def test_a_second_run_that_is_stopped_three_times_ends_the_same_to_the_bit(finished, tmp_path, monkeypatch):
+    """Ctrl-C in COLMAP, in completion after some keyframes, then in fusion; each resume keeps what was done."""
+    calls = []
+    complete = DepthCompleter.batch
+
+    def stop_at_the_fourth(self, *arrays):
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return complete(self, *arrays)
+
     folder = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
         reconstruct(VIDEO, folder, tiny_config(), progress=StopAtOnce())
     mine = psutil.Process().children(recursive=True)  # another run on this machine may have a worker of its own
     assert [child for child in mine if "pipeline.frontend.colmap.worker" in child.cmdline()] == []
+    with monkeypatch.context() as patch:
+        patch.setattr(DepthCompleter, "batch", stop_at_the_fourth)
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    first = {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}
+    assert 2 <= len(first) <= 4  # those beside the stopped one are ended; the network's first call is no keyframe
+    with monkeypatch.context() as patch:
+        patch.setattr(surface, "fuse_submap", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(VIDEO, folder, tiny_config(), resume=True)
     reconstruct(VIDEO, folder, tiny_config(), resume=True)
-    assert compare_run(folder, FOLDER).sim3.ate_rmse < 0.1
+    assert {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}.items() >= first.items()
+    for name in ("trajectory.tum", "mesh.ply", "sparse/0/points3D.bin"):
+        assert (folder / name).read_bytes() == (finished[0] / name).read_bytes(), f"{name}: of chance, or of the stops"
 
 
 @pytest.mark.parametrize("name", ["frames.json", "mesh.ply", "log/models/0/model.npz"])

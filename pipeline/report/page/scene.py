@@ -22,6 +22,7 @@ FEWEST_TRIANGLES = 2_000  # that a submap keeps, unless there are many:
 FLOOR_SHARE = 0.25  # of all triangles are for what small submaps keep beyond their share
 PATCH_TRIANGLES = 16_000  # of all missed regions together,
 MOST_PATCH_TRIANGLES = 8_000  # and of a submap's
+MOSTLY = 0.25  # mean of the wall's normals towards the eye; of a whole tube 0
 PATH_POINTS = 20_000  # of all camera paths together,
 MOST_PATH_POINTS = 5_000  # and of a submap's
 
@@ -83,6 +84,8 @@ def _submap(
     points = np.concatenate([coarse.vertices, submap.centres])
     low, high = points.min(axis=0), points.max(axis=0)
     axes = _axes(coarse.vertices if len(coarse.faces) else submap.centres, world_from_camera)
+    if len(coarse.faces) and np.mean(coarse.normals @ axes[2]) < -MOSTLY:
+        axes = axes * [[-1.0], [1.0], [-1.0]]  # wall that is open to the other side is seen from there
     seen = points @ axes.T  # as the first view shows them
     (fx, fy), (width, height) = completed.camera.focal, (completed.camera.width, completed.camera.height)
     return {

@@ -63,16 +63,21 @@ def _card(title: str, figure: str, note: str) -> str:
     )
 
 
-def cautions(metrics: dict[str, Any]) -> str:
-    """What must not be overlooked, above everything else; then what is only good to know."""
-    doubts = [*metrics["warnings"]]
+def doubts(metrics: dict[str, Any]) -> list[str]:
+    """Reasons not to trust a run: its warnings, a lens that the film does not fix, keyframes that others contradict."""
+    found = [*metrics["warnings"]]
     for number, submap in enumerate(metrics["submaps"]):
         trust = submap["camera"]["trust"]
         if "trust" in trust or "does not determine" in trust:
-            doubts.append(f"submap {number}, calibration: {trust}")
+            found.append(f"submap {number}, calibration: {trust}")
         if submap["contradicted_keyframes"]:
-            doubts.append(f"submap {number}: {_left_out(submap['contradicted_keyframes'])}")
-    boxes = [("caution", text) for text in doubts] + [("note", text) for text in metrics["frames"]["notes"]]
+            found.append(f"submap {number}: {_left_out(submap['contradicted_keyframes'])}")
+    return found
+
+
+def cautions(metrics: dict[str, Any]) -> str:
+    """What must not be overlooked, above everything else; then what is only good to know."""
+    boxes = [("caution", text) for text in doubts(metrics)] + [("note", text) for text in metrics["frames"]["notes"]]
     return "".join(f'<p class="{kind}" role="note">{html.escape(text)}</p>' for kind, text in boxes)
 
 

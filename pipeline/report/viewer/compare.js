@@ -63,10 +63,12 @@ async function start() {
   part("title").textContent = "Two runs";
   for (const side of ["a", "b"]) {
     part(`name-${side}`).textContent = part(`head-${side}`).textContent = names[side];
-    const map = part(`map-${side}`);
-    Object.assign(map, { src: path("coverage", names[side]), alt: `coverage of ${names[side]}` });
-    map.addEventListener("load", () => { map.hidden = false; });
-    map.hidden = false;
+    const map = part(`map-${side}`), row = rows[side === "a" ? 0 : 1];
+    if (row.seen_percent === null) {
+      map.replaceWith(Object.assign(document.createElement("p"), { className: "fine", textContent: `coverage of ${names[side]} was not judged` }));
+      continue;
+    }
+    Object.assign(map, { src: path("coverage", names[side]), alt: `coverage of ${names[side]}`, hidden: false });
   }
   table(rows);
   if (!hasWebGL()) throw new Error("this browser shows no WebGL, so the surfaces cannot be turned; figures are below");

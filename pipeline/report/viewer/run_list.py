@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from pipeline.report.page.summary import doubts
 from pipeline.run_folder.workspace import RECORD_NAME, REFUSED
 from pipeline.surface.scale import unit_label
 
@@ -74,18 +75,18 @@ def row_of(name: str, folder: Path) -> RunRow:
 
 def _finished(name: str, metrics: dict[str, Any], settings: str, picture: int | None, changed: float) -> RunRow:
     main, frames = metrics["submaps"][0], metrics["frames"]
-    seen = main["coverage"]
+    seen, doubted = main["coverage"], doubts(metrics)
     return RunRow(
         name,
         "finished",
-        "; ".join(metrics["warnings"]),
+        "; ".join(doubted),
         frames["posed"],
         frames["total"],
         seen["covered_percent"] if seen["judged"] else None,
         main["area"],
         unit_label(main["unit"]),
         len(metrics["submaps"]),
-        len(metrics["warnings"]),
+        len(doubted),
         settings,
         picture,
         changed,

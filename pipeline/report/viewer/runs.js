@@ -1,7 +1,7 @@
 // The list: found by words, put in order by a column, two of them ticked to be compared.
 
 let rows = [], order = { by: "changed", down: true };
-const ticked = new Set();
+const ticked = new Set(JSON.parse(sessionStorage.getItem("ticked") || "[]")); // kept while a run is looked at
 
 function cell(line, content, kind) {
   const made = line.insertCell();
@@ -18,9 +18,14 @@ function tick(run) {
   box.disabled = run.status !== "finished";
   box.addEventListener("change", () => {
     if (box.checked) ticked.add(run.name); else ticked.delete(run.name);
-    part("compare").disabled = ticked.size !== 2;
+    remember();
   });
   return box;
+}
+
+function remember() {
+  sessionStorage.setItem("ticked", JSON.stringify([...ticked]));
+  part("compare").disabled = ticked.size !== 2;
 }
 
 function nameCell(run) {
@@ -71,6 +76,8 @@ document.querySelectorAll("#runs th button").forEach(head => head.addEventListen
 ask("runs").then(found => {
   rows = found.runs;
   part("about").textContent = found.folder;
+  for (const name of ticked) if (!rows.some(run => run.name === name && run.status === "finished")) ticked.delete(name);
+  remember();
   draw();
   ready();
 }).catch(fault);

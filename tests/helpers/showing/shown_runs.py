@@ -7,13 +7,20 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.report.page.page import write_page
 from pipeline.run_folder.workspace import write_json
+from pipeline.surface.coverage_stage import CoverageResult
 from tests.helpers.tiny_run import make_tiny_run
 
 
-def make_shown_run(root: Path) -> None:
-    """A tiny run with its report, record, metrics and path."""
+def make_shown_run(root: Path, film: str = "0", frames: int = 90, judged: bool = True) -> None:
+    """A tiny run with its report, record, metrics and path; film: what stands for the digest of its source; judged:
+    whether its coverage was."""
     root.mkdir(parents=True)
-    run = make_tiny_run(root)
+    run = make_tiny_run(root, frames)
+    run.workspace.record["source"]["sha256"]["source"] = film
+    if not judged:
+        run.coverage[0] = CoverageResult({"judged": False, "reason": "too open"}, None)
+        run.metrics["submaps"][0]["coverage"] = run.coverage[0].record
+        (root / "coverage.png").unlink()
     write_page(*run.parts)
     write_json(run.workspace.metrics, run.metrics)
     run.workspace.record["stages"]["report"] = {}

@@ -36,6 +36,29 @@ def finished():
     return make()
 
 
+@pytest.fixture(scope="module")
+def features():
+    """The features of the film as it is, found once: they are the same whatever map asks."""
+    return SiftCache(read)
+
+
+@pytest.fixture(scope="module")
+def adjusted(finished, features):
+    """The finished map, adjusted to its features; not to be changed."""
+    local_map = copy.deepcopy(finished)
+    assert adjust_to_features(local_map, features)
+    return local_map
+
+
+@pytest.fixture(scope="module")
+def straightened(finished, features):
+    """A bent map, adjusted to its features, and its error before; not to be changed."""
+    local_map = bent(finished, 0.25)
+    before = error(local_map)
+    assert adjust_to_features(local_map, features)
+    return local_map, before
+
+
 def bent(local_map, growth):
     """The map with a scale that grows along the axis: as corners that slide would leave it."""
     world = to_submap(local_map, CAMERA.params)
@@ -75,18 +98,15 @@ def error(local_map):
     return trajectory_errors(submap.world_from_camera, TRUE[submap.frames]).ate_rmse
 
 
-def test_a_bent_scale_is_taken_back(finished):
-    crooked = bent(finished, 0.25)
-    before = error(crooked)
-    assert adjust_to_features(crooked, SiftCache(read))
+def test_a_bent_scale_is_taken_back(straightened):
+    crooked, before = straightened
     assert before > 0.4
     assert error(crooked) < 0.05 * before
 
 
-def test_features_and_followed_corners_are_told_apart(finished):
+def test_features_and_followed_corners_are_told_apart(finished, adjusted):
     assert to_submap(finished, CAMERA.params).is_klt.all()
-    local_map = copy.deepcopy(finished)
-    assert adjust_to_features(local_map, SiftCache(read))
+    local_map = adjusted
     submap = to_submap(local_map, CAMERA.params)
     assert not to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE).is_klt.any()
     between = ~np.isin(submap.frames, [keyframe.frame for keyframe in local_map.keyframes])
@@ -95,10 +115,8 @@ def test_features_and_followed_corners_are_told_apart(finished):
     assert 100 < submap.is_klt.sum() < len(submap.points) - 100
 
 
-def test_the_features_lie_on_the_wall(finished):
-    local_map = copy.deepcopy(finished)
-    assert adjust_to_features(local_map, SiftCache(read))
-    submap = to_submap(local_map, CAMERA.params, kind=TrackKind.FEATURE)
+def test_the_features_lie_on_the_wall(adjusted):
+    submap = to_submap(adjusted, CAMERA.params, kind=TrackKind.FEATURE)
     aligned = umeyama(submap.centres, TRUE[submap.frames, :3, 3], with_scale=True)
     points = submap.points @ aligned[:3, :3].T + aligned[:3, 3]
     off = np.abs(np.linalg.norm(points[:, :2], axis=1) - RADIUS)
@@ -106,13 +124,13 @@ def test_the_features_lie_on_the_wall(finished):
     assert np.median(off) < 0.01 * RADIUS
 
 
-def test_wall_beyond_the_followed_corners_gets_points_too(finished):
+def test_wall_beyond_the_followed_corners_gets_points_too(finished, features):
     """Near wall at the picture's edge, where no corner was followed: its features lie on the wall."""
     local_map = copy.deepcopy(finished)
     half = min(MASK.shape) / 2
     for keyframe in local_map.keyframes:
         keyframe.keep(np.linalg.norm(keyframe.pixels - np.array(MASK.shape[::-1]) / 2, axis=1) < 0.7 * half)
-    assert adjust_to_features(local_map, SiftCache(read))
+    assert adjust_to_features(local_map, features)
     # Guesses are too deep out there; frames between keyframes must not grow by them: 0.02 off, by them 0.07.
     frames = np.array(frames_of(local_map) + [posed.frame for posed in local_map.tracked_frames])
     between = np.stack([inverse(local_map.camera_from_world_of(posed)) for posed in local_map.tracked_frames])
@@ -192,29 +210,26 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
     assert np.median(off) < 0.05 * step
 
 
-def test_a_second_time_the_features_of_the_first_are_forgotten(finished):
-    local_map = copy.deepcopy(finished)
-    assert adjust_to_features(local_map, SiftCache(read))
+def test_a_second_time_the_features_of_the_first_are_forgotten(adjusted, features):
+    local_map = copy.deepcopy(adjusted)
     seen = features_seen(local_map)
-    assert adjust_to_features(local_map, SiftCache(read))
+    assert adjust_to_features(local_map, features)
     assert np.median(features_seen(local_map)) == pytest.approx(np.median(seen), rel=0.1)
     local_map.forget_features()
     assert not any(features_seen(local_map))
 
 
-def test_two_runs_agree_to_the_bit(finished):
-    first, second = copy.deepcopy(finished), copy.deepcopy(finished)
-    assert adjust_to_features(first, SiftCache(read))
-    assert adjust_to_features(second, SiftCache(read))
+def test_two_runs_agree_to_the_bit(finished, adjusted):
+    first, second = adjusted, copy.deepcopy(finished)
+    assert adjust_to_features(second, SiftCache(read)), "with features that are found anew"
     np.testing.assert_array_equal(first.tracks.points, second.tracks.points)
     for one, other in zip(first.keyframes, second.keyframes, strict=True):
         np.testing.assert_array_equal(one.camera_from_world, other.camera_from_world)
         np.testing.assert_array_equal(one.ids, other.ids)
 
 
-def test_points_of_the_followed_corners_fit_the_moved_keyframes(finished):
-    local_map = bent(finished, 0.25)
-    assert adjust_to_features(local_map, SiftCache(read))
+def test_points_of_the_followed_corners_fit_the_moved_keyframes(straightened):
+    local_map, _ = straightened
     corners = local_map.tracks.is_kind(TrackKind.KLT)
     for keyframe in local_map.keyframes:
         mine = local_map.tracks.has_point[keyframe.ids] & corners[keyframe.ids]

@@ -2,6 +2,7 @@
 
 import copy
 import json
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -46,6 +47,18 @@ def tracked(first, last, images=IMAGES):
     return local_map
 
 
+@pytest.fixture(scope="module")
+def stretch():
+    """The map of a stretch of the film, tracked once; each call gives one of its own, to be changed."""
+    once = lru_cache(tracked)
+    return lambda first, last: copy.deepcopy(once(first, last))
+
+
+@lru_cache
+def more_images():
+    return [render(camera_at(k)) for k in range(COUNT, 72)]
+
+
 def elsewhere(local_map, scale):
     """The same map in another world: turned, shifted, in another unit."""
     world_from_old = np.eye(4)
@@ -74,9 +87,9 @@ def test_chunks_cover_the_film_and_overlap(count, wanted):
         assert max(map(len, pieces)) - min(map(len, pieces)) <= 1
 
 
-def test_what_is_kept_is_what_comes_back(tmp_path):
-    local_map = tracked(0, 26)
-    save_maps([local_map, elsewhere(tracked(10, 30), 2.0)], tmp_path / "maps.npz")
+def test_what_is_kept_is_what_comes_back(tmp_path, stretch):
+    local_map = stretch(0, 28)
+    save_maps([local_map, elsewhere(stretch(14, COUNT), 2.0)], tmp_path / "maps.npz")
     back, _ = load_maps(tmp_path / "maps.npz", RAYS)
     expected, found = (to_submap(m, CAMERA.params) for m in (local_map, back))
     for name in ("frames", "world_from_camera", "points", "observations", "pixels", "error_px"):
@@ -85,8 +98,8 @@ def test_what_is_kept_is_what_comes_back(tmp_path):
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 3.0])
-def test_maps_of_overlapping_stretches_become_one(scale):
-    first, second = tracked(0, 28), elsewhere(tracked(14, COUNT), scale)
+def test_maps_of_overlapping_stretches_become_one(scale, stretch):
+    first, second = stretch(0, 28), elsewhere(stretch(14, COUNT), scale)
     (whole,), stitching = stitch_chunks([[first], [second]])
     assert (stitching.chunks, stitching.closed) == (2, 1)
     submap = to_submap(polished([whole])[0], CAMERA.params)
@@ -110,14 +123,14 @@ def test_stretches_that_share_too_little_stay_apart():
     assert stitch_chunks([[], [first], []]) == ([first], chunks.Stitching(3, 0))
 
 
-def test_maps_that_do_not_agree_stay_apart(monkeypatch):
+def test_maps_that_do_not_agree_stay_apart(monkeypatch, stretch):
     """The same frame numbers, but another wall and another way through it; then a scale that changes on the way."""
-    first = tracked(0, 28)
+    first = stretch(0, 28)
     monkeypatch.setattr(textured_tube, "TEXTURE", wall_texture(seed=9))
     others = [render(camera_at(1.7 * k + 30)) for k in range(COUNT)]
     assert first_from_second(first, tracked(14, COUNT, others)) is None
     monkeypatch.undo()
-    bent = tracked(14, COUNT)
+    bent = stretch(14, COUNT)
     for posed in bent.keyframes:
         posed.camera_from_world[:3, 3] *= 1 + 0.05 * (posed.frame - 14)
     assert first_from_second(first, bent) is None
@@ -126,7 +139,7 @@ def test_maps_that_do_not_agree_stay_apart(monkeypatch):
 def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "OVERLAP", 12)
     true = np.stack([camera_at(k) for k in range(72)])
-    images = IMAGES + [render(pose) for pose in true[COUNT:]]
+    images = IMAGES + more_images()
     workspace, frames = stored(tmp_path, images)
     settings = Config(odometry=OdometrySettings(chunks=3)).front_end_settings
     result = track_frames(frames, settings, workspace, SilentProgress())
@@ -154,9 +167,9 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     assert json.loads((temp_dir(workspace) / "1.json").read_text())["number"] == 1
 
 
-def test_a_stub_in_the_overlap_hides_no_seam(monkeypatch):
+def test_a_stub_in_the_overlap_hides_no_seam(stretch):
     """The chunk lost track near its end and began again: its last map has a few frames, the one before the rest."""
-    first, second = tracked(0, 28), tracked(14, COUNT)
+    first, second = stretch(0, 28), stretch(14, COUNT)
     stub = copy.deepcopy(first)
     stub.keyframes = [k for k in stub.keyframes if 20 <= k.frame < 26]
     stub.tracked_frames = []
@@ -174,7 +187,7 @@ def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "OVERLAP", 12)
     monkeypatch.setattr(chunks, "first_from_second", lambda *_: None)
     monkeypatch.setattr(finish_maps, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
-    workspace, frames = stored(tmp_path, IMAGES + [render(camera_at(k)) for k in range(COUNT, 72)])
+    workspace, frames = stored(tmp_path, IMAGES + more_images())
     config = Config(front_end="odometry", odometry=OdometrySettings(chunks=2))
     submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
     assert len(submaps) == 2

@@ -19,6 +19,7 @@ from pipeline.report.page.page import write_page
 from pipeline.report.page.timeline import MOST_COLUMNS, FrameStates, timeline_section
 from reconstruction.mesh.decimation import decimated
 from reconstruction.mesh.mesh_io import read_mesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh
 from tests.helpers.tiny_run import make_tiny_run
 
 
@@ -185,6 +186,20 @@ def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
     assert page.count('class="map"') == 6
     assert "maps are shown of the 6 largest of 60 submaps" in page
     assert page.count("<li>submap ") == count - 6
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_open_wall_is_first_seen_from_the_side_that_is_open(tmp_path, side):
+    """Else all of it faces away, and "cut open" shows nothing."""
+    made = make_tiny_run(tmp_path)
+    whole = made.surfaces[0].mesh
+    middles = whole.vertices[whole.faces].mean(axis=1)
+    half = SurfaceMesh.from_triangles(whole.vertices, whole.faces[side * middles[:, 0] > 0], colours=whole.colours)
+    made.surfaces[0] = replace(made.surfaces[0], mesh=half)
+    write_page(*made.parts)
+    towards = np.array(scene_of(made.workspace.report.read_text())["submaps"][0]["axes"][2])
+    used = np.unique(half.faces)
+    assert np.mean(half.normals[used] @ towards) > 0.25
 
 
 def test_a_decimated_mesh_is_the_same_surface():

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.report.viewer.folder_server import FolderServer
 from tests.helpers.showing.chromium import CHROMIUM, FLAGS, PATIENCE_MS, complaints, until
@@ -37,8 +38,9 @@ class Opened:
 def opened(tmp_path_factory):
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
     root = tmp_path_factory.mktemp("viewed")
-    for name in ("one", "two", "three"):
+    for name in ("one", "two"):
         make_shown_run(root / name)
+    make_shown_run(root / "three", film="another", frames=50, judged=False)
     server = FolderServer(root)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with sync_api.sync_playwright() as playwright:
@@ -142,6 +144,36 @@ def test_two_are_ticked_compared_and_turned_by_one_camera(opened):
 
 
 @slow
+def test_runs_of_two_films_are_found_played_and_compared_from_their_own_first_views(opened):
+    """From the list through both players to the comparison, whose figures are each film's own."""
+    opened.open().evaluate("sessionStorage.clear()")
+    page = opened.open()
+    for name, posed in (("one", 120), ("three", 80)):
+        page.click(f"#runs tbody a[href='/play?run={name}']")
+        page.wait_for_selector("html[data-ready=yes]")
+        assert page.inner_text("#title") == name
+        assert page.evaluate("run.frames.length") >= posed
+        page.click("#back a")
+        page.wait_for_selector("html[data-ready=yes]")
+        page.check(f"input[aria-label='compare {name}']")
+    page.click("#compare")
+    page.wait_for_selector("html[data-ready=yes]")
+    assert "different films" in page.inner_text("#linked")
+    cells = page.locator("#figures tbody tr").first.locator("td").all_inner_texts()
+    assert [cell.split(" of ")[0] for cell in cells] == ["120", "80"]
+    assert "the light contradicts" in page.inner_text("#figures"), "the doubts of a run"
+    until(page, lambda: page.locator("p:text('coverage of three was not judged')").count() == 1)
+    rng = np.random.default_rng(0)
+    first, second = (Rotation.random(random_state=rng).as_matrix() for _ in range(2))
+    found = page.evaluate("([a, b]) => between(a, b)", [first.tolist(), second.tolist()])
+    np.testing.assert_allclose(found, first.T @ second, atol=1e-12)  # axes are rows: B's own view becomes A's
+    page.evaluate("scenes.b.look({eye: {x: 0.6, y: -1.2, z: 0.9}, center: {x: 0, y: 0, z: 0}, up: {x: 0, y: 0, z: 1}})")
+    turn = np.array(page.evaluate("turn"))
+    until(page, lambda: np.allclose(list(page.evaluate(CAMERA.format("view-a")).values()), turn @ [0.6, -1.2, 0.9]))
+    assert not complaints(opened.said)
+
+
+@slow
 def test_a_run_that_is_not_there_is_said(opened):
     page = opened.open("play?run=nothing")
     assert "not there" in page.inner_text("#fault")
@@ -149,7 +181,7 @@ def test_a_run_that_is_not_there_is_said(opened):
 
 
 @slow
-@pytest.mark.parametrize("path", ["", "play?run=one", "compare?a=one&b=two"])
+@pytest.mark.parametrize("path", ["", "play?run=one", "compare?a=one&b=two", "compare?a=one&b=three"])
 def test_at_twice_the_size_nothing_is_cut_off(opened, path):
     """200 % zoom of a 1400 px window is a page 700 px wide."""
     page = opened.page

@@ -1,0 +1,120 @@
+"""Folders of pictures: which files are frames, in which order, of how many bits, and what is said of the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from haustra.core.errors import HaustraError
+from pipeline.input.image_folder import in_natural_order
+from pipeline.input.video import Source
+
+
+def write_pictures(folder: Path, names: list[str], suffix: str = ".png") -> Path:
+    """Grey pictures of these names, as PNG whatever the suffix says."""
+    folder.mkdir(exist_ok=True)
+    data = cv2.imencode(".png", np.full((64, 64, 3), 90, np.uint8))[1].tobytes()
+    for name in names:
+        (folder / f"{name}{suffix}").write_bytes(data)
+    return folder
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_deep_pictures_are_brought_to_8_bits_by_their_own_range(tmp_path: Path, bits: int) -> None:
+    ramp = np.linspace(0, 2**bits - 1, 64).astype(np.uint16)
+    for number in range(5):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.broadcast_to(ramp[:, None, None], (64, 64, 3)).copy())
+    source = Source(tmp_path)
+    for frame in source:
+        np.testing.assert_allclose(frame.rgb[:, 0, 0], 255 * ramp.astype(float) / (2**bits - 1), atol=1)
+    assert any(f"{bits} bits" in note for note in source.notes)
+
+
+def test_companions_of_macos_are_no_pictures(tmp_path: Path) -> None:
+    for number in range(5):
+        cv2.imwrite(str(tmp_path / f"frame_{number}.png"), np.full((64, 64, 3), 90, np.uint8))
+        (tmp_path / f"._frame_{number}.png").write_bytes(b"\x00\x05\x16\x07")
+    assert [image.name for image in Source(tmp_path).images] == [f"frame_{number}.png" for number in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("names", "ordered"),
+    [
+        (["0.4", "0.05", "10.0", "0.35"], ["0.05", "0.35", "0.4", "10.0"]),
+        (["1.10", "1.9", "1.1"], ["1.1", "1.9", "1.10"]),
+        (["1.1000", "1.099", "1.1001", "1.999"], ["1.099", "1.999", "1.1000", "1.1001"]),
+        (["f10", "f9", "f100"], ["f9", "f10", "f100"]),
+        (["a2b10", "a2b9", "a10b1"], ["a2b9", "a2b10", "a10b1"]),
+    ],
+)
+def test_numbers_are_ordered_by_value(names: list[str], ordered: list[str]) -> None:
+    found = in_natural_order([Path(f"{name}.png") for name in names])
+    assert [path.stem for path in found] == ordered
+
+
+@pytest.mark.parametrize("suffix", [".jfif", ".jpe", ".JPG", ".TIFF", ".dib", ".pnm", ".webp", ".jp2", ".bmp", ".ppm"])
+def test_what_a_picture_is_its_content_says_under_any_usual_suffix(tmp_path: Path, suffix: str) -> None:
+    assert len(list(Source(write_pictures(tmp_path, list("12345"), suffix)))) == 5
+
+
+def test_frames_in_two_formats_are_not_taken_twice(tmp_path: Path) -> None:
+    write_pictures(write_pictures(tmp_path, list("12345")), list("12345"), ".jpg")
+    with pytest.raises(HaustraError, match=r"several kinds of images \(#.jpg, #.png\); give one in a folder"):
+        Source(tmp_path)
+
+
+def test_frames_in_one_format_each_are_all_taken(tmp_path: Path) -> None:
+    write_pictures(write_pictures(tmp_path, list("135")), list("246"), ".jpg")
+    assert [image.stem for image in Source(tmp_path).images] == list("123456")
+
+
+def test_names_without_an_order_are_told(tmp_path: Path) -> None:
+    with pytest.raises(HaustraError, match="no number that says their order"):
+        Source(write_pictures(tmp_path, ["caecum", "ileum", "rectum", "sigmoid", "polyp"]))
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda f: write_pictures(f, list("123"), ".heic"), "most of its files are .heic; those that are: .bmp"),
+        (lambda f: write_pictures(f / "sub", list("123")), "there are some in sub inside it: give that folder"),
+        (lambda f: write_pictures(f, ["a"], ".mp4"), "it holds the film a.mp4: give the file"),
+        (lambda f: write_pictures(f, ["a", "b"], ".AVI"), "give the file, or all to haustra batch"),
+        (lambda f: write_pictures(f, [".hidden"]), "it is empty"),
+    ],
+)
+def test_a_folder_without_pictures_says_what_to_give(tmp_path: Path, make, says: str) -> None:
+    make(tmp_path)
+    with pytest.raises(HaustraError, match="holds no images that are read") as told:
+        Source(tmp_path)
+    assert says in str(told.value)
+
+
+def test_pictures_that_cannot_be_read_are_counted_in_one_sentence(tmp_path: Path) -> None:
+    write_pictures(tmp_path, list("123456"))
+    for name in "24":
+        (tmp_path / f"{name}.png").write_bytes(b"damaged")
+    source = Source(tmp_path)
+    assert [frame.index for frame in source] == [0, 2, 4, 5]
+    assert sum("2 of 6 images, 2.png the first, are no pictures" in note for note in source.notes) == len(source.notes)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int32])
+def test_a_folder_of_pictures_of_other_numbers_is_one_sentence(tmp_path: Path, dtype: type) -> None:
+    from PIL import Image
+
+    for number in range(4):
+        Image.fromarray(np.ones((64, 64), dtype)).save(tmp_path / f"{number}.tif")
+    with pytest.raises(HaustraError, match=r"4 of 4 images, 0\.tif the first, are no pictures of 8 or 16 bits"):
+        list(Source(tmp_path))
+
+
+@pytest.mark.parametrize("fps", ["0", "-5", "NaN", "1e400", "true", "[30]", '"fast"'])
+def test_a_rate_that_is_none_is_one_sentence(tmp_path: Path, fps: str) -> None:
+    write_pictures(tmp_path, list("12345"))
+    (tmp_path / "camera.json").write_text(f'{{"fps": {fps}}}')
+    with pytest.raises(HaustraError, match="no number of frames a second"):
+        list(Source(tmp_path))
