@@ -6,4 +6,4 @@ from scripts.live_page import page
 
 
 def test_the_note_is_rendered_from_its_records():
-    assert (Path(__file__).parents[1] / "docs/lab/live.md").read_text() == page()
+    assert (Path(__file__).parents[2] / "docs/lab/live.md").read_text() == page()

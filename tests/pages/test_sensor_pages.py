@@ -7,7 +7,7 @@ import pytest
 
 from scripts import blind_page, known_poses_page, sensors_page
 
-LAB = Path(__file__).parents[1] / "docs/lab"
+LAB = Path(__file__).parents[2] / "docs/lab"
 
 
 @pytest.mark.parametrize(

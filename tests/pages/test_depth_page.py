@@ -5,7 +5,7 @@ from pathlib import Path
 
 from scripts.depth_page import RECORD, page
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_page_is_what_its_record_says() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from benchmarks.paper.records import Records
 from scripts.paper_page import page
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_page_is_what_its_records_say() -> None:
