@@ -11,7 +11,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
-from pipeline.input.content_area import ContentArea, find_content, highlight_mask
+from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge, Verdict
 from pipeline.input.frames import resized, working_scale
 
@@ -69,4 +69,6 @@ class ViewFinder:
             self._looked_at = []
             return None
         height, width = rgb.shape[:2]
-        return WorkingView(area, calibrate(self.choice, self.path, (width, height), area.box), self.settings)
+        cut = has_cut_corners(area)
+        found = calibrate(self.choice, self.path, (width, height), area.box, cut)
+        return WorkingView(area, found, self.settings)
