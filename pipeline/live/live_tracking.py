@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
-from pipeline.config import Config
+from pipeline.config import FAST_KEYFRAME_MOTION, Config
 from pipeline.depth.keyframe_selection import is_new_view
 from pipeline.frontend.odometry.state_machine import Odometry, State
 from pipeline.live.working_view import WorkingFrame, WorkingView
@@ -54,7 +54,9 @@ class LiveTracker:
 
     def __init__(self, view: WorkingView, config: Config) -> None:
         self.view, self.motion = view, config.depth.keyframe_motion
-        self.odometry = Odometry(RayTable(view.camera), config.seed, keyframe_motion=config.odometry.keyframe_motion)
+        # As `--fast` has it: frames must be kept up with, and the run at the end is made with all keyframes.
+        motion = max(config.odometry.keyframe_motion, FAST_KEYFRAME_MOTION)
+        self.odometry = Odometry(RayTable(view.camera), config.seed, keyframe_motion=motion)
         self.map_number = -1
         self.last_keyframe: WorkingFrame | None = None
         self.left: tuple[int, Submap] | None = None  # number and end of the map before, once it was left

@@ -25,7 +25,7 @@ LAST_S = 20.0  # for the last keyframes, at the end of the source
 WAITING_KEYFRAMES = 2  # that wait for the depth; with the one in work they are 1 s of a busy film
 REVIEW_EVERY_S = 4.0
 WAITING_REVIEWS = 2  # of the map that was left, and of the one that was begun
-REVIEW_NICENESS = 8  # tracking and depth come first; at 10 a busy machine never finished a review, at 4 it lost frames
+DENSE_NICENESS, REVIEW_NICENESS = 5, 10  # a frame that is lost cannot be tracked later; depth and reviews can wait
 REVIEWED_KEYFRAMES = 400  # of the tracker: a review's time is bounded
 RATE_OVER_S = 2.0
 NO_VIEW_AFTER = 5  # frames in a row without a usable picture
@@ -59,7 +59,7 @@ class LiveSession:
         """Until the end. HaustraError where the source showed nothing; what was lost later is in the state."""
         with (
             single_threaded(),
-            Worker("depth", DenseWorker, self._setup, WAITING_KEYFRAMES) as dense,
+            Worker("depth", DenseWorker, self._setup, WAITING_KEYFRAMES, DENSE_NICENESS) as dense,
             Worker("review", ReviewWorker, self._setup, WAITING_REVIEWS, REVIEW_NICENESS) as review,
         ):
             self._dense, self._review = dense, review
