@@ -20,16 +20,16 @@ HEAD = """# Live sessions
   {cores} cores, Python {python}; the same with `--browser chromium` (`live_drawn.json`, commit {drawn}) and with
   `--seconds` (`live_looped.json`, commit {looped}). Rendered from `benchmarks/results/live*.json` by
   `python -m scripts.live_page > docs/lab/live.md`.
-- **Protocol:** the command in a process of its own, default settings, without the run at the end. *Kept up with*: all
-  frames that came but for those that were skipped, over the length of the film. *Surface after*: from a keyframe's
-  frame to its surface in the state that the page asks for; drawing comes on top. Median of the runs, in brackets the
-  least and the greatest; the median and the worst are of each run's keyframes.
+- **Protocol:** the command in a process of its own, default settings, without the run at the end. *Kept up with*:
+  frames that were judged and, where they are worth it, tracked, over the time from the first to the last of them.
+  *Surface after*: from a keyframe's frame to its surface in the state that the page asks for; drawing comes on top.
+  Median of the runs, in brackets the least and the greatest; the median and the worst are of each run's keyframes.
 - **Films:** looked at while the session was made: development figures.
 
 """
 COLUMNS = (
-    *("session", "film", "frames/s kept up with", "frames posed, of those that came", "keyframes shown, skipped"),
-    *("surface after, median, s", "worst, s", "peak MiB"),
+    *("session", "film", "frames/s kept up with", "frames posed, of those that came", "keyframes fused, skipped"),
+    *("reviews", "surface after, median, s", "worst, s", "peak MiB"),
 )
 
 READ = """
@@ -61,6 +61,7 @@ def rows_of(label: str, record: dict[str, Any]) -> list[str]:
         cells = [label, film, _spread(figures["kept_up_per_s"], ".1f"), f"{100 * posed:.0f} %"]
         cells += [
             f"{shown:.0f}, {skipped:.0f}",
+            f"{sum(run['counts']['reviews'] for run in runs) / len(runs):.0f}",
             _spread(figures["median_s"], ".2f"),
             _spread(figures["worst_s"], ".2f"),
         ]

@@ -3,12 +3,14 @@
     python -m benchmarks.speed live ../shared/data/ctcolon SUITE/easy_withdrawal --runs 3 --json live.json
     python -m benchmarks.speed live ../shared/data/ctcolon --seconds 600 --json live_looped.json
 
-Each run is the command itself, without the run at the end, in a process of its own; its page is asked once a second, as
-a browser would, but nothing is drawn: a browser that draws without a graphics card takes a processor for itself.
-Frames kept up with are all that came but for those that were skipped, over the length of what was played. A keyframe's
-surface is shown so long after its frame came. Memory is the resident sum of the command and its processes, once a
-second; its growth is the slope of a line through the second half. Films are played again until `--seconds` are over; 0
-plays them once. Start-up, before the first frame, is not in the rates.
+Each run is the command itself, without the run at the end, in a process of its own; its page is asked once a second,
+as a browser would, but nothing is drawn: a browser that draws without a graphics card takes a processor for itself.
+Frames kept up with are those that were judged and, where they are worth it, tracked, over the time from the first of
+them to the last; those that only served to find the picture's place, at the beginning, are counted apart. A
+keyframe's surface is there so long after its frame came; of keyframes that were skipped there is none. Memory is the
+resident sum of the command and its processes, once a second; its growth is the slope of a line through the second
+half. Films are played again until `--seconds` are over; 0 plays them once. Start-up, before the first frame, is not
+in the rates.
 """
 
 import argparse
@@ -89,7 +91,8 @@ def _session(film: Path, seconds: float, browser: str | None) -> dict[str, Any]:
     growth = float(np.polyfit(when[late], mib[late], 1)[0]) * 60 if length * loops >= LEAST_S else None
     return {
         "played_s": length * loops,
-        "kept_up_per_s": (counts["came"] - counts["skipped"]) / (length * loops),
+        "kept_up_per_s": (counts["tracked"] + counts["unusable"]) / figures["tracked_s"],
+        "within_2_s": after.get("share_within_2_s"),
         "counts": counts,
         "median_s": after["median"],
         "worst_s": after["worst"],
@@ -130,7 +133,8 @@ def _sentence(row: dict[str, Any]) -> str:
     growth = row["growth_mib_per_minute"]
     return (
         f"{row['film']}: {row['kept_up_per_s']:.1f} frames/s of {row['counts']['came'] / row['played_s']:.1f} kept up "
-        f"with, {row['counts']['shown']} keyframes shown {row['median_s']:.2f} s (worst {row['worst_s']:.2f} s) after "
+        f"with, {row['counts']['reviews']} reviews, "
+        f"{row['counts']['shown']} keyframes fused {row['median_s']:.2f} s (worst {row['worst_s']:.2f} s) after "
         f"their frame, {row['counts']['dropped']} not kept up with; peak {row['peak_mib']:.0f} MiB"
         + ("" if growth is None else f", {growth:+.1f} MiB a minute")
     )

@@ -59,14 +59,16 @@ class LiveCamera:
 
 @dataclass(frozen=True)
 class DenseResult:
-    """What became of a keyframe. depth_png: (H,W) depth as a picture for the page, empty where it had too few points.
-    parts: those that changed; the last one grows. seconds: of work; came: as the keyframe has it."""
+    """What became of a keyframe. depth_png: (H,W) depth as a picture for the page, empty where it had too few
+    points. is_fused: False where the keyframes before it contradict it. parts: those that changed; the last one
+    grows. seconds: of work; came: as the keyframe has it."""
 
     frame: int
     map_number: int
     came: float
     seconds: float
     depth_png: bytes
+    is_fused: bool
     parts: tuple[SurfacePart, ...]
 
 
@@ -103,7 +105,8 @@ class DenseWork:
             shown = painted_png(depth)
             parts += self._fused(keyframe, rgb, depth, confidence)
         seconds = time.monotonic() - began
-        return DenseResult(keyframe.frame, keyframe.map_number, keyframe.came, seconds, shown, tuple(parts))
+        fused = self._frames[1] == keyframe.frame and self._fusion is not None
+        return DenseResult(keyframe.frame, keyframe.map_number, keyframe.came, seconds, shown, fused, tuple(parts))
 
     def _completed(
         self, keyframe: SettledKeyframe

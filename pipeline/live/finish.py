@@ -38,6 +38,8 @@ def begin_record(folder: Path, source: str, recording: Path, config: Config, ove
     """Make the folder of a session, locked; HaustraError for one that holds another, unless `overwrite`."""
     if folder.exists() and not folder.is_dir():
         raise HaustraError(f"the output {folder} is a file; give a folder")
+    if (folder / LIVE_FOLDER).exists() and not (folder / LIVE_RECORD).exists():
+        raise HaustraError(f"{folder / LIVE_FOLDER} is there and of no session; give another output folder")
     taken = (RECORD_NAME, LIVE_RECORD, LIVE_FILM)
     if any((folder / name).exists() for name in taken):
         if not overwrite:
@@ -67,7 +69,6 @@ def write_record(folder: Path, record: LiveRecord) -> None:
 def forget_record(folder: Path) -> None:
     """Of a session that saw nothing, or that is replaced."""
     (folder / LIVE_RECORD).unlink(missing_ok=True)
-    (folder / LIVE_FILM).unlink(missing_ok=True)
     shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
 
 

@@ -1,7 +1,7 @@
 """The whole of `haustra live`: session, page, and the run of the recording."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from pipeline.live.keyboard import watched_keyboard
 from pipeline.live.page.live_server import LivePage
 from pipeline.live.page.live_state import LiveState
 from pipeline.live.session import LiveSession
+
+LAST_LOOK_S = 2.0  # for the page to be told how it ended
 
 
 class _ToldProgress:
@@ -63,10 +65,11 @@ def live(
     with _shown(page, open_browser, progress.log):
         lock = begin_record(folder, film.name, film.recording, config, overwrite)
         try:
-            with watched_keyboard(state.stop_asked), suppress(KeyboardInterrupt):
+            with watched_keyboard(state.stop_asked):
                 LiveSession(film, folder, config, state).run()
         except HaustraError as error:
             state.phase, state.advice = "failed", str(error)
+            state.wait_until_told(LAST_LOOK_S)
             raise
         finally:
             lock.release()
@@ -79,10 +82,13 @@ def live(
         for sentence in (*state.sentences, state.summary):
             progress.log(sentence)
         if not finish:
+            state.phase = "recorded"
+            state.wait_until_told(LAST_LOOK_S)
             return None
         state.phase = "finishing"
         run = finish_run(folder, _ToldProgress(progress, state))
         state.phase = "done"
+        state.wait_until_told(LAST_LOOK_S)
         return run
 
 

@@ -18,6 +18,7 @@ from pipeline.mapping.submap_of_map import to_submap
 
 SETTLED_BY = 3  # later keyframes, by which the adjustment has seen a keyframe from both sides;
 SETTLED_S = 0.8  # or so long after it, where the camera hardly moves
+MOST_TRACKED = 1000  # frames between keyframes that are remembered
 LEFT_KEYFRAMES = 200  # of a map that was left, by which it may be recognised later
 AROUND = 10  # keyframes whose points a keyframe is completed with
 
@@ -84,6 +85,8 @@ class LiveTracker:
         odometry = self.odometry
         odometry.process(frame.number, frame.rgb, odometry.view(frame.rgb, frame.mask))
         left = self._follow_map()
+        if self._map is not None and len(self._map.tracked_frames) > MOST_TRACKED:
+            del self._map.tracked_frames[: MOST_TRACKED // 2]  # older ones are the recording's
         if self._map is not None and odometry.keyframe == frame.number:
             self._waiting.append(_Waiting(self._map.keyframes[-1], frame, came))
             self.last_keyframe = frame
@@ -94,10 +97,13 @@ class LiveTracker:
         return self._released(len(self._waiting))
 
     def submap(self, keyframes: int) -> Submap | None:
-        """The latest keyframes of the current map as it is now; None without enough points."""
-        return (
-            None if self._map is None else to_submap(self._map.latest(keyframes), self.view.camera.params, refit=False)
-        )
+        """The latest keyframes of the current map as it is now, without the frames between them; None without enough
+        points."""
+        if self._map is None:
+            return None
+        part = self._map.latest(keyframes)
+        part.tracked_frames = []  # they take most of the time, and nobody asks for them
+        return to_submap(part, self.view.camera.params, refit=False)
 
     def _follow_map(self) -> list[SettledKeyframe]:
         """Notice that another map was begun; what waits in the old one is taken as it is."""

@@ -69,22 +69,29 @@ class Review:
     """corrections: by the number of a part the similarity (4,4) that moves it to where the latest keyframe says that it
     is, of earlier maps those that the current one was recognised in; loops: accepted. joined: earlier maps that were
     recognised. covered: share of the wall passed that was seen, None with the `reason` where that cannot be
-    told. last: latest frame that was looked at."""
+    told. first, last: frames that were looked at; path: camera centres at the keyframes, corrected likewise. more:
+    missed places beyond those listed."""
 
     map_number: int
     last: int
+    first: int = -1
+    path: tuple[tuple[float, float, float], ...] = ()
     corrections: dict[int, Array] = field(default_factory=dict)
     loops: int = 0
     joined: int = 0
     covered: float | None = None
     reason: str = ""
     missed: tuple[MissedPlace, ...] = ()
+    more: int = 0
+    first_s: float = 0.0  # times of these frames, which the session knows
+    last_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class _Reviewed:
-    """A map as it was reviewed last."""
+    """A map as it was reviewed last. raw: as it was tracked, which its parts lie in; seen: bent by its loops."""
 
+    raw: CompletedSubmap
     seen: SubmapFeatures
     parts: tuple[SurfacePart, ...]
 
@@ -109,13 +116,15 @@ class ReviewWork:
         completed = CompletedSubmap(job.submap, self.rectifier, rows, self._store)
         seen, loops = self._loops_closed(completed)
         corrections = corrections_of(completed, seen.completed, job.parts)
-        before = self._found_again(job, seen)
+        before = self._found_again(job, completed, seen)
         self._reviewed.pop(job.map_number, None)
-        self._reviewed[job.map_number] = _Reviewed(seen, job.parts)
+        self._reviewed[job.map_number] = _Reviewed(completed, seen, job.parts)
         while len(self._reviewed) > MOST_MAPS:
             del self._reviewed[next(iter(self._reviewed))]
         shown = _from_latest(corrections) | {number: move for found in before for number, move in found.items()}
-        review = Review(job.map_number, last, shown, loops, len(before))
+        path = path_of(seen.completed, corrections[max(corrections)])
+        first = int(job.submap.frames[0])
+        review = Review(job.map_number, last, first, path, shown, loops, len(before))
         return self._covered(review, job, seen.completed, corrections)
 
     def _loops_closed(self, completed: CompletedSubmap) -> tuple[SubmapFeatures, int]:
@@ -138,7 +147,7 @@ class ReviewWork:
             return seen, 0
         return replace(seen, completed=closed.completed), len(closed.accepted)
 
-    def _found_again(self, job: ReviewJob, seen: SubmapFeatures) -> list[dict[int, Array]]:
+    def _found_again(self, job: ReviewJob, raw: CompletedSubmap, seen: SubmapFeatures) -> list[dict[int, Array]]:
         """Of each earlier map that shows the same places, surely: where its parts are, as the latest keyframe sees
         them."""
         found: list[dict[int, Array]] = []
@@ -151,8 +160,8 @@ class ReviewWork:
             except FAILURES:
                 continue
             if merged is not None:
-                latest = corrections_of(seen.completed, merged, job.parts[-1:])[job.parts[-1].number]
-                moved = corrections_of(earlier.seen.completed, merged, earlier.parts)
+                latest = corrections_of(raw, merged, job.parts[-1:])[job.parts[-1].number]
+                moved = corrections_of(earlier.raw, merged, earlier.parts)
                 found.append({part: inverse_sim3(latest) @ move for part, move in moved.items()})
         return found
 
@@ -168,7 +177,8 @@ class ReviewWork:
             return replace(review, reason=str(reason))
         latest_from_map = inverse_sim3(corrections[max(corrections)])
         missed = _missed(coverage, job.submap.frames, latest_from_map)
-        return replace(review, covered=coverage.share, missed=missed)
+        listed = missed[:MOST_LISTED]
+        return replace(review, covered=coverage.share, missed=listed, more=len(missed) - len(listed))
 
 
 def corrections_of(before: CompletedSubmap, after: CompletedSubmap, parts: tuple[SurfacePart, ...]) -> dict[int, Array]:
@@ -183,6 +193,12 @@ def corrections_of(before: CompletedSubmap, after: CompletedSubmap, parts: tuple
         similar[:3, :3] *= scale
         found[part.number] = similar @ inverse(before.submap.world_from_camera[row])
     return found
+
+
+def path_of(completed: CompletedSubmap, latest: Array) -> tuple[tuple[float, float, float], ...]:
+    """Camera centres at the keyframes of a corrected submap, with the latest part where it is."""
+    centres = transform_points(inverse_sim3(latest), completed.submap.world_from_camera[completed.rows][:, :3, 3])
+    return tuple((x, y, z) for x, y, z in np.round(centres, 5).tolist())
 
 
 def _scale(completed: CompletedSubmap, row: int) -> float:
@@ -213,7 +229,7 @@ def _missed(coverage: Coverage, frames: NDArray[np.int64], latest_from_map: Arra
     worth = [region for region in coverage.regions if region.diameter >= LISTED_RADII * coverage.radius]
     worth.sort(key=lambda region: -region.frame)
     places = []
-    for region in worth[:MOST_LISTED]:
+    for region in worth:
         x, y, z = transform_points(latest_from_map, np.array([region.centre]))[0].tolist()
         diameter = region.diameter / (2 * coverage.radius)
         places.append(MissedPlace(region.clock, diameter, int(frames[region.frame]), (x, y, z)))

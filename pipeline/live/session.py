@@ -28,6 +28,7 @@ WAITING_REVIEWS = 2  # of the map that was left, and of the one that was begun
 DENSE_NICENESS, REVIEW_NICENESS = 5, 10  # a frame that is lost cannot be tracked later; depth and reviews can wait
 REVIEWED_KEYFRAMES = 400  # of the tracker: a review's time is bounded
 RATE_OVER_S = 2.0
+SILENT_S = 1.0  # without a frame
 NO_VIEW_AFTER = 5  # frames in a row without a usable picture
 REMEMBERED_TIMES = 20_000  # frames whose time in the film is known, for what the review says of them
 
@@ -67,6 +68,7 @@ class LiveSession:
             dense.wait_until_ready(READY_S)
             with FrameFeed(self.film) as feed:
                 self._follow(feed)
+            self.state.counts.came, self.state.counts.skipped = feed.came, feed.skipped
             if feed.fault and self.state.counts.came == 0:
                 raise HaustraError(feed.fault)
             if feed.fault:
@@ -77,26 +79,35 @@ class LiveSession:
         finder = ViewFinder(self.config.camera, self.film.recording, self.config.frames)
         self.state.phase = "live"
         while not self.state.stop_asked.is_set() and not feed.ended:
-            fed = feed.take(0.1)
+            try:
+                fed = feed.take(0.1)
+            except KeyboardInterrupt:  # as q; a second one is not caught
+                break
             counts = self.state.counts
             counts.came, counts.skipped = feed.came, feed.skipped
             if self._tracker is not None:
                 if fed is not None:
+                    self._came = fed.came
+                    self.state.tracked_s = fed.came - self._began
                     self._look_at(fed, self._tracker)
+                self._keep_pace()
                 for keyframe in self._tracker.settled(time.monotonic()):
                     self._dense.submit(keyframe)
                 self._collect()
             elif fed is not None:
+                counts.looked_at += 1
                 view = finder.look(fed.raw.seconds, fed.raw.rgb)
                 if view is not None:
                     self._begin(view)
-        counts.came, counts.skipped = feed.came, feed.skipped
+        self.state.phase = "ending"
+        feed.stop()
 
     def _begin(self, view: WorkingView) -> None:
         self._tracker = LiveTracker(view, self.config)
+        self._began = self._came = time.monotonic()
         seen = LiveCamera(view.camera, view.content)
-        self._dense.submit(seen)
-        self._review.submit(seen)
+        self._dense.begin(seen)
+        self._review.begin(seen)
         self.state.say(f"camera: {view.origin}")
         self._next_review = time.monotonic() + REVIEW_EVERY_S
 
@@ -132,16 +143,21 @@ class LiveSession:
         pose = tracker.world_from_camera
         if tracker.state == "tracking" and pose is not None:
             state.counts.posed += 1
-            state.add_pose(pose, tracker.map_number)
+            state.add_pose(frame.number, pose, tracker.map_number)
         elif tracker.last_keyframe is not None:
             if state.view == "starting":
                 state.view, state.advice = "lost", ADVICE["lost"]
             state.show_frame(tracker.last_keyframe.rgb, "back.jpg", always=state.is_watched)
+        self._pace.append(time.monotonic())
+
+    def _keep_pace(self) -> None:
+        """The rate as it is now, though no frame may come."""
         now = time.monotonic()
-        self._pace.append(now)
-        while now - self._pace[0] > RATE_OVER_S:
+        while self._pace and now - self._pace[0] > RATE_OVER_S:
             self._pace.popleft()
-        state.rate = len(self._pace) / RATE_OVER_S
+        self.state.rate = len(self._pace) / RATE_OVER_S
+        if now - self._came > SILENT_S:
+            self.state.view, self.state.advice = "no pictures", "the source is silent"
 
     def _collect(self) -> None:
         """What the other processes have done, and what they may do next."""
@@ -149,12 +165,14 @@ class LiveSession:
         state.counts.dropped = self._dense.dropped
         for failure in (self._dense.failure, self._review.failure):
             if failure:  # the source is still recorded, and the run at the end is made of that
-                state.say(f"{failure}; the recording goes on")
+                state.fault = f"{failure}; the recording goes on"
+                state.say(state.fault)
         for result in self._dense.results():
             if result is not None:
                 self._show(result)
         for review in self._review.results():
             if review is not None:
+                state.counts.reviews += 1
                 state.add_review(self._with_times(review))
         if time.monotonic() >= self._next_review and self._review.free:
             self._ask_for_review()
@@ -165,8 +183,10 @@ class LiveSession:
         if not result.depth_png:
             state.counts.empty += 1
             return
-        state.counts.shown += 1
-        state.add_latency(time.monotonic() - result.came)
+        state.counts.shown += result.is_fused
+        state.counts.contradicted += not result.is_fused
+        if result.is_fused:
+            state.add_latency(time.monotonic() - result.came)
         state.keep_picture("depth.png", result.depth_png)
         if result.map_number in self._keyframes:
             self._keyframes[result.map_number].append(result.frame)
@@ -211,4 +231,5 @@ class LiveSession:
 
     def _with_times(self, review: Review) -> Review:
         missed = (replace(place, seconds=self._seconds.get(place.frame, 0.0)) for place in review.missed)
-        return replace(review, missed=tuple(missed))
+        first, last = (self._seconds.get(frame, 0.0) for frame in (review.first, review.last))
+        return replace(review, missed=tuple(missed), first_s=first, last_s=last)

@@ -37,6 +37,7 @@ class Worker(Generic[Setup, Job, Result]):
     ) -> None:
         self.name, self.dropped, self.failure = name, 0, ""
         self._most, self._working = most_waiting, False
+        self._first: deque[Job] = deque()
         self._waiting: deque[Job] = deque()
         self._results: deque[Result] = deque()
         self._lock = threading.Condition()
@@ -53,12 +54,18 @@ class Worker(Generic[Setup, Job, Result]):
     def waiting(self) -> int:
         """Jobs that are not done, the one in work too."""
         with self._lock:
-            return len(self._waiting) + self._working
+            return len(self._first) + len(self._waiting) + self._working
 
     @property
     def free(self) -> bool:
         """Whether a job would be begun at once."""
         return self.waiting == 0 and not self.failure
+
+    def begin(self, job: Job) -> None:
+        """The first job, which is never dropped."""
+        with self._lock:
+            self._first.append(job)
+            self._lock.notify()
 
     def submit(self, job: Job) -> None:
         """Do this next; never waits."""
@@ -88,7 +95,9 @@ class Worker(Generic[Setup, Job, Result]):
     def wait_until_idle(self, timeout: float) -> bool:
         """Until all jobs are done; False where that takes longer, or the process failed."""
         with self._lock:
-            done = self._lock.wait_for(lambda: self.failure or not (self._waiting or self._working), timeout)
+            done = self._lock.wait_for(
+                lambda: self.failure or not (self._first or self._waiting or self._working), timeout
+            )
             return bool(done) and not self.failure
 
     def close(self) -> None:
@@ -118,11 +127,11 @@ class Worker(Generic[Setup, Job, Result]):
                 self._lock.notify_all()
             while True:
                 with self._lock:
-                    self._lock.wait_for(lambda: self._waiting or self._closing)
+                    self._lock.wait_for(lambda: self._first or self._waiting or self._closing)
                     if self._closing:
                         self._connection.send(None)
                         return
-                    job, self._working = self._waiting.popleft(), True
+                    job, self._working = (self._first or self._waiting).popleft(), True
                 self._connection.send(job)
                 result = self._expect()
                 with self._lock:

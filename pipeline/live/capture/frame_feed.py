@@ -3,13 +3,14 @@
 import threading
 import time
 from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 from haustra.core.errors import HaustraError
 from pipeline.input.video import RawFrame
 from pipeline.live.capture.live_film import LiveFilm
 
+LET_GO_S = 15.0  # for a source to end that is asked to; longer than a stream is waited for
 BUFFERED = 12  # frames: 0.4 s at 30 a second, as long as the adjustment of a new keyframe may take
 
 
@@ -61,9 +62,20 @@ class FrameFeed:
         self._reading = self._thread.submit(self._read)
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """HaustraError for a source that does not let go: its recording may still be written."""
         self._stopped.set()
-        self._thread.shutdown()
+        self._thread.shutdown(wait=False)
+        assert self._reading is not None
+        wait([self._reading], LET_GO_S)
+        if not self._reading.done():
+            raise HaustraError(
+                f"the source {self.film.name} does not end; what was recorded is kept: finish by --resume"
+            )
+        self.skipped += len(self._buffer)
+        self._buffer.clear()
+        if kind is None:
+            self._reading.result()  # raises what the thread did not expect
 
     def _read(self) -> None:
         try:

@@ -13,17 +13,16 @@ class GrowingFile:
 
     def __init__(self, path: Path, stopped: threading.Event, patience_s: float = PATIENCE_S) -> None:
         self._file = path.open("rb")
-        self._stopped, self._patience_s = stopped, patience_s
+        self._stopped, self._patience_s, self._ended = stopped, patience_s, False
 
     def read(self, size: int) -> bytes:
         """Up to `size` bytes; none once the file has not grown for `patience_s`, or reading was stopped."""
         since = time.monotonic()
-        while not self._stopped.is_set():
+        while not (self._stopped.is_set() or self._ended):
             found = self._file.read(size)
             if found:
                 return found
-            if time.monotonic() - since > self._patience_s:
-                break
+            self._ended = time.monotonic() - since > self._patience_s  # it is not waited for again
             time.sleep(POLL_S)
         return b""
 

@@ -8,7 +8,7 @@ from typing import Protocol
 from haustra.core.errors import HaustraError
 from pipeline.input.video import RawFrame, Source
 from pipeline.live.capture.pace import Pace
-from pipeline.live.capture.stream import Stream, device_of
+from pipeline.live.capture.stream import Stream, device_of, without_password
 from pipeline.run_folder.workspace import LIVE_FILM
 
 LEAST_STEP_S = 1e-3  # between two rounds
@@ -57,12 +57,16 @@ def open_film(name: str, folder: Path, loops: int = 1, grows: bool = False) -> L
     folder: of the run, where cameras and streams are recorded. HaustraError for a name that is none of these.
     """
     path, device = Path(name), device_of(name)
+    if path.exists() and folder.exists() and path.resolve().is_relative_to(folder.resolve()):
+        raise HaustraError(
+            f"{name} lies in the output folder {folder}; give another --output, or --resume to finish it"
+        )
     if device is not None:
         return Stream(name, folder / LIVE_FILM, device)
     scheme, mark, _ = name.partition("://")
     if mark:
         if scheme.lower() not in SCHEMES:
-            raise HaustraError(f"{name}: a stream's address begins with one of {', '.join(SCHEMES)}")
+            raise HaustraError(f"{without_password(name)}: a stream's address begins with one of {', '.join(SCHEMES)}")
         return Stream(name, folder / LIVE_FILM)
     if not path.exists():
         raise HaustraError(

@@ -1,5 +1,6 @@
 """Frames of a camera, of a network stream or of a growing file, recorded packet by packet as they come."""
 
+import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -7,6 +8,10 @@ from contextlib import ExitStack, closing
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.input.display import Clock, as_shown
@@ -32,10 +37,9 @@ def device_of(name: str) -> str | None:
 
 
 def without_password(address: str) -> str:
-    """An address as it may be shown: without what stands before the host."""
+    """An address as it may be shown: without what stands before the last @, and without its query."""
     scheme, mark, rest = address.partition("://")
-    host, slash, path = rest.partition("/")
-    return scheme + mark + host.rpartition("@")[2] + slash + path if mark else address
+    return scheme + mark + re.split("[?&]", rest.rpartition("@")[2])[0] if mark else address
 
 
 class Stream:
@@ -62,6 +66,7 @@ class Stream:
             film.thread_type = "SLICE"  # frame threads hold frames back
             record = None if self.grows else stack.enter_context(_Recorder(self.recording, film))
             clock = Clock(float(film.average_rate or film.guessed_rate or DEFAULT_RATE))
+            size: tuple[int, int] | None = None
             index, damaged, pace = 0, 0, Pace()  # a file is written in gushes
             try:
                 for packet in container.demux(film):
@@ -77,7 +82,9 @@ class Stream:
                     if record is not None:
                         record.write(packet, frames)
                     for frame in frames:
-                        rgb = as_shown(frame, film.sample_aspect_ratio or Fraction(1), frame.interlaced_frame)
+                        shown = as_shown(frame, film.sample_aspect_ratio or Fraction(1), frame.interlaced_frame)
+                        size = size or (shown.shape[1], shown.shape[0])
+                        rgb = self._of_size(shown, size)
                         seconds = clock.seconds(frame.time)
                         if self.grows and pace.is_stopped_before(seconds, stopped):
                             return
@@ -87,6 +94,17 @@ class Stream:
                 if stopped.is_set():
                     return
                 raise HaustraError(f"the source {self.name} was lost after {index} frames: {_reason(error)}") from error
+
+    def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+        """A picture in the size (width, height) of the first one; HaustraError where its shape is another."""
+        height, width = rgb.shape[:2]
+        if (width, height) == size:
+            return rgb
+        if abs(width * size[1] - height * size[0]) > max(width, height):
+            raise HaustraError(
+                f"the picture of {self.name} changed from {size[0]}x{size[1]} to {width}x{height} px: begin anew"
+            )
+        return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def _open(self, stopped: threading.Event, stack: ExitStack) -> "InputContainer":
         import av
@@ -102,7 +120,12 @@ class Stream:
         if self.grows:
             what = stack.enter_context(closing(GrowingFile(self.recording, stopped)))
         try:
-            return stack.enter_context(av.open(what, "r", kind, options, timeout=(OPEN_S, READ_S)))
+            try:
+                return stack.enter_context(av.open(what, "r", kind, options, timeout=(OPEN_S, READ_S)))
+            except av.error.FFmpegError:
+                if self.device is None:
+                    raise  # a camera may have pictures without compression alone
+                return stack.enter_context(av.open(what, "r", kind, timeout=(OPEN_S, READ_S)))
         except (av.error.FFmpegError, ValueError, OSError) as error:
             hint = ""
             if self.grows:
@@ -111,45 +134,76 @@ class Stream:
 
 
 class _Recorder:
-    """Writes packets as they came; pictures without compression are encoded first."""
+    """Writes packets as they came, from the first one on; pictures without compression are encoded first.
+
+    Stamps go on where the source's run backwards or are missing, as in the times of its frames.
+    """
 
     def __init__(self, path: Path, film: Any) -> None:
-        import av
-
-        self.path = path
-        self._file: OutputContainer = av.open(str(path), "w", "matroska")
+        self.path, self._film = path, film
         self._raw = film.codec_context.name == "rawvideo"
-        self._stream: Any
-        if self._raw:
-            self._stream = self._file.add_stream("mpeg4", rate=film.average_rate or round(DEFAULT_RATE))
-            self._stream.width, self._stream.height = film.codec_context.width, film.codec_context.height
-            self._stream.pix_fmt, self._stream.bit_rate = "yuv420p", RAW_RATE
-        else:
-            self._stream = self._file.add_stream_from_template(film)
+        self._file: OutputContainer | None = None
+        self._stream: Any = None
+        rate = film.average_rate or film.guessed_rate or round(DEFAULT_RATE)
+        self._step = max(1, round(1 / (rate * film.time_base)))
+        self._last, self._shift = -self._step, 0
 
     def write(self, packet: Any, frames: list[Any]) -> None:
         """HaustraError where the disk takes no more; what was written stays readable."""
+        import av
+
         try:
             if self._raw:
                 for frame in frames:
-                    self._file.mux(self._stream.encode(frame))
-            elif packet.dts is not None:
-                packet.stream = self._stream
-                self._file.mux(packet)
-        except OSError as error:
+                    self._opened().mux(self._stream.encode(frame))
+            elif packet.size:
+                self._mux(packet)
+        except (OSError, av.error.FFmpegError) as error:
             raise HaustraError(
                 f"the recording {self.path} cannot be written any more ({_reason(error)}); what it holds is kept"
             ) from error
+
+    def _mux(self, packet: Any) -> None:
+        dts = self._last + self._step if packet.dts is None else packet.dts + self._shift
+        if dts <= self._last:
+            self._shift += self._last + self._step - dts
+            dts = self._last + self._step
+        ahead = 0 if packet.pts is None or packet.dts is None else packet.pts - packet.dts
+        packet.dts, packet.pts, self._last = dts, dts + ahead, dts
+        file = self._opened()
+        packet.stream = self._stream
+        file.mux(packet)
+
+    def _opened(self) -> "OutputContainer":
+        """The file, made with the first packet: a source that gives none must not replace an earlier recording."""
+        if self._file is None:
+            import av
+
+            # A process that is killed loses no more than half a second.
+            flushed = {"flush_packets": "1", "cluster_time_limit": "500"}
+            self._file = av.open(str(self.path), "w", "matroska", options=flushed)
+            if self._raw:
+                codec = self._film.codec_context
+                self._stream = self._file.add_stream("mpeg4", rate=self._film.average_rate or round(DEFAULT_RATE))
+                self._stream.width, self._stream.height = codec.width, codec.height
+                self._stream.pix_fmt, self._stream.bit_rate = "yuv420p", RAW_RATE
+            else:
+                self._stream = self._file.add_stream_from_template(self._film)
+        return self._file
 
     def __enter__(self) -> "_Recorder":
         return self
 
     def __exit__(self, *_: object) -> None:
+        import av
+
+        if self._file is None:
+            return
         try:
             if self._raw:
                 self._file.mux(self._stream.encode(None))
             self._file.close()
-        except OSError:  # a full disk was told of already; Matroska needs no end
+        except (OSError, av.error.FFmpegError):  # a full disk was told of already; Matroska needs no end
             pass
 
 

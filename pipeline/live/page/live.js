@@ -1,11 +1,12 @@
 "use strict";
 // The page of a live session: asks for the state several times a second and says it in few words.
 
+const JUST_S = 15; // since a missed place was passed
 const ASK_MS = 400, RETRY_MS = 1000;
 const $ = id => document.getElementById(id);
 const WORDS = {
   waiting: ["…", "Waiting for pictures"], starting: ["◌", "Starting"], tracking: ["✓", "Tracking"],
-  lost: ["✕", "Lost"], "no view": ["◍", "No view"], done: ["■", "Finished"], failed: ["✕", "Stopped"],
+  lost: ["✕", "Lost"], "no view": ["◍", "No view"], "no pictures": ["◍", "No pictures"], done: ["■", "Finished"], failed: ["✕", "Stopped"],
 };
 const scene = new LiveScene($("view3d"));
 let latest = null;
@@ -16,9 +17,12 @@ function headline(state) {
     const { label, done, total } = state.finishing, share = total ? ` ${Math.round(100 * done / total)} %` : "";
     return ["■", "Recording ended", `the whole film is being reconstructed: ${label}${share}`, "done"];
   }
-  if (state.phase === "done") return [...WORDS.done, "the run is complete: see its report", "done"].slice(0, 4);
+  if (state.phase === "ending") return ["■", "Recording ended", "the last keyframes are being completed", "done"];
+  if (state.phase === "recorded") return ["■", "Recorded", "haustra live --resume makes the run of it", "done"];
+  if (state.phase === "done") return [...WORDS.done, "the run is complete: open its report with haustra view", "done"];
   if (state.phase === "failed") return [...WORDS.failed, state.advice, "failed"];
-  return [...WORDS[state.view], state.advice, state.view];
+  const advice = state.fault ? `${state.advice ? `${state.advice}; ` : ""}${state.fault}` : state.advice;
+  return [...WORDS[state.view], advice, state.view];
 }
 
 function say(id, text) { if ($(id).textContent !== text) $(id).textContent = text; }
@@ -53,14 +57,20 @@ function counted(count, noun, what) { return count ? `; ${count} ${noun}${count 
 function showCoverage(state) {
   const seen = state.coverage, missed = seen ? seen.missed : [];
   say("covered", seen && seen.covered !== null ? `${seen.covered.toFixed(0)} %` : "–");
-  say("covered-words", !seen ? "not measured yet" : seen.covered === null ? seen.reason : "of the wall that the camera passed"
+  say("covered-words", !seen ? "not measured yet" : seen.covered === null ? seen.reason
+    : `of the wall passed from ${clock(seen.since)} to ${clock(seen.until)}`
     + counted(seen.loops, "loop", "closed") + counted(seen.joined, "earlier map", "recognised"));
   drawDial(Boolean(seen && seen.covered !== null), missed);
   const items = missed.map((place, k) => {
     const li = document.createElement("li"), ago = Math.max(0, state.seconds - place.seconds).toFixed(0);
-    li.textContent = `${k ? "" : "just missed: "}${hours(place.clock)}, ${place.diameter.toFixed(1)} lumen diameters wide, passed ${ago} s ago`;
+    li.textContent = `${k || ago > JUST_S ? "" : "just missed: "}${hours(place.clock)}, ${place.diameter.toFixed(1)} lumen diameters wide, passed ${ago} s ago`;
     return li;
   });
+  if (seen && seen.more) {
+    const rest = document.createElement("li");
+    rest.textContent = `and ${seen.more} more before`;
+    items.push(rest);
+  }
   $("missed").replaceChildren(...items);
 }
 
@@ -93,14 +103,23 @@ function showCounts({ counts, rate, latency, phase }) {
 
 async function ask() {
   let wait = ASK_MS;
+  let state = null;
   try {
-    const answer = await fetch("/state");
-    await show(await answer.json());
+    state = await (await fetch("/state")).json();
   } catch {
     wait = RETRY_MS;
-    if (latest) { $("banner").dataset.view = "done"; say("sign", "■"); say("headline", "The session has ended"); say("advice", "open the run's report with: haustra view"); $("stop").disabled = true; }
+    if (latest) ended();
   }
+  if (state) await show(state).catch(error => console.error(error));
   setTimeout(ask, wait);
+}
+
+// No answer any more: the last words stay, but for a session that was cut off.
+function ended() {
+  $("stop").disabled = true;
+  if (["done", "recorded", "failed"].includes(latest.phase)) return;
+  $("banner").dataset.view = "failed";
+  say("sign", "✕"); say("headline", "No answer"); say("advice", "the session was ended; haustra live --resume goes on with it");
 }
 
 function stop() {

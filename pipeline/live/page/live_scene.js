@@ -48,7 +48,7 @@ class LiveScene {
     if (this.changed || !this.trace) this.trace = this.mesh();
     this.changed = false;
     const traces = [this.trace, ...this.cameraTraces(state)], box = this.box();
-    const camera = this.following ? this.behind(state) : this.camera || this.element.layout.scene.camera;
+    const camera = this.following ? this.behind(state) : this.camera;
     const scene = { ...this.axes(box), dragmode: "orbit", aspectmode: "data", ...(camera ? { camera } : {}) };
     const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", showlegend: false, scene };
     Plotly.react(this.element, traces, layout, { displayModeBar: false, plotGlPixelRatio: PIXELS });

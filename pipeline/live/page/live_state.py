@@ -13,8 +13,8 @@ from haustra.core.se3 import Array
 from pipeline.live.review_worker import Review
 from pipeline.live.surface_part import SurfacePart
 
-Phase = Literal["opening", "live", "finishing", "done", "failed"]
-View = Literal["waiting", "starting", "tracking", "lost", "no view"]
+Phase = Literal["opening", "live", "ending", "finishing", "recorded", "done", "failed"]
+View = Literal["waiting", "starting", "tracking", "lost", "no view", "no pictures"]
 
 MOST_PARTS = 40  # of the surface that are kept; older ones are forgotten, and counted
 MOST_PLACES = 600  # of the path that are shown
@@ -22,19 +22,24 @@ SHOWN_EVERY_S = 0.15  # between two pictures for the page
 WATCHED_S = 3.0  # since the page last asked: nothing is painted for nobody
 JPEG_QUALITY = 85
 MOST_LATENCIES = 4000
+SOON_S = 2.0  # after its picture a keyframe's surface should be there
 
 
 @dataclass
 class Counts:
-    """came, skipped (not kept up with), tracked (given to the tracker), posed: frames. unusable: black, blurred or
-    without texture. shown, empty (too few points), dropped (not kept up with): keyframes. maps: begun."""
+    """came, skipped (not kept up with), looked_at (to find the picture in them), tracked (given to the tracker), posed:
+    frames. unusable: black, blurred or without texture. shown (fused), contradicted (by those before), empty (too few
+    points), dropped (not kept up with): keyframes. maps: begun; reviews: finished."""
 
     came: int = 0
+    looked_at: int = 0
     skipped: int = 0
     unusable: int = 0
     tracked: int = 0
     posed: int = 0
     shown: int = 0
+    contradicted: int = 0
+    reviews: int = 0
     empty: int = 0
     dropped: int = 0
     maps: int = 0
@@ -51,6 +56,8 @@ class LiveState:
     seconds: float = 0.0
     rate: float = 0.0  # frames given to the tracker each second
     counts: Counts = field(default_factory=Counts)
+    fault: str = ""  # what has ended beside the tracking
+    tracked_s: float = 0.0  # since the first frame was given to the tracker
     sentences: list[str] = field(default_factory=list)
     finishing: tuple[str, int, int | None] = ("", 0, None)
     stop_asked: threading.Event = field(default_factory=threading.Event)
@@ -60,11 +67,17 @@ class LiveState:
         self._parts: dict[int, SurfacePart] = {}
         self._forgotten, self._map_number = 0, -1
         self._review: Review | None = None
-        self._path: list[list[float]] = []
+        self._path: list[tuple[int, list[float]]] = []  # frames and places
         self._pose: list[float] = []
         self._pictures: dict[str, bytes] = {}
         self._asked, self._painted = -WATCHED_S, 0.0
         self.latencies: list[float] = []  # s, from a keyframe's frame to its surface
+
+    def wait_until_told(self, timeout: float) -> None:
+        """Until the page has asked once more, if somebody looks at it."""
+        asked, end = self._asked, time.monotonic() + timeout
+        while self.is_watched and self._asked == asked and time.monotonic() < end:
+            time.sleep(0.02)
 
     @property
     def is_watched(self) -> bool:
@@ -92,19 +105,22 @@ class LiveState:
 
     def figures(self) -> dict[str, Any]:
         """For `live.json`: counts, and seconds from a keyframe's picture to its surface."""
-        return {"counts": dict(vars(self.counts)), "surface_after_s": _latency(self.latencies)}
+        within = sum(seconds <= SOON_S for seconds in self.latencies) / max(len(self.latencies), 1)
+        after = _latency(self.latencies)
+        figures = None if after is None else after | {f"share_within_{SOON_S:g}_s": within}
+        return {"counts": dict(vars(self.counts)), "tracked_s": self.tracked_s, "surface_after_s": figures}
 
     def say(self, sentence: str) -> None:
         with self._lock:
             if sentence not in self.sentences:
                 self.sentences.append(sentence)
 
-    def add_pose(self, world_from_camera: Array, map_number: int) -> None:
+    def add_pose(self, frame: int, world_from_camera: Array, map_number: int) -> None:
         """Of the latest frame, (4,4)."""
         with self._lock:
             if map_number != self._map_number:
                 self._path, self._map_number = [], map_number
-            self._path.append([round(float(value), 5) for value in world_from_camera[:3, 3]])
+            self._path.append((frame, [round(float(value), 5) for value in world_from_camera[:3, 3]]))
             if len(self._path) > 2 * MOST_PLACES:
                 self._path = self._path[::2]
             self._pose = np.round(world_from_camera, 6).ravel().tolist()
@@ -169,13 +185,23 @@ class LiveState:
                 "parts": [[part.number, part.version, self._correction(part)] for part in shown],
                 "faces": sum(len(part.faces) for part in shown),
                 "earlier": len(self._parts) - len(shown) + self._forgotten,
-                "path": self._path[:: max(1, len(self._path) // MOST_PLACES)],
+                "path": self._shown_path(),
+                "fault": self.fault,
                 "pose": self._pose,
                 "coverage": self._coverage(),
                 "sentences": self.sentences[-6:],
                 "finishing": {"label": label, "done": done, "total": total},
                 "pictures": sorted(self._pictures),
             }
+
+    def _shown_path(self) -> list[list[float]]:
+        """Corrected as far as it was reviewed, then as it was tracked."""
+        review, corrected = self._review, list[list[float]]()
+        if review is not None and review.map_number == self._map_number:
+            corrected = [list(place) for place in review.path]
+        reviewed = review.last if review is not None and corrected else -1
+        path = corrected + [place for frame, place in self._path if frame > reviewed]
+        return path[:: max(1, len(path) // MOST_PLACES)]
 
     def _is_placed(self, part: SurfacePart) -> bool:
         """Whether a part is of the current map, or of one that was recognised in it."""
@@ -194,13 +220,9 @@ class LiveState:
             return None
         missed = [vars(place) for place in review.missed]
         covered = None if review.covered is None else 100 * review.covered
-        return {
-            "covered": covered,
-            "reason": review.reason,
-            "missed": missed,
-            "loops": review.loops,
-            "joined": review.joined,
-        }
+        found = {"covered": covered, "reason": review.reason, "missed": missed, "more": review.more}
+        found |= {"since": review.first_s, "until": review.last_s}
+        return found | {"loops": review.loops, "joined": review.joined}
 
 
 def _latency(seconds: list[float]) -> dict[str, float] | None:

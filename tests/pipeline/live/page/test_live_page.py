@@ -54,7 +54,7 @@ def test_only_the_current_map_is_drawn_and_memory_is_bounded():
     for frame in range(10 * MOST_PLACES):
         pose = np.eye(4)
         pose[2, 3] = frame
-        state.add_pose(pose, 1)
+        state.add_pose(frame, pose, 1)
     state.add_parts(tuple(part(number, number % 2) for number in range(MOST_PARTS + 10)))
     told = state.to_dict()
     assert len(state.parts) == MOST_PARTS
@@ -66,17 +66,17 @@ def test_only_the_current_map_is_drawn_and_memory_is_bounded():
 
 def test_a_review_is_told_of_its_own_map_alone():
     state = LiveState()
-    state.add_pose(np.eye(4), 0)
+    state.add_pose(0, np.eye(4), 0)
     state.add_parts((part(0), part(1)))
     move = np.eye(4)
     move[0, 3] = 2.0
     place = MissedPlace(3.0, 0.5, 12, (0.0, 1.0, 2.0), 0.4)
-    state.add_review(Review(0, 20, {0: move, 1: np.eye(4)}, 1, 0, 0.875, "", (place,)))
+    state.add_review(Review(0, 20, corrections={0: move, 1: np.eye(4)}, covered=0.875, missed=(place,)))
     told = json.loads(json.dumps(state.to_dict(), allow_nan=False))
     assert told["parts"][0][2][3] == 2.0
     assert told["coverage"]["covered"] == 87.5
     assert told["coverage"]["missed"][0]["seconds"] == 0.4
-    state.add_pose(np.eye(4), 1)
+    state.add_pose(1, np.eye(4), 1)
     assert state.to_dict()["coverage"] is None
 
 
