@@ -1,4 +1,4 @@
-"""Corrections of parts against a drift that is known, and what was missed of a tube with a hole."""
+"""Corrections of parts and path against a drift that is known."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from haustra.core.se3 import inverse
 from haustra.core.sim3 import transform_camera
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.rectification import make_rectifier
-from pipeline.live.review_worker import _from_latest, corrections_of
+from pipeline.live.review_worker import _from_latest, corrections_of, path_of
 from pipeline.live.surface_part import SurfacePart
 from pipeline.live.warm_up import KEYFRAMES, small_camera, small_map
 from pipeline.mapping.submap_of_map import to_submap
@@ -45,3 +45,5 @@ def test_a_part_moves_as_its_middle_keyframe_did_and_the_latest_stays():
     shown = _from_latest(found)
     np.testing.assert_allclose(shown[1], np.eye(4), atol=1e-9)
     np.testing.assert_allclose(shown[0], np.linalg.inv(moves[4]) @ moves[1], atol=1e-9)
+    path = np.array(path_of(after, found[1]))
+    np.testing.assert_allclose(path[4], submap.world_from_camera[4, :3, 3], atol=1e-4)  # the latest part's stays
