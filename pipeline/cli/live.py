@@ -35,7 +35,7 @@ def live(
 ) -> None:
     """Watch the surface grow while the scope moves; then the run of what was recorded."""
     if (source is None) != resume:
-        raise HaustraError("give a source; or --resume, with the folder of the session as --output")
+        raise HaustraError("give a source, or --resume with the folder of the session as --output; not both")
     must_exist(config)
     must_be_named_or_exist("--camera", camera)
     must_be_named_or_exist("--model", model)

@@ -62,8 +62,13 @@ def live(
     film = open_film(source, folder, loops, grows)
     state = LiveState(film.name)
     page = LivePage(state, port)  # before the folder is made: a port that is taken costs nothing
-    with _shown(page, open_browser, progress.log):
+    try:
         lock = begin_record(folder, film.name, film.recording, config, overwrite)
+    except HaustraError:
+        page.server_close()
+        raise
+    with _shown(page, open_browser, progress.log):
+        progress.log("the network is being loaded, which takes some seconds")
         try:
             with watched_keyboard(state.stop_asked):
                 LiveSession(film, folder, config, state).run()
@@ -79,10 +84,11 @@ def live(
                 write_record(folder, replace(read_record(folder), figures=state.figures()))
         if state.counts.came == 0:
             raise HaustraError(f"the session ended before {film.name} gave a picture")
-        for sentence in (*state.sentences, state.summary):
+        for sentence in (*state.sentences, state.summary, f"recorded in {film.recording}"):
             progress.log(sentence)
         if not finish:
             state.phase = "recorded"
+            progress.log(f"the run of it: haustra live --resume -o {folder}")
             state.wait_until_told(LAST_LOOK_S)
             return None
         state.phase = "finishing"

@@ -16,7 +16,7 @@ from pipeline.live.page.live_state import LiveState
 from pipeline.live.review_worker import Review, ReviewJob, ReviewWorker
 from pipeline.live.warm_up import warm_tracking
 from pipeline.live.worker import Worker
-from pipeline.live.working_view import ViewFinder, WorkingFrame, WorkingView
+from pipeline.live.working_view import LOOKED_AT, ViewFinder, WorkingFrame, WorkingView
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import LIVE_FOLDER
 
@@ -208,7 +208,10 @@ class LiveSession:
     def _end(self) -> None:
         """The keyframes that still wait are completed, so that the last look shows all."""
         if self._tracker is None:
-            raise HaustraError(f"{self.film.name} showed no lit picture in {self.state.counts.came} frames")
+            counts, what = self.state.counts, "was over before it was clear where in them the picture lies"
+            if counts.looked_at >= LOOKED_AT:
+                what = "was black"
+            raise HaustraError(f"{self.film.name} gave {counts.came} frames and {what}")
         for keyframe in self._tracker.finish():
             self._wait_for_room()
             self._dense.submit(keyframe)

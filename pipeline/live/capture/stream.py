@@ -26,6 +26,7 @@ CAMERA_FORMATS = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}  
 OPEN_S, READ_S = 15.0, 10.0  # until a source answers, and between two packets
 DEFAULT_RATE = 30.0  # frames/s, of a source that says none
 RAW_RATE = 12_000_000  # bit/s of what is encoded here, since the camera gives pictures without compression
+GROWING_FORMATS = "; a film can be read while it grows in MPEG-TS, Matroska or fragmented MP4, not in plain MP4"
 MOST_DAMAGED = 300  # packets in a row
 
 
@@ -93,6 +94,8 @@ class Stream:
             except av.error.FFmpegError as error:
                 if stopped.is_set():
                     return
+                if index == 0 and self.grows:
+                    raise HaustraError(f"{self.name} cannot be read: {_reason(error)}{GROWING_FORMATS}") from error
                 raise HaustraError(f"the source {self.name} was lost after {index} frames: {_reason(error)}") from error
 
     def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -127,9 +130,7 @@ class Stream:
                     raise  # a camera may have pictures without compression alone
                 return stack.enter_context(av.open(what, "r", kind, timeout=(OPEN_S, READ_S)))
         except (av.error.FFmpegError, ValueError, OSError) as error:
-            hint = ""
-            if self.grows:
-                hint = "; a film can be read while it grows in MPEG-TS, Matroska or fragmented MP4, not in plain MP4"
+            hint = GROWING_FORMATS if self.grows else ""
             raise HaustraError(f"the source {self.name} cannot be opened: {_reason(error)}{hint}") from error
 
 

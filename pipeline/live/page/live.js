@@ -42,7 +42,7 @@ function show(state) {
   showCounts(state);
   const said = state.sentences.map(sentence => { const li = document.createElement("li"); li.textContent = sentence; return li; });
   $("sentences").replaceChildren(...said);
-  $("empty").hidden = state.parts.length > 0;
+  $("empty").hidden = state.parts.length > 0 || !scene.empty;
   const earlier = state.earlier ? `; ${state.earlier} ${state.earlier === 1 ? "part" : "parts"} from before the camera was lost not shown` : "";
   say("mesh-note", state.parts.length ? `${state.faces.toLocaleString("en")} triangles, scene units${earlier}` : "");
   return scene.update(state);
