@@ -91,7 +91,7 @@ def _session(film: Path, seconds: float, browser: str | None) -> dict[str, Any]:
     growth = float(np.polyfit(when[late], mib[late], 1)[0]) * 60 if length * loops >= LEAST_S else None
     return {
         "played_s": length * loops,
-        "kept_up_per_s": (counts["tracked"] + counts["unusable"]) / figures["tracked_s"],
+        "kept_up_per_s": (counts["tracked"] + counts["unusable"] - 1) / figures["tracked_s"],
         "within_2_s": after.get("share_within_2_s"),
         "counts": counts,
         "median_s": after["median"],

@@ -55,6 +55,8 @@ class LiveSession:
         self._seconds: dict[int, float] = {}  # of frames, by number
         self._keyframes: dict[int, list[int]] = {}  # completed, of the current map and the one before it
         self._next_review = 0.0
+        self._came = 0.0  # when the latest frame came, by time.monotonic(),
+        self._began: float | None = None  # and the first that was tracked
 
     def run(self) -> None:
         """Until the end. HaustraError where the source showed nothing; what was lost later is in the state."""
@@ -88,6 +90,7 @@ class LiveSession:
             if self._tracker is not None:
                 if fed is not None:
                     self._came = fed.came
+                    self._began = fed.came if self._began is None else self._began
                     self.state.tracked_s = fed.came - self._began
                     self._look_at(fed, self._tracker)
                 self._keep_pace()
@@ -104,7 +107,7 @@ class LiveSession:
 
     def _begin(self, view: WorkingView) -> None:
         self._tracker = LiveTracker(view, self.config)
-        self._began = self._came = time.monotonic()
+        self._came = time.monotonic()
         seen = LiveCamera(view.camera, view.content)
         self._dense.begin(seen)
         self._review.begin(seen)
