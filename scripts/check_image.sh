@@ -8,6 +8,7 @@ set -eu
 root=$(cd "$(dirname "$0")/.." && pwd)
 work=${1-$(mktemp -d)}
 mkdir -p "$work"
+work=$(cd "$work" && pwd) # steps change folders
 export PIP_TORCH="${PIP_TORCH-}"
 
 echo "== sources as git has them"
@@ -21,7 +22,7 @@ python3 -m tarfile -l "$work"/sdist/haustra-*.tar.gz >"$work/sdist.list"
 sh "$work/src/scripts/image_steps.sh" wheel "$work"/sdist/haustra-*.tar.gz "$work/wheels"
 python3 -m zipfile -l "$work"/wheels/haustra-*.whl >"$work/wheel.list"
 for needed in pipeline/demo/video.mp4 completion/weights/mscsa.safetensors pipeline/report/page/report.js \
-    haustra/core/endomapper_scopes.json pipeline/report/viewer/player.html; do
+    haustra/core/endomapper_scopes.json pipeline/report/viewer/player.html pipeline/live/page/live.html; do
     grep -q "$needed" "$work/wheel.list" || { echo "error: the wheel lacks $needed" >&2 && exit 1; }
 done
 
