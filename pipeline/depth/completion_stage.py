@@ -129,12 +129,17 @@ def _complete(
     index = {row: int(submap.submap.frames[row]) for row in enough}
     # The whole batch anew where any of it is missing: a GPU's values may depend on the batch, and a stop must not.
     missing = enough if any(not store.has_depth(index[row]) for row in enough) else []
-    inside = cv2.erode(content, np.ones((3, 3), np.uint8)) > 0 if not content.all() else content > 0
+    inside = inside_of(content)
     maps = [sparse[row].maps(*content.shape) for row in missing]
     for row, depth, confidence in zip(missing, *_predicted([submap.rgb(row) for row in missing], maps, completer)):
         kept = (np.where(inside, values, np.float32(0)) for values in (depth, confidence))
         store.write_depth(index[row], *kept)
     return [(row, row in index) for row in rows]
+
+
+def inside_of(content: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(H,W) pixels whose depth is kept: the content's, without its rim where it does not fill the picture."""
+    return cv2.erode(content, np.ones((3, 3), np.uint8)) > 0 if not content.all() else content > 0
 
 
 def _predicted(

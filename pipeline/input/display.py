@@ -84,12 +84,18 @@ def upper_field(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return whole
 
 
-def as_shown(frame: "VideoFrame", aspect: Fraction, one_field: bool) -> NDArray[np.uint8]:
-    """Pixels (H,W,3) as they are to be looked at: square, and turned upright. aspect: width over height of a pixel as
-    stored; one_field: of an interlaced frame the upper field alone, since the other one is of another time."""
-    rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
-    if one_field:
-        rgb = upper_field(rgb)
+def square_and_upright(rgb: NDArray[np.uint8], aspect: Fraction, matrix: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Pixels (H,W,3) as they are to be looked at. aspect: width over height of a pixel as stored."""
     if aspect != 1:
         rgb = cv2.resize(rgb, (round(rgb.shape[1] * float(aspect)), rgb.shape[0]), interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(upright(rgb, display_matrix(frame)))
+    return np.ascontiguousarray(upright(rgb, matrix))
+
+
+def in_size(rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8] | None:
+    """A picture (H,W,3) in the size (width, height) of a film's first one; None where its shape is another."""
+    height, width = rgb.shape[:2]
+    if (width, height) == size:
+        return rgb
+    if abs(width * size[1] - height * size[0]) > max(width, height):
+        return None
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)

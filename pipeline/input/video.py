@@ -6,14 +6,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
-from pipeline.input.display import Clock, display_matrix, upper_field, upright
+from pipeline.input.display import Clock, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
 from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture, what_else_is_in
 
@@ -158,16 +157,16 @@ class Source:
 
     def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int], index: int) -> NDArray[np.uint8]:
         """A frame in the size (width, height) of the film's first one; HaustraError where its shape is another."""
-        height, width = rgb.shape[:2]
-        if (width, height) == size:
+        sized = in_size(rgb, size)
+        if sized is rgb:
             return rgb
-        change = f"from {size[0]}x{size[1]} to {width}x{height} px"
-        if abs(width * size[1] - height * size[0]) > max(width, height):
+        change = f"from {size[0]}x{size[1]} to {rgb.shape[1]}x{rgb.shape[0]} px"
+        if sized is None:
             raise HaustraError(
                 f"the film's picture changes {change} at frame {index}: cut it there, and reconstruct the parts"
             )
         self._note(f"the film's size changes {change}: such frames were brought to the first size, as of the same lens")
-        return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return sized
 
     def _decode(self, container: "InputContainer", stream: "VideoStream") -> Iterator["VideoFrame"]:
         """Frames of every packet that decodes; damaged packets are counted and passed over."""
@@ -197,8 +196,7 @@ class Source:
             rgb = upper_field(rgb)
         if aspect != 1:
             self._note(f"pixels are not square ({aspect}): frames were stretched to make them so")
-            rgb = cv2.resize(rgb, (round(rgb.shape[1] * float(aspect)), rgb.shape[0]), interpolation=cv2.INTER_AREA)
-        return np.ascontiguousarray(upright(rgb, display_matrix(frame)))
+        return square_and_upright(rgb, aspect, display_matrix(frame))
 
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:

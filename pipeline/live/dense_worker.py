@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.threads import processors
 from pipeline.config import Config
-from pipeline.depth.completion_stage import MIN_POINTS
+from pipeline.depth.completion_stage import MIN_POINTS, inside_of
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sparse_depth import SparseDepthMaker
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 COARSER = 2.0
 PART_KEYFRAMES = 60  # after which a part of the surface is closed: extraction must not grow with the film
 CLOSED_FACES = 8_000  # of a part that does not grow any more
-COMPARED_WITH = (1, 2)  # keyframes back whose depth may contradict
+COMPARED_WITH = 2  # keyframes before, whose depth may contradict
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,11 @@ class LiveCamera:
 class DenseResult:
     """What became of a keyframe. depth_png: (H,W) depth as a picture for the page, empty where it had too few
     points. is_fused: False where the keyframes before it contradict it. parts: those that changed; the last one
-    grows. seconds: of work; came: as the keyframe has it."""
+    grows. came: as the keyframe has it."""
 
     frame: int
     map_number: int
     came: float
-    seconds: float
     depth_png: bytes
     is_fused: bool
     parts: tuple[SurfacePart, ...]
@@ -79,19 +77,17 @@ class DenseWork:
         self.config, self.completer = setup.config, completer
         self.rectifier = make_rectifier(seen.camera)
         self.content = self.rectifier.mask(seen.content)
-        whole = self.content.all()
-        self._inside = self.content > 0 if whole else cv2.erode(self.content, np.ones((3, 3), np.uint8)) > 0
+        self._inside = inside_of(self.content)
         workspace = Workspace(setup.folder)
         self._images, self._store = workspace, DiskKeyframes(workspace)
         for folder in (workspace.images, workspace.masks, workspace.depth, workspace.confidence):
             folder.mkdir(parents=True, exist_ok=True)
-        self._views: deque[DepthView] = deque(maxlen=max(COMPARED_WITH))
+        self._views: deque[DepthView] = deque(maxlen=COMPARED_WITH)
         self._fusion: SurfaceFusion | None = None
         self._map_number, self._part, self._version, self._keyframes = -1, -1, 0, 0
         self._frames = (0, 0)
 
     def __call__(self, keyframe: SettledKeyframe) -> DenseResult:
-        began = time.monotonic()
         parts: list[SurfacePart] = []
         if keyframe.map_number != self._map_number:
             parts += self._closed_part()
@@ -104,9 +100,8 @@ class DenseWork:
             self._keep(keyframe, depth, confidence)
             shown = painted_png(depth)
             parts += self._fused(keyframe, rgb, depth, confidence)
-        seconds = time.monotonic() - began
         fused = self._frames[1] == keyframe.frame and self._fusion is not None
-        return DenseResult(keyframe.frame, keyframe.map_number, keyframe.came, seconds, shown, fused, tuple(parts))
+        return DenseResult(keyframe.frame, keyframe.map_number, keyframe.came, shown, fused, tuple(parts))
 
     def _completed(
         self, keyframe: SettledKeyframe

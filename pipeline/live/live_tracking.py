@@ -32,7 +32,6 @@ class SettledKeyframe:
 
     map_number: int
     frame: int
-    seconds: float
     came: float
     rgb: NDArray[np.uint8]
     mask: NDArray[np.uint8]
@@ -68,11 +67,6 @@ class LiveTracker:
     @property
     def state(self) -> State:
         return self.odometry.state
-
-    @property
-    def map(self) -> LocalMap | None:
-        """The one that grows now, or that the camera lost."""
-        return self._map
 
     @property
     def world_from_camera(self) -> Array | None:
@@ -141,8 +135,8 @@ class LiveTracker:
             return None
         self._chosen = keyframe
         row = int(np.searchsorted(around.frames, picture.number))
-        seconds, number = picture.seconds, self.map_number
-        return SettledKeyframe(number, picture.number, seconds, waiting.came, picture.rgb, picture.mask, around, row)
+        number, came = self.map_number, waiting.came
+        return SettledKeyframe(number, picture.number, came, picture.rgb, picture.mask, around, row)
 
     def _is_new(self, keyframe: Keyframe, before: Keyframe) -> bool:
         assert self._map is not None

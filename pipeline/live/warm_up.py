@@ -45,7 +45,7 @@ def small_keyframes() -> list[SettledKeyframe]:
     around = to_submap(local_map, small_camera().params, refit=False)
     assert around is not None
     rgb, mask = np.full((SIDE, SIDE, 3), 128, np.uint8), np.full((SIDE, SIDE), 255, np.uint8)
-    return [SettledKeyframe(0, row, 0.0, 0.0, rgb, mask, around, row) for row in (1, 3)]
+    return [SettledKeyframe(0, row, 0.0, rgb, mask, around, row) for row in (1, 3)]
 
 
 def warm_tracking() -> None:

@@ -9,17 +9,17 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.input.display import Clock, as_shown
+from pipeline.input.display import Clock, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.video import RawFrame
 from pipeline.live.capture.growing_file import GrowingFile
 from pipeline.live.capture.pace import Pace
 
 if TYPE_CHECKING:
+    from av import VideoFrame
     from av.container import InputContainer, OutputContainer
 
 CAMERA_FORMATS = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}  # FFmpeg's
@@ -83,7 +83,7 @@ class Stream:
                     if record is not None:
                         record.write(packet, frames)
                     for frame in frames:
-                        shown = as_shown(frame, film.sample_aspect_ratio or Fraction(1), frame.interlaced_frame)
+                        shown = _as_shown(frame, film.sample_aspect_ratio or Fraction(1))
                         size = size or (shown.shape[1], shown.shape[0])
                         rgb = self._of_size(shown, size)
                         seconds = clock.seconds(frame.time)
@@ -100,14 +100,13 @@ class Stream:
 
     def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
         """A picture in the size (width, height) of the first one; HaustraError where its shape is another."""
-        height, width = rgb.shape[:2]
-        if (width, height) == size:
-            return rgb
-        if abs(width * size[1] - height * size[0]) > max(width, height):
+        sized = in_size(rgb, size)
+        if sized is None:
+            height, width = rgb.shape[:2]
             raise HaustraError(
                 f"the picture of {self.name} changed from {size[0]}x{size[1]} to {width}x{height} px: begin anew"
             )
-        return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return sized
 
     def _open(self, stopped: threading.Event, stack: ExitStack) -> "InputContainer":
         import av
@@ -206,6 +205,13 @@ class _Recorder:
             self._file.close()
         except (OSError, av.error.FFmpegError):  # a full disk was told of already; Matroska needs no end
             pass
+
+
+def _as_shown(frame: "VideoFrame", aspect: Fraction) -> NDArray[np.uint8]:
+    """Pixels (H,W,3) as they are to be looked at; of an interlaced frame the upper field alone."""
+    rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+    rgb = upper_field(rgb) if frame.interlaced_frame else rgb
+    return square_and_upright(rgb, aspect, display_matrix(frame))
 
 
 def _reason(error: Exception) -> str:

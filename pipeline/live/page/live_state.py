@@ -89,11 +89,6 @@ class LiveState:
             return list(self._parts.values())
 
     @property
-    def review(self) -> Review | None:
-        with self._lock:
-            return self._review
-
-    @property
     def summary(self) -> str:
         """The session in one sentence."""
         counts, latency = self.counts, _latency(self.latencies)
