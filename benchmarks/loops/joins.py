@@ -25,9 +25,9 @@ from benchmarks.common.runner import add_folders
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config
-from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
+from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap_matching import (
     MapFeatures,
@@ -36,6 +36,7 @@ from pipeline.mapping.submap_matching import (
     find_matches,
     joint_similarity,
 )
+from pipeline.mapping.submap_merging import join_maps
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sift_cache import ReadFrame, SiftCache

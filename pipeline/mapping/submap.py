@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 
+MIN_FRAMES = 3  # of a submap that is kept
+
 
 @dataclass(frozen=True)
 class Submap:

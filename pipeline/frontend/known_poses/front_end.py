@@ -16,7 +16,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, FrontEndResult
+from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map, choose_frames
 from pipeline.frontend.odometry.frame_io import frame_reader
@@ -25,7 +25,7 @@ from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import adjust_all
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import MIN_FRAMES, Submap
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace

@@ -13,10 +13,10 @@ from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from pipeline.frontend.known_poses.epipolar_check import MatchedPair, inliers, unit_rays
-from pipeline.mapping.feature_matching import match_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.matching.descriptor_matching import match_descriptors
+from pipeline.matching.feature_matching import match_features
 from pipeline.matching.feature_tracks import FeatureTracks, join_features
 from pipeline.matching.sift import FindFeatures, rootsift
 
@@ -48,7 +48,8 @@ def build_map(
     seed = _with_keyframes(frames, poses, rays)
     _insert(seed, *_neighbour_tracks(frames, poses, rays, find, advance))
     _triangulate(seed)
-    matched = match_features(seed, find, advance)
+    views = [seed.sparse_view(keyframe) for keyframe in seed.keyframes]
+    matched = match_features(views, seed.incidence(), rays, find, advance)
     cameras_from_world = [keyframe.camera_from_world for keyframe in seed.keyframes]
     world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
     result = _with_keyframes(frames, poses, rays)
