@@ -199,6 +199,40 @@ def loops(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def walks(rows: list[dict[str, Any]]) -> list[str]:
+    """Files that one has to open for one change, or along one way."""
+    lines = [
+        "\n## Walks\n",
+        "Files of one way through the code, or that one addition touches.\n",
+        "| walk | before | now | shown by |",
+        "|---|---|---|---|",
+    ]
+    for row in rows:
+        note = f" ({row['note']})" if "note" in row else ""
+        lines.append(f"| {row['walk']} | {row['before']}{note} | {row['now']} | `{row['shown_by']}` |")
+    return lines
+
+
+def reading(told: dict[str, Any]) -> list[str]:
+    """Questions to a reader who has only the tree at hand."""
+    right = sum(guess == answer for _, guess, answer in told["rows"])
+    text = (
+        f"{right} of {len(told['rows'])} files were found at the first guess, by the names in the tree. The reader was "
+        f"{told['reader']}; answers of a stranger to the project are not on record."
+    )
+    lines = [
+        "\n## Where is it?\n",
+        textwrap.fill(text, WIDTH) + "\n",
+        "| question | first guess | where it is |",
+        "|---|---|---|",
+    ]
+    for question, guess, answer in told["rows"]:
+        if not (ROOT / answer).is_file():
+            raise SystemExit(f"{answer} is gone: {question}")
+        lines.append(f"| {question} | `{guess}` | {'there' if guess == answer else f'`{answer}`'} |")
+    return lines
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     for when in ("before", "after"):
@@ -224,6 +258,7 @@ def main() -> None:
         + joins(record["joins"], record["strangers"])
     )
     lines += loops(record["loops"]) if record["loops"] else []
+    lines += walks(record["walks"]) + reading(record["reading"])
     PAGE.write_text(head + "\n".join(lines) + "\n")
 
 
