@@ -233,16 +233,8 @@ def reading(told: dict[str, Any]) -> list[str]:
     return lines
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    for when in ("before", "after"):
-        parser.add_argument(f"--{when}", type=Path, help=f"runs of mapper-seeds {when} the redesign")
-    arguments = parser.parse_args()
-    record = json.loads(RECORD.read_text())
-    for when, path in vars(arguments).items():
-        if path is not None:
-            enter(record["seeds"], when, json.loads(path.read_text())["runs"])
-            RECORD.write_text(json.dumps(record, indent=1) + "\n")
+def page(record: dict[str, Any]) -> str:
+    """The page, as committed."""
     commits = record["commits"]
     head = HEAD.format(
         answer=answer(record),
@@ -256,10 +248,24 @@ def main() -> None:
         + suite(record["suite"])
         + seeds(record["seeds"])
         + joins(record["joins"], record["strangers"])
+        + loops(record["loops"])
+        + walks(record["walks"])
+        + reading(record["reading"])
     )
-    lines += loops(record["loops"]) if record["loops"] else []
-    lines += walks(record["walks"]) + reading(record["reading"])
-    PAGE.write_text(head + "\n".join(lines) + "\n")
+    return head + "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    for when in ("before", "after"):
+        parser.add_argument(f"--{when}", type=Path, help=f"runs of mapper-seeds {when} the redesign")
+    arguments = parser.parse_args()
+    record = json.loads(RECORD.read_text())
+    for when, path in vars(arguments).items():
+        if path is not None:
+            enter(record["seeds"], when, json.loads(path.read_text())["runs"])
+            RECORD.write_text(json.dumps(record, indent=1) + "\n")
+    PAGE.write_text(page(record))
 
 
 if __name__ == "__main__":
