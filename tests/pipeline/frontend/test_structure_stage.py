@@ -16,7 +16,7 @@ from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.scoring import MARGIN, Candidate, best_mapper, frames_in_doubt
 from pipeline.input.frames import Frames
 from pipeline.mapping.lighting_check import LightingCheck
-from tests.helpers.textured_tube import CAMERA
+from tests.helpers.tubes.textured_tube import CAMERA
 
 SETTINGS = Config().front_end_settings
 GOOD = Candidate(SimpleNamespace(frames=np.arange(90)), LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path())

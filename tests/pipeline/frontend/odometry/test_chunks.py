@@ -27,7 +27,7 @@ from pipeline.mapping.submap_of_map import to_submap
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers import textured_tube
 from tests.helpers.processes import alive
-from tests.helpers.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
+from tests.helpers.tubes.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
 
 SETTINGS = Config().front_end_settings
 COUNT = 44
