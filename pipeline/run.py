@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from completion.weights.shipped_weights import SHIPPED_WEIGHTS, check_whole, resolve_weights, validate_weights
-from haustra.core.progress import Progress, SilentProgress
+from haustra.core.progress import Progress, SaidOnce, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import STAGE as DEPTH_STAGE
@@ -49,7 +49,7 @@ def reconstruct(
     each stage into `metrics.json`, and say them. Raises `HaustraError` (one sentence) for input that cannot be
     reconstructed.
     """
-    config, progress = _with_lens_of_poses(config or Config()), progress or SilentProgress()
+    config, progress = _with_lens_of_poses(config or Config()), SaidOnce(progress or SilentProgress())
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
     lamp = lamp_of(config.fusion.lamp, config.camera)

@@ -37,6 +37,20 @@ class SilentProgress:
         logger.info(sentence)
 
 
+class SaidOnce:
+    """Passes on to another progress, but a sentence that was said already is not said again, as by a repeated step."""
+
+    def __init__(self, progress: Progress) -> None:
+        self.bar = progress.bar
+        self._say = progress.log
+        self._said: set[str] = set()
+
+    def log(self, sentence: str) -> None:
+        if sentence not in self._said:
+            self._said.add(sentence)
+            self._say(sentence)
+
+
 class TerminalProgress:
     """Rich progress bars on standard error, one after the other."""
 

@@ -15,7 +15,7 @@ from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.structure_stage import closes_loops, front_end_of, solve_structure
 from pipeline.run_folder.workspace import write_json
 from tests.helpers.recipes import add_row, written
-from tests.helpers.textured_tube import CAMERA, RADIUS, SIZE, camera_at, render, stored
+from tests.helpers.tubes.textured_tube import CAMERA, RADIUS, SIZE, camera_at, render, stored
 
 COUNT = 14
 SETTINGS = Config().front_end_settings

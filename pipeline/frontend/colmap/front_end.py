@@ -11,8 +11,10 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.config import FrontEndSettings, OdometrySettings
 from pipeline.frontend.base import COLMAP_WORKER, FoundSubmap, FrontEndResult
+from pipeline.frontend.colmap.sensor_adjustment import adjusted_to_sensor
 from pipeline.frontend.scoring import candidates_of, needs_second_opinion
 from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.submap import read_submap
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace
@@ -46,6 +48,9 @@ class ColmapFrontEnd:
             found["incremental"] = map_by_colmap("incremental", job, workspace, progress, end)
         if not any(found.values()) and all((workspace.log / f"{mapper}.failed").exists() for mapper in found):
             raise HaustraError(f"COLMAP failed to map the frames; its logs are in {workspace.log}")
+        sensor = open_sensor(workspace, frames.camera.width)
+        if sensor is not None and sensor.settings.adjust:
+            found = {m: adjusted_to_sensor(of, frames.camera, sensor, progress) for m, of in found.items()}
         return FrontEndResult(found)
 
 

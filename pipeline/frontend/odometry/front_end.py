@@ -96,7 +96,7 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         sensor = open_sensor(workspace, frames.camera.width)
         if sensor is not None and sensor.settings.adjust:
-            make_all_metric(maps, sensor.measured, progress)
+            make_all_metric(maps, sensor.for_adjustment, progress)
         held = adjust_maps(maps, features, progress, changed=stitching is not None)
         camera = frames.camera
         sigma: tuple[float, ...] = ()

@@ -23,6 +23,7 @@ from pipeline.run_folder.workspace import Workspace
 Array = NDArray[np.float64]
 SENSOR = "sensor"  # what an RGB-D folder's camera.json calls depth that is no truth
 LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
+MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is of second order
 CACHED = 8
 
 
@@ -73,6 +74,21 @@ class SensorDepth:
         column, row = np.clip(cell, 0, np.array(depth.shape[::-1]) - 1).T
         known = ((cell >= 0) & (cell < depth.shape[::-1])).all(axis=1) & (depth[row, column] > 0)
         return np.where(known, depth[row, column], 0.0), np.where(known, sigma[row, column], 0.0)
+
+    def for_adjustment(self, frame: int, pixels: Array) -> tuple[Array, Array]:
+        """As `measured`, for residuals that are linear in the inverse depth (`depth_residuals`).
+
+        Noise that grows with the square of depth, as a stereo pair's, is symmetric in the inverse. Noise that is
+        symmetric in depth itself and is the share s of it would bring their least squares out s^2 too deep: 0.09 % at
+        3 %. That much is taken off.
+        """
+        depth, sigma = self.measured(frame, pixels)
+        even = self.settings.error_mm + self.settings.error_relative * depth
+        every = even + self.settings.error_per_mm * depth**2
+        known = (depth > 0) & (every > 0)
+        share = np.zeros(len(depth))
+        share[known] = even[known] / every[known] * sigma[known] / depth[known]
+        return depth * (1 - np.minimum(share, MOST_SHARE) ** 2), sigma
 
     def cells(self, frame: int) -> tuple[Array, Array, Array] | None:
         """Working pixels (K,2) of the middles of the cells that have depth, their depth (K,) and standard deviation

@@ -69,6 +69,7 @@ def test_the_log_is_the_same_in_csv_and_in_tensorboard(tmp_path):
         assert {e.step: e.value for e in events.Scalars(name)} == pytest.approx(in_csv, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(shards, tmp_path):
     """Oracle: the mean of the two halves' gradients, put together by hand in one process."""
     values = {"steps": 1, "augmentation": False, "ema": 0.0, "bf16": False, "warm_up": 0}
@@ -111,7 +112,7 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
         torch.testing.assert_close(together[f"network.{name}"], parameter.detach(), rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("model", ["mscsa-sfm", "gaenet"])
+@pytest.mark.parametrize("model", ["mscsa-sfm", pytest.param("gaenet", marks=pytest.mark.slow)])
 def test_a_stopped_training_ends_like_an_unbroken_one(shards, tmp_path, monkeypatch, model):
     import completion.training.train as module
 

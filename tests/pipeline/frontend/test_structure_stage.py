@@ -16,7 +16,7 @@ from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.scoring import MARGIN, Candidate, best_mapper, frames_in_doubt
 from pipeline.input.frames import Frames
 from pipeline.mapping.lighting_check import LightingCheck
-from tests.helpers.textured_tube import CAMERA
+from tests.helpers.tubes.textured_tube import CAMERA
 
 SETTINGS = Config().front_end_settings
 GOOD = Candidate(SimpleNamespace(frames=np.arange(90)), LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path())
@@ -47,7 +47,7 @@ def asked(monkeypatch, tmp_path):
         odometry = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": [look_up("odometry")]}))
         monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
         many = many_frames(frames)
-        workspace = SimpleNamespace(log=tmp_path)
+        workspace = SimpleNamespace(log=tmp_path, record={})
         results, failure = structure_stage._run(many, front_end, SETTINGS, workspace, SilentProgress())
         assert failure is None
         mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
@@ -180,7 +180,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))
         monkeypatch.setitem(FRONT_ENDS, "odometry", found)
         few = many_frames(100)
-        workspace = SimpleNamespace(log=tmp_path)
+        workspace = SimpleNamespace(log=tmp_path, record={})
         return structure_stage._run(few, front_end, SETTINGS, workspace, SilentProgress())
 
     results, failure = call("auto")
@@ -197,7 +197,7 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
 
     monkeypatch.setattr(colmap, "run_isolated", crash)
     monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
-    frames, workspace = many_frames(30), SimpleNamespace(log=tmp_path)
+    frames, workspace = many_frames(30), SimpleNamespace(log=tmp_path, record={})
     with pytest.raises(HaustraError, match=f"logs are in {tmp_path}"):
         FRONT_ENDS["sfm"].run(frames, SETTINGS, workspace, SilentProgress())
     found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))

@@ -16,7 +16,7 @@ from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching import sift_cache
 from pipeline.matching.sift_cache import SiftCache
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
-from tests.helpers.textured_tube import CAMERA, MASK, RADIUS, camera_at, polished, render, run
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, camera_at, polished, render, run
 
 TRUE = np.stack([camera_at(k) for k in range(40)])
 IMAGES = [render(pose) for pose in TRUE]

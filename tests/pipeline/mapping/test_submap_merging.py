@@ -13,8 +13,8 @@ from pipeline.mapping.submap_merging import Merged, merge_maps
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift_cache import SiftCache
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
-from tests.helpers import textured_tube
-from tests.helpers.textured_tube import CAMERA, MASK, camera_at, polished, render, run, wall_texture
+from tests.helpers.tubes import textured_tube
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, polished, render, run, wall_texture
 
 
 @pytest.fixture(scope="module")

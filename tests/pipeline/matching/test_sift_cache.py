@@ -12,7 +12,7 @@ from haustra.core.ray_table import RayTable
 from pipeline.matching.keyframe_features import features_of_view
 from pipeline.matching.sift import detect_sift
 from pipeline.matching.sift_cache import SiftCache
-from tests.helpers.textured_tube import CAMERA, MASK, camera_at, render, run
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, render, run
 
 IMAGE = render(camera_at(0))
 

@@ -12,7 +12,7 @@ from pipeline.cli.batch import run_batch
 from pipeline.config import Config, load_config
 from pipeline.frontend.odometry.chunks import jobs_of, local_run, ray_run, temp_dir, track_chunks
 from pipeline.mapping.submap_of_map import to_submap
-from tests.helpers.textured_tube import CAMERA, camera_at, render, stored
+from tests.helpers.tubes.textured_tube import CAMERA, camera_at, render, stored
 from tests.helpers.videos import textured_frames, write_video
 
 IMAGES = [render(camera_at(k)) for k in range(30)]

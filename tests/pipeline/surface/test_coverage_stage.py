@@ -16,7 +16,7 @@ from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, SEEN, unroll
 from reconstruction.mesh.surface_mesh import SurfaceMesh
-from tests.helpers.holed_tube import RADIUS, cameras, patch, straight, tube
+from tests.helpers.tubes.holed_tube import RADIUS, cameras, patch, straight, tube
 
 
 def omega():

@@ -15,7 +15,7 @@ from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, SEEN, unroll
 from reconstruction.evaluation.coverage_metrics import TrueWall, coverage_errors
 from reconstruction.mesh.surface_mesh import SurfaceMesh
-from tests.helpers.holed_tube import BEND, HOLE, LENGTH, RADIUS, bent, cameras, patch, straight, tube
+from tests.helpers.tubes.holed_tube import BEND, HOLE, LENGTH, RADIUS, bent, cameras, patch, straight, tube
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from reconstruction.coverage.hole_closing import ClosedWall
 from reconstruction.coverage.unrolled_map import MISSED, SEEN, UNMEASURED, unroll
 from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.surface_mesh import SurfaceMesh
-from tests.helpers.holed_tube import HOLE, RADIUS, cameras, straight, tube
+from tests.helpers.tubes.holed_tube import HOLE, RADIUS, cameras, straight, tube
 
 SIZE = 100
 WIDE = np.array([[50.0, 0, 50], [0, 50.0, 50], [0, 0, 1]])

@@ -13,7 +13,7 @@ from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, solve_structure
 from pipeline.surface.scale import scale_of_poses
 from reconstruction.evaluation.trajectory_io import write_tum
-from tests.helpers.textured_tube import RADIUS, camera_at, render, stored
+from tests.helpers.tubes.textured_tube import RADIUS, camera_at, render, stored
 
 COUNT = 24
 POSES = np.stack([camera_at(k) for k in range(COUNT)])

@@ -10,7 +10,7 @@ from pipeline.frontend.odometry.klt import tracker_image
 from pipeline.frontend.odometry.tracking import KEYFRAME_MOTION
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap_of_map import to_submap
-from tests.helpers.textured_tube import CAMERA, MASK, camera_at, render, run
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, render, run
 
 COUNT = 90
 NOTHING = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)

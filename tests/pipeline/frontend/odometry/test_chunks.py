@@ -26,9 +26,9 @@ from pipeline.mapping.map_io import load_maps, save_maps
 from pipeline.mapping.submap_merging import Merged
 from pipeline.mapping.submap_of_map import to_submap
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
-from tests.helpers import textured_tube
 from tests.helpers.processes import alive
-from tests.helpers.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
+from tests.helpers.tubes import textured_tube
+from tests.helpers.tubes.textured_tube import CAMERA, camera_at, polished, render, run, stored, wall_texture
 
 SETTINGS = Config().front_end_settings
 COUNT = 44

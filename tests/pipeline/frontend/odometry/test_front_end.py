@@ -13,7 +13,7 @@ from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.descriptor_matching import match_descriptors
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
-from tests.helpers.textured_tube import CAMERA, MASK, RADIUS, SIZE, camera_at, polished, render, run, stored
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, SIZE, camera_at, polished, render, run, stored
 
 
 @pytest.fixture(scope="module")

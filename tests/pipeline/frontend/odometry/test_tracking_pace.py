@@ -21,7 +21,7 @@ from pipeline.mapping.local_map import WINDOW
 from pipeline.mapping.map_adjustment import adjust_window
 from pipeline.mapping.map_io import load_maps
 from pipeline.matching.sift_cache import SiftCache
-from tests.helpers.textured_tube import CAMERA, MASK, camera_at, render, stored
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, render, stored
 
 
 def tracked(frames, step, camera=CAMERA, **settings):

@@ -9,7 +9,7 @@ from haustra.core.errors import HaustraError
 from pipeline.config import StereoSettings
 from pipeline.input.stereo.rig_file import read_rig
 from pipeline.input.stereo.stereo_source import StereoSource, split
-from tests.helpers.textured_tube import RADIUS, SIZE, camera_at, render
+from tests.helpers.tubes.textured_tube import RADIUS, SIZE, camera_at, render
 
 BASELINE = 4.0
 K = np.array([[96.0, 0, 95.5], [0, 96, 95.5], [0, 0, 1]])  # OpenCV's pixels of the tube's camera

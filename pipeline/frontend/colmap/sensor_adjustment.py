@@ -1,0 +1,57 @@
+"""COLMAP's models in millimetres: adjusted once more, with a sensor's depth at their observations.
+
+COLMAP knows nothing of depth. For a stereo film the depth is what the right eye saw, so that the rig's baseline holds
+the scale along the whole path (`depth_residuals`), as it does in odometry.
+"""
+
+from haustra.core.camera import Camera
+from haustra.core.progress import Progress
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import inverse
+from pipeline.frontend.base import FoundSubmap
+from pipeline.input.sensor.sensor_depth import SensorDepth
+from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.map_adjustment import adjust_all
+from pipeline.mapping.metric_map import make_metric
+from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.mapping.submap_of_map import to_submap
+
+LEAST_KEPT = 0.9  # of a model's frames; an adjustment that loses more has not fitted
+
+
+def adjusted_to_sensor(
+    found: list[FoundSubmap], camera: Camera, sensor: SensorDepth, progress: Progress
+) -> list[FoundSubmap]:
+    """Each model in mm and adjusted; those of which the sensor saw too little, or that it does not fit, stay."""
+    with progress.bar("adjusting to depth", len(found)) as advance:
+        adjusted = []
+        for number, one in enumerate(found, start=1):
+            metric = metric_submap(one.submap, camera, sensor)
+            adjusted.append(one if metric is None else FoundSubmap(metric))
+            advance(number)
+    return adjusted
+
+
+def metric_submap(submap: Submap, camera: Camera, sensor: SensorDepth) -> Submap | None:
+    """The submap in mm, all its frames and points adjusted to its pixels and the sensor's depth; None where the sensor
+    saw too few of its points, or frames are lost."""
+    local_map = map_of_submap(submap, RayTable(refined_camera(camera, submap)))
+    if make_metric(local_map, sensor.for_adjustment) is None:
+        return None
+    adjust_all(local_map)
+    metric = to_submap(local_map, submap.camera_params, submap.camera_sigma, TrackKind.FEATURE, refit=False)
+    if metric is None or len(metric.frames) < LEAST_KEPT * len(submap.frames):
+        return None
+    return metric
+
+
+def map_of_submap(submap: Submap, rays: RayTable) -> LocalMap:
+    """A map whose keyframes are all frames of the submap; rays: of its refined camera."""
+    local_map = LocalMap(rays)
+    ids = local_map.insert_tracks(submap.points, TrackKind.FEATURE)
+    order, starts = submap.by_frame()
+    for row, frame in enumerate(submap.frames.tolist()):
+        mine = order[starts[row] : starts[row + 1]]
+        seen, pixels = ids[submap.observations[mine, 1]], submap.pixels[mine]
+        local_map.add_keyframe(frame, inverse(submap.world_from_camera[row]), seen, pixels)
+    return local_map
