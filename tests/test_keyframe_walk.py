@@ -16,7 +16,7 @@ from pipeline.config import Config
 from pipeline.frontend.odometry import front_end
 from pipeline.frontend.odometry.tracking import Tracker
 from pipeline.mapping.local_map import Keyframe, LocalMap
-from tests.helpers.textured_tube import camera_at, render, stored
+from tests.helpers.tubes.textured_tube import camera_at, render, stored
 
 ROOT = Path(__file__).parents[1]
 MOST_FILES = 5
