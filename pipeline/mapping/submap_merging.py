@@ -49,8 +49,9 @@ def join_maps(
 ) -> tuple[list[LocalMap], int]:
     """Maps that saw the same places made one, and how many joins there were.
 
-    After each map has been straightened by its features: a bent map's scale at the seam is not that of the rest. Where
-    the features that held the parts do not hold the whole, the parts are given back: a seam must not cost them that.
+    For maps that were adjusted to their features: a map whose scale bends has another scale at its end than elsewhere.
+    A merged map is adjusted to the features of the whole. Where these are too few, though the parts had enough, the
+    parts are given back as they were.
     """
     if len(maps) < 2:
         return maps, 0

@@ -39,8 +39,8 @@ MIN_CHECKED_POINTS = 15
 
 MAX_LOST_FRAMES = 10  # frames for which a lost map goes on looking
 MAX_JUMP = 15  # frames without a picture after which the old map is not asked any more
-CHECKED_KEYFRAMES = 4  # keyframes within which the lamp can disown a new map
-MAX_LIGHTING_CORRELATION = 0.0  # rank correlation of distance and brightness above which it does
+CHECKED_KEYFRAMES = 4  # first keyframes of a map, by which the lighting check judges it
+MAX_LIGHTING_CORRELATION = 0.0  # rank correlation of distance and brightness above which it is dropped
 MIN_KEYFRAMES = 3  # of a map that is kept
 KEYFRAME_MOTION = OdometrySettings().keyframe_motion
 
@@ -167,14 +167,14 @@ class Tracker:
     def _set_reference(self, view: TrackerImage) -> None:
         """Move the reference frame to the last keyframe's image; its new corners belong to that keyframe too."""
         tracks = self.tracks
-        tracks.found &= ~self._barred()
+        tracks.found &= ~self._rejected()
         begun = tracks.count
         tracks.set_reference(view)
         self.map.tracks.reserve(tracks.count)
         fresh = tracks.ids >= begun
         self.map.extend(-1, tracks.ids[fresh], tracks.now[fresh])
 
-    def _barred(self) -> NDArray[np.bool_]:
+    def _rejected(self) -> NDArray[np.bool_]:
         self.map.tracks.reserve(self.tracks.count)
         return self.map.tracks.rejected[self.tracks.ids]
 

@@ -70,8 +70,11 @@ def bridge_maps(
         gap = min(local_map.frames) - max(before.frames)
         whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
         by = adjust_to_features(whole, find)
-        held = "" if by is not None else "; features do not hold the seam"
-        progress.log(f"the map from frame {min(local_map.frames)} on joined over {gap} frames by depth{held}")
+        first, held = (
+            min(local_map.frames),
+            "" if by is not None else "; too few features agree across it to adjust both",
+        )
+        progress.log(f"submap from frame {first} on joined to the one before over {gap} frames by depth{held}")
         result[-1], count = whole, count + 1
     return result, count
 
