@@ -72,7 +72,7 @@ def bridge_maps(
         by = adjust_to_features(whole, find)
         first, held = (
             min(local_map.frames),
-            "" if by is not None else "; too few features agree across it to adjust both",
+            "" if by is not None else "; too few features agree to adjust it",
         )
         progress.log(f"submap from frame {first} on joined to the one before over {gap} frames by depth{held}")
         result[-1], count = whole, count + 1
