@@ -30,18 +30,18 @@ MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 def adjust_maps(
     maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
 ) -> list[float | None]:
-    """As `adjust_all_to_features`; and the maps that features do not hold, to their corners: `changed` or not, see
-    `adjust_all`."""
-    held = adjust_all_to_features(maps, find, progress)
+    """The last adjustment of each map: to its features (`adjust_maps_to_features`, which says what is returned); where
+    these do not hold it, to its corners, `changed` or not (see `adjust_all`)."""
+    held = adjust_maps_to_features(maps, find, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         with progress.bar("adjusting to corners", None) as advance:
             adjust_all(local_map, changed, advance)
     return held
 
 
-def adjust_all_to_features(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
-    """Every map moved to where its own features have it. Those that they do not hold (None) stay, and a sentence says
-    so; of the others, how wide the features were at most."""
+def adjust_maps_to_features(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
+    """Every map moved to where its own features have it; of each, how wide the features were at most, pixels. Maps that
+    they do not hold (None) stay as they are, and a sentence says so."""
     if not maps:
         return []
     held = []

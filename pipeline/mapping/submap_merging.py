@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from haustra.core.progress import Progress
 from haustra.core.se3 import in_camera
 from haustra.core.sim3 import scale_of, transform_camera, transform_points
-from pipeline.mapping.final_adjustment import adjust_all_to_features
+from pipeline.mapping.final_adjustment import adjust_maps_to_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.submap_matching import (
@@ -44,14 +44,15 @@ class Merged:
     members: tuple[int, ...]
 
 
-def join_maps(
+def merge_and_adjust(
     maps: list[LocalMap], held: list[float | None], find: FindFeatures, seed: int, progress: Progress
 ) -> tuple[list[LocalMap], int]:
-    """Maps that saw the same places made one, and how many joins there were.
+    """Maps that saw the same places made one, and how many joins there were. held: of each map how wide the features
+    are that it was adjusted to, as `adjust_maps` gives it.
 
-    For maps that were adjusted to their features: a map whose scale bends has another scale at its end than elsewhere.
-    A merged map is adjusted to the features of the whole. Where these are too few, though the parts had enough, the
-    parts are given back as they were.
+    Each map must have been adjusted: where its scale bends, it is another at its end than elsewhere. A merged map is
+    adjusted to the features of the whole. Where these are too few, though the parts had enough, the parts are given
+    back as they were.
     """
     if len(maps) < 2:
         return maps, 0
@@ -63,7 +64,7 @@ def join_maps(
         if len(whole.members) == 1:
             result.append(whole.map)
             continue
-        (by,) = adjust_all_to_features([whole.map], find, progress)
+        (by,) = adjust_maps_to_features([whole.map], find, progress)
         before = [width for width in (held[number] for number in whole.members) if width is not None]
         if len(before) < len(whole.members):  # one of them never was
             if by is None:

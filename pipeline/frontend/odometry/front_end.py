@@ -33,7 +33,7 @@ from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.metric_map import make_all_metric
 from pipeline.mapping.submap import Submap
-from pipeline.mapping.submap_merging import join_maps
+from pipeline.mapping.submap_merging import merge_and_adjust
 from pipeline.mapping.submap_of_map import submaps_of
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
@@ -102,7 +102,7 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
             camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
-        merged, joins = join_maps(maps, held, features, settings.seed, progress)
+        merged, joins = merge_and_adjust(maps, held, features, settings.seed, progress)
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
             joins += bridged
