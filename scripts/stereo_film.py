@@ -3,12 +3,13 @@
 python scripts/stereo_film.py FILM OUT --baseline 4
 
 FILM is a folder of `haustra phantom`. OUT/rgb holds its frames with those of a second eye, BASELINE mm to the right,
-beside them; OUT/rig.yaml is the calibration in OpenCV's form. The truth stays in FILM. Then:
+beside them, under the same lamps; OUT/rig.yaml is the calibration in OpenCV's form. The truth stays in FILM. Then:
 
 reconstruct OUT --stereo OUT/rig.yaml; haustra compare RUN FILM
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -45,11 +46,15 @@ def main() -> None:
     camera = read_camera(wanted.film / "camera.json")
     if not camera.is_pinhole:
         raise SystemExit(f"{wanted.film} is no film of a pinhole")
-    phantom = Phantom(PhantomConfig.from_dict(yaml.safe_load((wanted.film / "config.yaml").read_text())), 1)
+    config = PhantomConfig.from_dict(yaml.safe_load((wanted.film / "config.yaml").read_text()))
+    phantom = Phantom(config, 1)
     script = write_script(phantom)
+    lit_from_the_left = replace(config.imaging, light_shift_mm=-wanted.baseline)
     second_eye = np.eye(4)
     second_eye[0, 3] = wanted.baseline
-    film = phantom.film(script.world_from_camera @ second_eye, script.timeline, script.wall)
+    film = phantom.seen_through(lit_from_the_left, config.camera).film(
+        script.world_from_camera @ second_eye, script.timeline, script.wall
+    )
     (wanted.out / "rgb").mkdir(parents=True)
     for number, frame in enumerate(film):
         name = f"{number:05d}.png"

@@ -82,6 +82,7 @@ class ImagingConfig:
 
     lights: int = 2  # light guides at the tip
     light_offset_mm: float = 3.5  # from the optical axis; a scope's tip is about 12 mm wide
+    light_shift_mm: float = 0.0  # of all lights along x: those of a stereo scope, as its second eye has them
     light_roll_deg: float = 20.0  # where around the tip they sit
     light_lobe: float = 0.2  # exponent of the cosine emission lobe; of 18 measured colonoscopes 1.9 to 3.3
     lobe_tilt_deg: float = 0.0  # angle between the lobe's axis and the optical axis; of those up to 8

@@ -75,6 +75,7 @@ RANGES = {  # section.field: least and most; of a tuple, of each of its numbers
     "appearance.texel_mm": (0.05, 2.0),
     "imaging.lights": (1, 16),
     "imaging.light_offset_mm": (0.0, 20.0),
+    "imaging.light_shift_mm": (-20.0, 20.0),
     "imaging.light_roll_deg": ANY,
     "imaging.light_lobe": (0.0, 20.0),
     "imaging.lobe_tilt_deg": (0.0, 60.0),

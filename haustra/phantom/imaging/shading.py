@@ -24,11 +24,11 @@ MIN_GLINT = 1e-16  # share of a glint's peak below which it is 0: far below a gr
 
 
 def light_positions(imaging: ImagingConfig) -> Floats:
-    """Light guides (L,3) mm on a ring around the lens."""
+    """Light guides (L,3) mm on a ring around the lens, or beside it where they are shifted."""
     part = np.arange(imaging.lights) / max(imaging.lights, 1)
     angle = np.radians(imaging.light_roll_deg) + 2 * np.pi * part
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-    return (imaging.light_offset_mm * ring).astype(np.float32)
+    return (imaging.light_offset_mm * ring + [imaging.light_shift_mm, 0.0, 0.0]).astype(np.float32)
 
 
 def lobe_axis(imaging: ImagingConfig) -> Floats:

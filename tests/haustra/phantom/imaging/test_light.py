@@ -73,6 +73,14 @@ def test_an_offset_light_obeys_lambert_from_where_it_is(roll: float) -> None:
     np.testing.assert_allclose(got, wanted, rtol=1e-5)
 
 
+def test_a_second_eye_sees_the_wall_as_bright_as_the_first_under_the_same_lamps() -> None:
+    """Matte wall has one radiance for all eyes, wherever these are: what stereo matching rests on."""
+    first = radiance_at(SPOTS, replace(BARE, light_offset_mm=3.0, lights=2))
+    beside = [(x - 4.0, y, z) for x, y, z in SPOTS]
+    second = radiance_at(beside, replace(BARE, light_offset_mm=3.0, lights=2, light_shift_mm=-4.0))
+    np.testing.assert_allclose(second, first, rtol=1e-5)
+
+
 def test_two_lights_stand_opposite_and_share_the_power() -> None:
     got = radiance_at(SPOTS, replace(BARE, light_offset_mm=4.0, lights=2))[:, 0]
     wanted = [
