@@ -44,15 +44,15 @@ def fuse_truth(folder: Path, every: int) -> tuple[SurfaceMesh, NDArray[np.uint8]
     """Mesh in mm of every `every`-th frame's true depth and colour at its true pose; and which pixels show wall."""
     lens = read_camera(folder / "camera.json")
     rectifier = make_rectifier(lens, WIDEST_DEG)
-    _, poses = read_tum(folder / "trajectory.txt")
+    _, world_from_camera = read_tum(folder / "trajectory.txt")
     fusion = SurfaceFusion(TsdfSettings(VOXEL_MM, truncation=TRUNCATION))
     content = np.zeros((lens.height, lens.width), bool)
-    for number in range(0, len(poses), every):
+    for number in range(0, len(world_from_camera), every):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{number:05d}.png")), cv2.COLOR_BGR2RGB)
         stored: Any = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED)
         content |= stored > 0
         depth = rectifier.mask(stored).astype(np.float32) * np.float32(0.01)
-        fusion.integrate(rectifier.image(rgb), depth, None, rectifier.camera.matrix, poses[number])
+        fusion.integrate(rectifier.image(rgb), depth, None, rectifier.camera.matrix, world_from_camera[number])
     return drop_small_components(fusion.extract(), SMALLEST_PIECE)[0], content.astype(np.uint8)
 
 
@@ -63,11 +63,13 @@ def errors_of_truth(folder: Path, every: int) -> tuple[dict[float, CoverageError
         raise SystemExit(f"{folder}/mesh.ply does not know what was not seen")
     lens = read_camera(folder / "camera.json")
     rays, pinhole = RayTable(lens), make_rectifier(lens, WIDEST_DEG).camera
-    (mesh, content), (_, poses) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
+    (mesh, content), (_, world_from_camera) = fuse_truth(folder, every), read_tum(folder / "trajectory.txt")
     half, picture = half_field_of_view(rays, pinhole, content), lens_field_of_view(rays, content)
 
     def errors(fringe: float, field_of_view: FieldOfView | None) -> CoverageErrors:
-        return coverage_errors(measure_coverage(mesh, poses, half, "mm", fringe * VOXEL_MM, field_of_view), wall)
+        return coverage_errors(
+            measure_coverage(mesh, world_from_camera, half, "mm", fringe * VOXEL_MM, field_of_view), wall
+        )
 
     return {fringe: errors(fringe, picture) for fringe in FRINGES}, errors(USED_FRINGE, None)
 

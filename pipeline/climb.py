@@ -31,9 +31,9 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
     if reference.name == "images.txt":
         truth = read_numbered_images(reference)
     else:
-        true_seconds, poses = true_path(reference, finished)
+        true_seconds, world_from_camera = true_path(reference, finished)
         mine, theirs = paired(film.seconds, true_seconds, reference)
-        truth = film.index[mine] + 1, poses[theirs]
+        truth = film.index[mine] + 1, world_from_camera[theirs]
     fps = 1 / float(np.median(np.diff(film.seconds)))
     return climb_errors(submaps, truth, fps, seconds_per_frame(finished), min_common)
 
@@ -53,10 +53,10 @@ def write_submission(run: Path, folder: Path) -> Path:
     film = FilmFrames.of(finished.workspace)
     taken = {int(frame) for submap in finished.submaps for frame in submap.frames}
     for number, submap in enumerate(finished.submaps):
-        posed, poses = submap.frames, finished.trajectory(number)[1]
+        posed, world_from_camera = submap.frames, finished.trajectory(number)[1]
         inside = film.index[(film.index > posed[0]) & (film.index < posed[-1])]
         between = np.array([frame for frame in inside.tolist() if frame not in taken], np.int64)
-        table = _lines(film, posed, poses, between)
+        table = _lines(film, posed, world_from_camera, between)
         (paths / f"cam_traj_map_{number:03d}.txt").write_text(HEADER + "".join(table))
         target = folder / "3D_maps" / f"{number:03d}"
         target.mkdir(parents=True, exist_ok=True)
@@ -83,14 +83,18 @@ def seconds_per_frame(run: Run) -> float | None:
     return 1 / float(pace) if pace else None
 
 
-def _lines(film: FilmFrames, posed: NDArray[np.int64], poses: Array, between: NDArray[np.int64]) -> list[str]:
+def _lines(
+    film: FilmFrames, posed: NDArray[np.int64], world_from_camera: Array, between: NDArray[np.int64]
+) -> list[str]:
     """A submap's lines in the order of its frames, with the frames `between` interpolated: centres on the straight
     line, rotations on the great arc between the posed neighbours."""
     times, wanted = (film.seconds[np.searchsorted(film.index, frames)] for frames in (posed, between))
-    turns = Rotation.from_matrix(poses[:, :3, :3])
-    entries = list(zip(posed.tolist(), times, poses[:, :3, 3], turns.as_quat(), [0] * len(posed), strict=True))
+    turns = Rotation.from_matrix(world_from_camera[:, :3, :3])
+    entries = list(
+        zip(posed.tolist(), times, world_from_camera[:, :3, 3], turns.as_quat(), [0] * len(posed), strict=True)
+    )
     if len(between):
-        centres = np.stack([np.interp(wanted, times, poses[:, axis, 3]) for axis in range(3)], axis=1)
+        centres = np.stack([np.interp(wanted, times, world_from_camera[:, axis, 3]) for axis in range(3)], axis=1)
         turned = Slerp(times, turns)(wanted).as_quat()
         entries += zip(between.tolist(), wanted, centres, turned, [1] * len(between), strict=True)
     lines = []

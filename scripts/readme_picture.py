@@ -50,9 +50,9 @@ def stages(run: Run) -> Figure:
 def shape(run: Run) -> Figure:
     """The surface without its colours, from two sides."""
     mesh = run.surfaces[0].mesh
-    _, poses = run.trajectory()
+    _, world_from_camera = run.trajectory()
     clay = np.tile(np.array(CLAY, np.uint8), (len(mesh.vertices), 1))
-    inner = poses[0].copy()
+    inner = world_from_camera[0].copy()
     inner[:3, 3] -= BACK * np.median(np.linalg.norm(mesh.vertices - inner[:3, 3], axis=1)) * inner[:3, 2]
     turn, centre = np.eye(4), mesh.vertices.mean(axis=0)
     turn[:3, :3] = Rotation.from_rotvec(-np.radians(ORBIT_DEG) * inner[:3, 0]).as_matrix()

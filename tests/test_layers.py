@@ -15,6 +15,8 @@ MOST_LINES = 300
 MOST_MODULES = 15  # of one folder
 MEDIAN_FUNCTION, LONG_FUNCTION = 10, 25  # lines: of the median function, and of the one longer than nine in ten
 TREES = (*PACKAGES, "tests", "benchmarks", "scripts")
+OF_THE_WHOLE = ("end_to_end", "extending", "pages")  # folders of tests
+MOST_LINES_OF_ARCHITECTURE = 150
 
 # Each room may import those on the lines below its own, and itself; rooms on one line do not import each other.
 ORDER = """
@@ -191,6 +193,10 @@ def test_functions_stay_short(tree):
     assert (percentiles[4] <= MEDIAN_FUNCTION, percentiles[8] <= LONG_FUNCTION) == (True, True), percentiles
 
 
+def test_the_architecture_is_read_in_one_go():
+    assert len((ROOT / "ARCHITECTURE.md").read_text().splitlines()) <= MOST_LINES_OF_ARCHITECTURE
+
+
 def test_private_names_stay_in_their_module():
     for module, path in modules().items():
         for node in ast.walk(ast.parse(path.read_text())):
@@ -204,6 +210,13 @@ def test_folders_stay_small(tree):
     for folder in [ROOT / tree, *(path for path in (ROOT / tree).glob("**/*") if path.is_dir())]:
         found = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
         assert len(found) <= MOST_MODULES, f"{folder} holds {len(found)} modules"
+
+
+def test_tests_have_the_tree_of_the_code():
+    """Apart from tests of the whole, of docs/extending.md and of rendered pages."""
+    for path in (ROOT / "tests").glob("*/**/test_*.py"):
+        folder = path.parent.relative_to(ROOT / "tests")
+        assert folder.parts[0] in OF_THE_WHOLE or (ROOT / folder).is_dir(), f"{path} tests a folder that there is not"
 
 
 def test_no_test_imports_another_test_file():

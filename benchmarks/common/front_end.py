@@ -11,7 +11,7 @@ from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from pipeline.config import Config
-from pipeline.frontend.odometry.state_machine import Odometry
+from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.video import Source
 from pipeline.mapping.local_map import LocalMap

@@ -25,9 +25,9 @@ from benchmarks.common.runner import add_folders
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.config import Config
-from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
+from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap_matching import (
     MapFeatures,
@@ -36,6 +36,7 @@ from pipeline.mapping.submap_matching import (
     find_matches,
     joint_similarity,
 )
+from pipeline.mapping.submap_merging import merge_and_adjust
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sift_cache import ReadFrame, SiftCache
@@ -113,7 +114,7 @@ def cut(film: Film, gap: int) -> tuple[dict[str, Any], tuple[LocalMap, LocalMap]
 def joined(film: Film, held: list[Held]) -> dict[str, Any]:
     """How many maps are left of all, and the path errors of the largest; the maps are used up."""
     maps, by = map(list, zip(*held, strict=True))
-    left, _ = join_maps(maps, by, film.features, 0, SilentProgress())
+    left, _ = merge_and_adjust(maps, by, film.features, 0, SilentProgress())
     submaps = [to_submap(m, m.rays.camera.params) for m in left]
     submap = max((s for s in submaps if s is not None), key=lambda s: len(s.frames))
     errors = trajectory_errors(submap.world_from_camera, film.truth[submap.frames])

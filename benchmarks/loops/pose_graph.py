@@ -84,21 +84,21 @@ def links_of(
 
 
 def path_figures(completed: CompletedSubmap, truth: np.ndarray) -> dict[str, float]:
-    poses, true = completed.submap.world_from_camera, truth[completed.submap.frames]
-    errors = trajectory_errors(poses, true)
+    world_from_camera, true = completed.submap.world_from_camera, truth[completed.submap.frames]
+    errors = trajectory_errors(world_from_camera, true)
     figures = {"ate_mm": errors.ate_rmse, "rotation_deg": errors.rotation_median_deg}
     if np.linalg.norm(true[0, :3, 3] - true[-1, :3, 3]) > RETURNS_MM:
         return figures
-    return figures | end_to_start(poses, true, errors.scale)
+    return figures | end_to_start(world_from_camera, true, errors.scale)
 
 
-def end_to_start(poses: np.ndarray, true: np.ndarray, mm_per_unit: float) -> dict[str, float]:
+def end_to_start(world_from_camera: np.ndarray, true: np.ndarray, mm_per_unit: float) -> dict[str, float]:
     """Errors of the last poses (N,4,4) relative to the first ones that are truly nearest to them, medians."""
-    count = int(ENDS * len(poses))
+    count = int(ENDS * len(world_from_camera))
     shift, turn = [], []
-    for last in range(len(poses) - count, len(poses)):
+    for last in range(len(world_from_camera) - count, len(world_from_camera)):
         first = int(np.linalg.norm(true[:count, :3, 3] - true[last, :3, 3], axis=1).argmin())
-        found, wanted = (np.linalg.inv(p[first]) @ p[last] for p in (poses, true))
+        found, wanted = (np.linalg.inv(p[first]) @ p[last] for p in (world_from_camera, true))
         shift.append(float(np.linalg.norm(mm_per_unit * found[:3, 3] - wanted[:3, 3])))
         turn.append(float(np.degrees(Rotation.from_matrix(found[:3, :3].T @ wanted[:3, :3]).magnitude())))
     return {"end_to_start_mm": float(np.median(shift)), "end_to_start_deg": float(np.median(turn))}
@@ -178,11 +178,12 @@ def kidnapped(folder: Path, config: Config, scratch: Path) -> dict[str, Any]:
     figures: dict[str, Any] = {"tried": tried, "links": len(links), "joined": joined is not None}
     if joined is None:
         return figures
-    middle, index, poses = int(0.5 * len(truth)), joined.submap.frames, joined.submap.world_from_camera
+    middle, index, world_from_camera = int(0.5 * len(truth)), joined.submap.frames, joined.submap.world_from_camera
     before, after = (
-        float(scale_of(align_poses(poses[mine], truth[index[mine]]))) for mine in (index < middle, index >= middle)
+        float(scale_of(align_poses(world_from_camera[mine], truth[index[mine]])))
+        for mine in (index < middle, index >= middle)
     )
-    errors = trajectory_errors(poses, truth[index])
+    errors = trajectory_errors(world_from_camera, truth[index])
     return figures | {"scale_error": after / before - 1, "ate_mm": errors.ate_rmse}
 
 

@@ -98,9 +98,9 @@ def registered(folder: Path, truth: Array) -> list[dict[str, Any]]:
     return rows
 
 
-def _off(pose: Array, true: Array) -> list[float]:
+def _off(world_from_camera: Array, true: Array) -> list[float]:
     """Shift, mm, and turn, degrees."""
-    off = inverse(true) @ pose
+    off = inverse(true) @ world_from_camera
     return [float(np.linalg.norm(off[:3, 3])), float(np.degrees(angle_between(off, np.eye(4))))]
 
 

@@ -28,7 +28,7 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 FPS = 30  # of an image folder
 
 
-def cast_depths(mesh: SurfaceMesh, camera: Camera, poses: np.ndarray) -> Iterator[np.ndarray]:
+def cast_depths(mesh: SurfaceMesh, camera: Camera, world_from_camera: np.ndarray) -> Iterator[np.ndarray]:
     """Z-depth (H,W) of the mesh from each pose; inf where it is open."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
@@ -37,8 +37,8 @@ def cast_depths(mesh: SurfaceMesh, camera: Camera, poses: np.ndarray) -> Iterato
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     (fx, fy), (cx, cy) = camera.focal, camera.centre
     rays = np.stack([(columns - cx) / fx, (rows - cy) / fy, np.ones_like(rows)], axis=-1)
-    for pose in poses:
-        world = np.concatenate([np.broadcast_to(pose[:3, 3], rays.shape), rays @ pose[:3, :3].T], axis=-1)
+    for matrix in world_from_camera:
+        world = np.concatenate([np.broadcast_to(matrix[:3, 3], rays.shape), rays @ matrix[:3, :3].T], axis=-1)
         # The rays have z = 1 in the camera, so the parameter of the hit is the z-depth itself.
         yield scene.cast_rays(o3d.core.Tensor(world.astype(np.float32)))["t_hit"].numpy()
 
@@ -69,11 +69,13 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         output = arguments.output or Path(scratch) / "run"
         result = reconstruct(arguments.folder, output, Config(camera=arguments.camera), overwrite=True)
-        seconds, poses = result.trajectory()
+        seconds, world_from_camera = result.trajectory()
         triangles = result.metrics["submaps"][0]["faces"]
         mesh, camera = read_mesh(result.mesh), read_camera(output / "camera.json")
     true = np.array([frames[round(s * FPS)].depth for s in seconds])
-    figures: dict[str, float] = {"posed": len(poses), "total": len(frames)}
-    figures |= depth_figures(np.array(list(cast_depths(mesh, camera, poses))), true) | {"triangles": triangles}
+    figures: dict[str, float] = {"posed": len(world_from_camera), "total": len(frames)}
+    figures |= depth_figures(np.array(list(cast_depths(mesh, camera, world_from_camera))), true) | {
+        "triangles": triangles
+    }
     print_figures(figures)
     return {"protocol": "mesh cast from posed frames, one scale (median ratio)", "figures": figures}

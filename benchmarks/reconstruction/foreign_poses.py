@@ -36,9 +36,9 @@ SFM, GIVEN = "sfm", "its model as poses"
 Array = NDArray[np.float64]
 Y_UP, MIRROR = np.diag([1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
 WRONG: dict[str, Callable[[Array], Array]] = {
-    "inverted (camera_from_world)": lambda poses: np.stack([inverse(pose) for pose in poses]),
+    "inverted (camera_from_world)": lambda poses: np.stack([inverse(matrix) for matrix in poses]),
     "OpenGL's axes": lambda poses: poses @ Y_UP,
-    "inverted, OpenGL's axes": lambda poses: np.stack([inverse(pose @ Y_UP) for pose in poses]),
+    "inverted, OpenGL's axes": lambda poses: np.stack([inverse(matrix @ Y_UP) for matrix in poses]),
     "left-handed (Unity)": lambda poses: MIRROR @ poses @ MIRROR,
     "three frames late": lambda poses: poses[np.maximum(np.arange(len(poses)) - 3, 0)],
     "in reverse order": lambda poses: poses[::-1],

@@ -87,11 +87,11 @@ def registered(clouds: Iterable[Array]) -> Array:
     config.adaptive_threshold.initial_threshold = INITIAL_MM
     config.adaptive_threshold.min_motion_th = LEAST_MOTION_MM
     config.registration.max_num_threads = 1
-    odometry, poses = KissICP(config), []
+    odometry, world_from_camera = KissICP(config), []
     for cloud in clouds:
         odometry.register_frame(np.ascontiguousarray(cloud, np.float64), np.zeros(len(cloud)))
-        poses.append(np.array(odometry.last_pose))
-    return np.stack(poses)
+        world_from_camera.append(np.array(odometry.last_pose))
+    return np.stack(world_from_camera)
 
 
 def true_clouds(folder: Path, step: int) -> Iterable[Array]:

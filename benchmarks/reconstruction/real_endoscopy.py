@@ -37,10 +37,10 @@ def read_motion(path: Path) -> np.ndarray:
     document = yaml.safe_load(path.read_text())["poses[]"]
     world_from_camera = np.tile(np.eye(4), (len(document), 1, 1))
     for number in range(len(document)):
-        pose = document[f"poses[{number}]"]
-        quaternion = [pose["orientation"][axis] for axis in "xyzw"]
+        published = document[f"poses[{number}]"]
+        quaternion = [published["orientation"][axis] for axis in "xyzw"]
         world_from_camera[number, :3, :3] = Rotation.from_quat(quaternion).as_matrix()
-        world_from_camera[number, :3, 3] = [pose["position"][axis] for axis in "xyz"]
+        world_from_camera[number, :3, 3] = [published["position"][axis] for axis in "xyz"]
     return world_from_camera
 
 
@@ -80,10 +80,10 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
         video = encode_video(sorted(folder.glob("*.jpg")), Path(scratch) / "sinus.mp4", FPS)
         camera = write_camera(folder, Path(scratch) / "camera.json")
         result = reconstruct(video, output, Config(camera=str(camera), front_end=front_end), overwrite=True)
-        seconds, poses = result.trajectory()
+        seconds, world_from_camera = result.trajectory()
         triangles = result.metrics["submaps"][0]["faces"]
     truth = read_motion(folder / "motion.yaml")
-    figures: dict[str, float] = {"posed": len(poses), "total": len(truth)}
-    figures |= path_figures(poses, truth[np.round(seconds * FPS).astype(int)]) | {"triangles": triangles}
+    figures: dict[str, float] = {"posed": len(world_from_camera), "total": len(truth)}
+    figures |= path_figures(world_from_camera, truth[np.round(seconds * FPS).astype(int)]) | {"triangles": triangles}
     print_figures(figures)
     return {"protocol": f"{front_end}; Sim(3) on camera centres against motion.yaml", "figures": figures}

@@ -37,9 +37,9 @@ def ours(settings: TsdfSettings, intrinsics: np.ndarray) -> tuple[SurfaceFusion,
     fusion = SurfaceFusion(settings)
     sure: dict[str, np.ndarray] = {}
 
-    def integrate(rgb: np.ndarray, depth: np.ndarray, pose: np.ndarray) -> object:
+    def integrate(rgb: np.ndarray, depth: np.ndarray, world_from_camera: np.ndarray) -> object:
         confidence = sure.setdefault("all", np.full(depth.shape, 0.9, np.float32))
-        return fusion.integrate(rgb, depth, confidence, intrinsics, pose)
+        return fusion.integrate(rgb, depth, confidence, intrinsics, world_from_camera)
 
     return fusion, integrate
 
@@ -57,9 +57,13 @@ def tensor_peer(settings: TsdfSettings, intrinsics: np.ndarray) -> tuple[Callabl
     )
     matrix = core.Tensor(intrinsics)
 
-    def integrate(rgb: np.ndarray, depth: np.ndarray, pose: np.ndarray) -> object:
+    def integrate(rgb: np.ndarray, depth: np.ndarray, world_from_camera: np.ndarray) -> object:
         image, colour = o3d.t.geometry.Image(depth), o3d.t.geometry.Image(rgb.astype(np.float32) / 255)
-        extrinsic, far, reach = core.Tensor(np.linalg.inv(pose)), float(settings.max_depth), settings.truncation
+        extrinsic, far, reach = (
+            core.Tensor(np.linalg.inv(world_from_camera)),
+            float(settings.max_depth),
+            settings.truncation,
+        )
         near = grid.compute_unique_block_coordinates(image, matrix, extrinsic, 1.0, far, reach)
         return grid.integrate(near, image, colour, matrix, extrinsic, 1.0, far, reach)
 
@@ -77,7 +81,7 @@ def legacy_peer(
     )
     camera = o3d.camera.PinholeCameraIntrinsic(width, height, intrinsics)
 
-    def integrate(rgb: np.ndarray, depth: np.ndarray, pose: np.ndarray) -> object:
+    def integrate(rgb: np.ndarray, depth: np.ndarray, world_from_camera: np.ndarray) -> object:
         image = o3d.geometry.RGBDImage.create_from_color_and_depth(
             o3d.geometry.Image(np.ascontiguousarray(rgb)),
             o3d.geometry.Image(depth),
@@ -85,7 +89,7 @@ def legacy_peer(
             depth_trunc=float(settings.max_depth),
             convert_rgb_to_intensity=False,
         )
-        return volume.integrate(image, camera, np.linalg.inv(pose))
+        return volume.integrate(image, camera, np.linalg.inv(world_from_camera))
 
     return lambda: len(volume.extract_triangle_mesh().triangles), integrate
 
@@ -95,11 +99,11 @@ Frame = tuple[np.ndarray, np.ndarray, np.ndarray]  # rgb (H,W,3), depth (H,W) mm
 
 def frames_of(folder: Path, count: int) -> Iterator[Frame]:
     """So many frames, spread over the film."""
-    _, poses = read_tum(folder / "trajectory.txt")
-    for index in np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int):
+    _, world_from_camera = read_tum(folder / "trajectory.txt")
+    for index in np.linspace(0, len(world_from_camera) - 1, min(count, len(world_from_camera))).astype(int):
         rgb = cv2.cvtColor(cv2.imread(str(folder / "rgb" / f"{index:05d}.png")), cv2.COLOR_BGR2RGB)
         raw = cv2.imread(str(folder / "depth" / f"{index:05d}.png"), cv2.IMREAD_UNCHANGED)
-        yield rgb, raw.astype(np.float32) * DEPTH_UNIT_MM, poses[index]
+        yield rgb, raw.astype(np.float32) * DEPTH_UNIT_MM, world_from_camera[index]
 
 
 def milliseconds(frames: Iterator[Frame], methods: dict[str, Integrate]) -> dict[str, Any]:

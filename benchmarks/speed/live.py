@@ -15,6 +15,7 @@ in the rates.
 
 import argparse
 import json
+import socket
 import subprocess
 import sys
 import tempfile
@@ -29,6 +30,7 @@ import psutil
 from benchmarks.common.record import environment, spread
 from benchmarks.common.runner import add_folders
 from pipeline.input.video import Source
+from pipeline.report.server import LOOPBACK
 
 POLL_S = 1.0
 COMMAND = "from pipeline.cli.main import main; main()"
@@ -68,14 +70,17 @@ def _session(film: Path, seconds: float, browser: str | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "run"
         words = ["live", str(film.resolve()), "-o", str(out), "--no-browser", "--no-finish", "--loops", str(loops)]
-        process = psutil.Popen(
-            [sys.executable, "-P", "-c", COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
-        address = _address(process)
-        looking = None if browser is None else subprocess.Popen([browser, *FLAGS, address], stderr=subprocess.DEVNULL)
-        memory, began = [], None
+        log, port = Path(scratch) / "log", _free_port()
+        address = f"http://{LOOPBACK}:{port}/"
+        with log.open("w") as file:
+            command = [sys.executable, "-P", "-c", COMMAND, *words, "--port", str(port)]
+            process = psutil.Popen(command, stdout=file, stderr=subprocess.STDOUT)
+        memory, began, looking = [], None, None
         while process.poll() is None:
-            began = began or (time.monotonic() if _has_begun(address) else None)
+            came = _frames_that_came(address)
+            if came is not None and browser is not None and looking is None:
+                looking = subprocess.Popen([browser, *FLAGS, address], stderr=subprocess.DEVNULL)
+            began = began or (time.monotonic() if came else None)
             if began is not None:
                 memory.append((time.monotonic() - began, _resident_mib(process)))
             time.sleep(POLL_S)
@@ -83,7 +88,7 @@ def _session(film: Path, seconds: float, browser: str | None) -> dict[str, Any]:
             looking.terminate()
             looking.wait()
         if process.returncode:
-            raise SystemExit(f"the session of {film} failed: {process.stdout.read()}")
+            raise SystemExit(f"the session of {film} failed: {log.read_text()}")
         figures = json.loads((out / "live.json").read_text())
     counts, after = figures["counts"], figures["surface_after_s"] or {"median": None, "worst": None}
     when, mib = np.array(memory).T
@@ -107,19 +112,18 @@ def _length(film: Path) -> float:
     return seconds[-1] - seconds[0] + float(np.median(np.diff(seconds)))
 
 
-def _address(process: Any) -> str:
-    for line in process.stdout:
-        if "http://" in line:
-            return str(line.split()[0])
-    raise SystemExit("the session said no address")
+def _free_port() -> int:
+    with socket.create_server((LOOPBACK, 0)) as server:
+        return int(server.getsockname()[1])
 
 
-def _has_begun(address: str) -> bool:
+def _frames_that_came(address: str) -> int | None:
+    """By the session's page; None where it does not answer."""
     try:
         with urllib.request.urlopen(address + "state", timeout=10) as answer:
-            return bool(json.load(answer)["counts"]["came"])
+            return int(json.load(answer)["counts"]["came"])
     except OSError:
-        return False
+        return None
 
 
 def _resident_mib(process: Any) -> float:

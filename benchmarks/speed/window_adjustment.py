@@ -106,9 +106,11 @@ def by_ceres(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
     made = time.perf_counter()
     summary = pycolmap.create_default_bundle_adjuster(options, config, model).solve()
     solved = time.perf_counter()
-    poses = np.stack([model.images[k + 1].cam_from_world().matrix() for k in range(len(window.rotation))])
+    cameras_from_world = np.stack([model.images[k + 1].cam_from_world().matrix() for k in range(len(window.rotation))])
     points = np.stack([model.points3D[name].xyz for name in names])
-    result = replace(window, rotation=poses[:, :, :3], translation=poses[:, :, 3], points=points)
+    result = replace(
+        window, rotation=cameras_from_world[:, :, :3], translation=cameras_from_world[:, :, 3], points=points
+    )
     return Adjusted(result, made - begun, solved - made, 2 * summary.ceres_summary.initial_cost)
 
 
@@ -124,8 +126,8 @@ def _ceres_problem(
     row_in_image = np.arange(len(window.camera)) - np.searchsorted(window.camera, window.camera)
     for number, (rotation, translation) in enumerate(zip(window.rotation, window.translation, strict=True)):
         image = pycolmap.Image(f"{number}", pixels[window.camera == number], 1, number + 1)
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), translation)
-        model.add_image_with_trivial_frame(image, pose)
+        camera_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), translation)
+        model.add_image_with_trivial_frame(image, camera_from_world)
         config.add_image(number + 1)
         if window.fixed[number]:
             config.set_constant_rig_from_world_pose(number + 1)
@@ -159,11 +161,11 @@ def by_gtsam(window: Bundle, camera: Camera, stop: Stop) -> Adjusted:
     made = time.perf_counter()
     solved_values = gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
     solved = time.perf_counter()
-    poses = [solved_values.atPose3(X(number)).inverse() for number in range(len(window.rotation))]
+    cameras_from_world = [solved_values.atPose3(X(number)).inverse() for number in range(len(window.rotation))]
     result = replace(
         window,
-        rotation=np.stack([pose.rotation().matrix() for pose in poses]),
-        translation=np.stack([pose.translation() for pose in poses]),
+        rotation=np.stack([transform.rotation().matrix() for transform in cameras_from_world]),
+        translation=np.stack([transform.translation() for transform in cameras_from_world]),
         points=np.stack([solved_values.atPoint3(L(number)) for number in range(len(window.points))]),
     )
     return Adjusted(result, made - begun, solved - made, 2 * graph.error(values))
@@ -180,10 +182,12 @@ def _gtsam_problem(window: Bundle, camera: Camera) -> tuple[gtsam.NonlinearFacto
     for pixel, number, point in zip(pixels, window.camera.tolist(), window.point.tolist(), strict=True):
         graph.add(gtsam.GenericProjectionFactorCal3_S2(pixel, noise, X(number), L(point), lens))
     for number, (rotation, translation) in enumerate(zip(window.rotation, window.translation, strict=True)):
-        pose = gtsam.Pose3(gtsam.Rot3(rotation.T), -rotation.T @ translation)
-        values.insert(X(number), pose)
+        camera_from_world = gtsam.Pose3(gtsam.Rot3(rotation.T), -rotation.T @ translation)
+        values.insert(X(number), camera_from_world)
         if window.fixed[number]:
-            graph.add(gtsam.PriorFactorPose3(X(number), pose, gtsam.noiseModel.Isotropic.Sigma(6, HELD_SIGMA)))
+            graph.add(
+                gtsam.PriorFactorPose3(X(number), camera_from_world, gtsam.noiseModel.Isotropic.Sigma(6, HELD_SIGMA))
+            )
     for number, point in enumerate(window.points):
         values.insert(L(number), point)
     return graph, values

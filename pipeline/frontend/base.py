@@ -12,7 +12,6 @@ from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 
 COLMAP_WORKER = "pipeline.frontend.colmap.worker"  # run in a process of its own
-MIN_FRAMES = 3  # of a submap
 MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
-from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, disjoint
+from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import MIN_FRAMES, Submap
 from pipeline.run_folder.workspace import Workspace
 
 MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pieces is worth another opinion

@@ -129,10 +129,10 @@ class DenseWork:
     ) -> list[SurfacePart]:
         """Fuse what the keyframes before it do not contradict; the parts that changed."""
         parts = self._closed_part() if self._keyframes >= PART_KEYFRAMES else []
-        pose, matrix = keyframe.around.world_from_camera[keyframe.row], self.rectifier.camera.matrix
+        world_from_camera, matrix = keyframe.around.world_from_camera[keyframe.row], self.rectifier.camera.matrix
         config = self.config
         sure = np.where(confidence < config.fusion.min_confidence, np.float32(0), depth)
-        view = DepthView(sure, matrix, pose)
+        view = DepthView(sure, matrix, world_from_camera)
         votes = agreement(view, list(self._views), config.consistency.tolerance)
         self._views.append(view)
         if not sure.any() or votes.is_outvoted(MAX_CONTRADICTED):
@@ -143,7 +143,7 @@ class DenseWork:
             self._part, self._version, self._keyframes = self._part + 1, 0, 0
             self._frames = (keyframe.frame, keyframe.frame)
         remaining = np.where(sure > 0, confidence * votes.weight(SEVERITY), np.float32(0))
-        self._fusion.integrate(rgb, depth, self._near_enough(remaining, depth), matrix, pose)
+        self._fusion.integrate(rgb, depth, self._near_enough(remaining, depth), matrix, world_from_camera)
         self._keyframes, self._frames = self._keyframes + 1, (self._frames[0], keyframe.frame)
         return parts + self._current_part()
 

@@ -10,7 +10,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from pipeline.config import FAST_KEYFRAME_MOTION, Config
 from pipeline.depth.keyframe_selection import is_new_view
-from pipeline.frontend.odometry.state_machine import Odometry, State
+from pipeline.frontend.odometry.tracking import Odometry, State
 from pipeline.live.working_view import WorkingFrame, WorkingView
 from pipeline.mapping.local_map import Keyframe, LocalMap
 from pipeline.mapping.submap import Submap

@@ -167,12 +167,12 @@ class ReviewWork:
 
     def _covered(self, review: Review, job: ReviewJob, moved: CompletedSubmap, corrections: dict[int, Array]) -> Review:
         rays, field_of_view = self._fields
-        poses = moved.submap.world_from_camera
+        world_from_camera = moved.submap.world_from_camera
         try:
             half = half_field_of_view(rays, self.rectifier.camera, self.content)
             edge = EDGE_VOXELS / COARSER * max(part.voxel for part in job.parts)
             mesh = _joined([(part, corrections[part.number]) for part in job.parts])
-            coverage = measure_coverage(mesh, poses, half, "scene units", edge, field_of_view)
+            coverage = measure_coverage(mesh, world_from_camera, half, "scene units", edge, field_of_view)
         except NotATube as reason:
             return replace(review, reason=str(reason))
         latest_from_map = inverse_sim3(corrections[max(corrections)])

@@ -143,10 +143,10 @@ class LiveSession:
             self._keyframes = {tracker.map_number: []}
         state.view = tracker.state
         state.advice = ADVICE.get(tracker.state, "")
-        pose = tracker.world_from_camera
-        if tracker.state == "tracking" and pose is not None:
+        world_from_camera = tracker.world_from_camera
+        if tracker.state == "tracking" and world_from_camera is not None:
             state.counts.posed += 1
-            state.add_pose(frame.number, pose, tracker.map_number)
+            state.add_pose(frame.number, world_from_camera, tracker.map_number)
         elif tracker.last_keyframe is not None:
             if state.view == "starting":
                 state.view, state.advice = "lost", ADVICE["lost"]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from haustra.core.progress import ProgressCallback, no_progress
+from haustra.core.progress import Progress, ProgressCallback, no_progress
 from haustra.core.se3 import Array, in_camera, inverse, scaled
-from pipeline.mapping.feature_matching import MatchedFeatures, incidence, match_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all, fit_points, growth
+from pipeline.matching.feature_matching import MatchedFeatures, match_features
 from pipeline.matching.feature_tracks import FeatureTracks
 from pipeline.matching.sift import FindFeatures
 
@@ -27,6 +27,35 @@ MIN_COMMON = 12  # features that hold two keyframes together
 MAX_FOLLOWING = 0.1  # share of keyframes that may follow
 
 
+def adjust_maps(
+    maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
+) -> list[float | None]:
+    """The last adjustment of each map: to its features (`adjust_maps_to_features`, which says what is returned); where
+    these do not hold it, to its corners, `changed` or not (see `adjust_all`)."""
+    held = adjust_maps_to_features(maps, find, progress)
+    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+        with progress.bar("adjusting to corners", None) as advance:
+            adjust_all(local_map, changed, advance)
+    return held
+
+
+def adjust_maps_to_features(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
+    """Every map moved to where its own features have it; of each, how wide the features were at most, pixels. Maps that
+    they do not hold (None) stay as they are, and a sentence says so."""
+    if not maps:
+        return []
+    held = []
+    for local_map in maps:
+        with progress.bar("adjusting to features", None) as advance:
+            held.append(adjust_to_features(local_map, find, advance))
+    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+        first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
+        progress.log(
+            f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
+        )
+    return held
+
+
 def adjust_to_features(
     local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress
 ) -> float | None:
@@ -37,7 +66,8 @@ def adjust_to_features(
     The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
-    matched = match_features(local_map, find, advance)
+    views = [local_map.sparse_view(keyframe) for keyframe in local_map.keyframes]
+    matched = match_features(views, local_map.incidence(), local_map.rays, find, advance)
     cameras_from_world = [keyframe.camera_from_world for keyframe in local_map.keyframes]
     world = [
         f.world_points(camera_from_world)
@@ -93,7 +123,7 @@ def _is_held(local_map: LocalMap, among: NDArray[np.bool_], typical: float) -> b
     """Whether the tracks `among` (T,) are many, few keyframes are left to follow, and all others hang together."""
     if len(local_map.keyframes) < 2:
         return False
-    seen = incidence(local_map, among)
+    seen = local_map.incidence(among)
     count = np.diff(seen.indptr)
     fixed = np.flatnonzero(count >= MIN_SEEN)
     if len(fixed) < (1 - MAX_FOLLOWING) * len(count) or np.median(count) < typical:

@@ -11,9 +11,11 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, compose, in_camera, inverse, scaled
+from pipeline.matching.keyframe_features import SparseView
 from pipeline.optimization.triangulation import triangulate
 
 WINDOW = 8  # latest keyframes, those that a local bundle adjustment moves
@@ -197,6 +199,20 @@ class LocalMap:
         """World points (N,3) of the keyframe's tracks that have one, and where it saw them, pixels (N,2)."""
         has_point = self.tracks.has_point[keyframe.ids]
         return self.tracks.points[keyframe.ids[has_point]], keyframe.pixels[has_point]
+
+    def sparse_view(self, keyframe: Keyframe) -> SparseView:
+        """The keyframe and its points as features are matched by them."""
+        points, pixels = self.visible_points(keyframe)
+        local = in_camera(keyframe.camera_from_world, points)
+        return SparseView(keyframe.frame, keyframe.camera_from_world, local, pixels)
+
+    def incidence(self, among: NDArray[np.bool_] | None = None) -> csr_array:
+        """(keyframes, tracks) ones where a keyframe sees a known point, `among` (T,) these tracks."""
+        usable = self.tracks.has_point if among is None else self.tracks.has_point & among
+        ids = [np.unique(k.ids[usable[k.ids]]) for k in self.keyframes]
+        starts = np.concatenate([[0], np.cumsum([len(i) for i in ids])])
+        columns = np.concatenate([np.zeros(0, np.int64), *ids])
+        return csr_array((np.ones(len(columns)), columns, starts), shape=(len(ids), len(usable)))
 
     def median_depth(self, keyframe: Keyframe) -> float:
         """Of the keyframe's points; 1 if it has none."""

@@ -20,7 +20,7 @@ MAX_ERROR_PX = 2.0  # of an observation that is kept
 CHUNK = 50_000  # points fitted at once: a few hundred megabytes
 
 LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
-PIECE = 60  # keyframes that are adjusted at once while a long map is straightened
+PIECE = 60  # keyframes that are adjusted at once of a long map
 FIXED_KEYFRAMES = 30  # older ones that hold them
 REFERENCES = 5  # keyframes at a piece's end that say by how much it grew; the last one, how it moved
 MIN_POINTS = 20  # points of such a keyframe
@@ -28,7 +28,7 @@ MOST_GROWTH = 3.0  # of a piece; the tracker's unit has drifted by half over two
 FINAL_ITERATIONS = 25
 # With the usual 1e-4 the first steps leave a bend where it is, gain nothing, and are taken for the last ones.
 FINAL_DAMPING = 1e-8
-FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and straightening it gains little at each step
+FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and taking that back gains little at each step
 LOSS_SCHEDULE = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
 
 Mask = NDArray[np.bool_]
@@ -146,7 +146,7 @@ def _adjust_progressively(local_map: LocalMap, advance: ProgressCallback, among:
     """
     for end in range(PIECE, len(local_map.keyframes), PIECE // 2):
         piece = range(end - PIECE // 2, end)
-        advance(end, len(local_map.keyframes), "straightening")
+        advance(end, len(local_map.keyframes), "adjusting a long map in pieces")
         cameras_from_world = [local_map.keyframes[number].camera_from_world for number in piece]
         before = local_map.tracks.points.copy()
         for loss_px, _ in LOSS_SCHEDULE:

@@ -55,21 +55,21 @@ def _map(arrays: np.lib.npyio.NpzFile, prefix: str, rays: RayTable) -> LocalMap:
     result.tracks.reserve(used)
     for name, key in (("points", "points"), ("has_point", "known"), ("rejected", "barred")):  # keys since 0.1
         getattr(result.tracks, name)[:used] = read[key]
-    for frame, pose, ids, pixels in zip(
+    for frame, camera_from_world, ids, pixels in zip(
         read["keyframe_frames"].tolist(),
         read["keyframe_poses"],
         *_parts(read["keyframe_counts"], read["keyframe_ids"], read["keyframe_pixels"]),
         strict=True,
     ):
-        result.add_keyframe(frame, pose, ids, pixels)
-    for frame, keyframe, pose, ids, pixels in zip(
+        result.add_keyframe(frame, camera_from_world, ids, pixels)
+    for frame, keyframe, camera_from_keyframe, ids, pixels in zip(
         read["posed_frames"].tolist(),
         read["posed_keyframes"].tolist(),
         read["posed_poses"],
         *_parts(read["posed_counts"], read["posed_ids"], read["posed_pixels"]),
         strict=True,
     ):
-        result.tracked_frames.append(TrackedFrame(frame, keyframe, pose, ids, pixels))
+        result.tracked_frames.append(TrackedFrame(frame, keyframe, camera_from_keyframe, ids, pixels))
     return result
 
 

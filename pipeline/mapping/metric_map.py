@@ -4,12 +4,20 @@ measured at its observations."""
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.progress import Progress
 from haustra.core.se3 import in_camera
 from pipeline.mapping.local_map import DepthAt, Keyframe, LocalMap
 from pipeline.optimization.depth_residuals import MeasuredDepth
 
 FEWEST = 30  # observations with depth, without which a map has no scale
 LEAST_ERROR = 0.003  # share of the depth; a cell of a sensor covers some wall, whatever it says of its noise
+
+
+def make_all_metric(maps: list[LocalMap], depth_at: DepthAt, progress: Progress) -> None:
+    """Maps that a sensor saw enough of in millimetres, to be adjusted with what it measured."""
+    scales = [make_metric(local_map, depth_at) for local_map in maps if local_map.depth_at is None]
+    if None in scales:
+        progress.log(f"the sensor saw too few points of {scales.count(None)} of {len(maps)} maps to adjust them by it")
 
 
 def make_metric(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None = None) -> float | None:

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 
+MIN_FRAMES = 3  # of a submap that is kept
+
 
 @dataclass(frozen=True)
 class Submap:
@@ -16,8 +18,8 @@ class Submap:
     frames: (N,) source frame index, ascending. world_from_camera: (N,4,4). points: (P,3). error_px: (P,) mean
     reprojection error. observations: (M,2) row in `frames` and row in `points`. pixels: (M,2), structure camera's
     image, COLMAP's convention. camera_params: as refined with it. camera_sigma: standard deviations of
-    the refined ones, focal length first; empty if the camera was given. followed: (P,) points of corners that were
-    followed from frame to frame, the others were found in each frame for itself; None if none was followed.
+    the refined ones, focal length first; empty if the camera was given. klt: (P,) points of corners that were
+    tracked from frame to frame, the others were found in each frame for itself; None if none was tracked.
     """
 
     frames: NDArray[np.int64]
@@ -32,7 +34,7 @@ class Submap:
 
     @property
     def is_klt(self) -> NDArray[np.bool_]:
-        """(P,) `followed`, whatever the front end."""
+        """(P,) `klt`, whatever the front end."""
         return np.zeros(len(self.points), dtype=bool) if self.klt is None else self.klt
 
     @property

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from haustra.core.se3 import Array, in_camera, inverse
 from haustra.core.sim3 import transform_points
-from pipeline.mapping.feature_matching import features_of_keyframe
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.depth_interpolation import interpolate_inverse_depth
-from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures
+from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, features_of_view
 from pipeline.matching.place_recognition import retrieve, similarities
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import (
@@ -50,8 +49,11 @@ EXPANDED = 5  # matches, those with most inliers, around which keyframes are ask
 
 def features_of_map(local_map: LocalMap, find: FindFeatures) -> list[KeyframeFeatures]:
     """Of evenly spaced keyframes, those with enough features to be compared."""
-    step = -(-len(local_map.keyframes) // MOST_KEYFRAMES)
-    found = [features_of_keyframe(local_map, k, find) for k in range(0, len(local_map.keyframes), max(1, step))]
+    step = max(1, -(-len(local_map.keyframes) // MOST_KEYFRAMES))
+    found = [
+        features_of_view(number, local_map.sparse_view(local_map.keyframes[number]), local_map.rays, find)
+        for number in range(0, len(local_map.keyframes), step)
+    ]
     return [features for features in found if len(features) >= MIN_FEATURES]
 
 

@@ -5,14 +5,18 @@ explains in both pictures, one and the same similarity for all of them, and born
 both sides.
 """
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.progress import Progress
 from haustra.core.se3 import in_camera
 from haustra.core.sim3 import scale_of, transform_camera, transform_points
+from pipeline.mapping.final_adjustment import adjust_maps_to_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.submap_matching import (
     AROUND,
     MapFeatures,
@@ -38,6 +42,39 @@ class Merged:
 
     map: LocalMap
     members: tuple[int, ...]
+
+
+def merge_and_adjust(
+    maps: list[LocalMap], held: list[float | None], find: FindFeatures, seed: int, progress: Progress
+) -> tuple[list[LocalMap], int]:
+    """Maps that saw the same places made one, and how many joins there were. held: of each map how wide the features
+    are that it was adjusted to, as `adjust_maps` gives it.
+
+    Each map must have been adjusted: where its scale bends, it is another at its end than elsewhere. A merged map is
+    adjusted to the features of the whole. Where these are too few, though the parts had enough, the parts are given
+    back as they were.
+    """
+    if len(maps) < 2:
+        return maps, 0
+    apart = copy.deepcopy(maps)
+    with progress.bar("merging submaps", None):
+        merged = merge_maps(maps, find, seed)
+    result: list[LocalMap] = []
+    for whole in merged:
+        if len(whole.members) == 1:
+            result.append(whole.map)
+            continue
+        (by,) = adjust_maps_to_features([whole.map], find, progress)
+        before = [width for width in (held[number] for number in whole.members) if width is not None]
+        if len(before) < len(whole.members):  # one of them never was
+            if by is None:
+                adjust_all(whole.map, changed=True)
+        elif by is None or by > max(before):
+            progress.log(f"{len(before)} submaps stay separate: they match, but too few features agree after merging")
+            result += [apart[number] for number in whole.members]
+            continue
+        result.append(whole.map)
+    return result, len(maps) - len(result)
 
 
 def merge_maps(maps: list[LocalMap], find: FindFeatures, seed: int) -> list[Merged]:

@@ -6,12 +6,21 @@ from numpy.typing import NDArray
 from haustra.core.se3 import Array, compose, inverse
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import MIN_FRAMES, Submap
 from pipeline.optimization.bundle_adjustment import reprojections
 from pipeline.optimization.resection import refine_poses
 
 MIN_SEEN = 8  # points that a frame must see to be called posed
 CHUNK = 500  # frames refined at once
+
+
+def submaps_of(
+    maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = (), kind: TrackKind | None = None
+) -> list[Submap]:
+    """Of the maps that are long enough, most frames first; kind: see `to_submap`."""
+    found = [to_submap(local_map, params, sigma, kind) for local_map in maps]
+    kept = [submap for submap in found if submap is not None and len(submap.frames) >= MIN_FRAMES]
+    return sorted(kept, key=lambda submap: -len(submap.frames))
 
 
 def to_submap(

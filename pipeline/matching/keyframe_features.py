@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay, cKDTree
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, in_camera, inverse
 from pipeline.matching.depth_interpolation import delaunay, interpolate_inverse_depth
-from pipeline.matching.sift import SiftFeatures, rootsift
+from pipeline.matching.sift import FindFeatures, SiftFeatures, rootsift
 
 MIN_FEATURES = 25  # of a keyframe that is compared with others
 
@@ -55,6 +55,29 @@ class KeyframeFeatures:
         return KeyframeFeatures(
             keyframe, flat, np.zeros((0, 128), np.uint8), np.zeros((0, 3)), empty, np.zeros(0, bool)
         )
+
+
+@dataclass(frozen=True)
+class SparseView:
+    """A keyframe as its features are lifted: its frame's number, camera_from_world (4,4), and its sparse points, (K,3)
+    in the camera's axes, seen at pixels (K,2)."""
+
+    frame: int
+    camera_from_world: Array
+    points: Array
+    pixels: Array
+
+
+def features_of_view(
+    number: int, view: SparseView, rays: RayTable, find: FindFeatures, extrapolate: bool = False
+) -> KeyframeFeatures:
+    """Of keyframe `number`; none where it sees too few points. extrapolate: see `lift_features`."""
+    if len(view.points) < MIN_FEATURES:
+        return KeyframeFeatures.none(number)
+    depth = view.points[:, 2]
+    front = depth > 0
+    enough = extrapolate and int(front.sum()) >= MIN_FEATURES
+    return lift_features(number, find(view.frame), rays, view.pixels[front], depth[front], enough)
 
 
 def lift_features(

@@ -36,13 +36,13 @@ class DataSetTruth:
 
     def _views(self, camera: Camera) -> Iterator[tuple[Array, Array]]:
         rays, step = None, views_apart(len(self.world_from_camera))
-        for number, (depth, pose) in enumerate(zip(self.depths, self.world_from_camera, strict=False)):
+        for number, (depth, world_from_camera) in enumerate(zip(self.depths, self.world_from_camera, strict=False)):
             if number % step:
                 continue
             rays = _rays(camera, depth.shape) if rays is None else rays
             known = (depth > 0) & (rays[1] > 0)
             points = rays[0][known] * depth[known, None].astype(np.float64)
-            yield points @ pose[:3, :3].T + pose[:3, 3], depth[known].astype(np.float64)
+            yield points @ world_from_camera[:3, :3].T + world_from_camera[:3, 3], depth[known].astype(np.float64)
 
 
 def views_apart(count: int) -> int:

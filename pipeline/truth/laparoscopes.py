@@ -48,13 +48,13 @@ def read_scared(folder: Path) -> DataSetTruth | None:
     except (KeyError, TypeError, ValueError) as error:
         raise HaustraError(f"{base}: frame_data lacks camera-pose, or KL and DL of camera-calibration") from error
     points = _points(base, len(frames))
-    inverted: Array = np.stack([inverse(pose) for pose in stored]).astype(np.float64)
-    poses: Array = stored if _fit(stored, points) < _fit(inverted, points) else inverted
+    inverted: Array = np.stack([inverse(matrix) for matrix in stored]).astype(np.float64)
+    world_from_camera: Array = stored if _fit(stored, points) < _fit(inverted, points) else inverted
     if not points:
-        return DataSetTruth(poses)
+        return DataSetTruth(world_from_camera)
     height, width = depth_of_points(points[min(points)]).shape
     camera = Camera(calibrated.model, width, height, calibrated.params)
-    return DataSetTruth(poses, depths=_depths(points, len(frames), (height, width)), camera=camera)
+    return DataSetTruth(world_from_camera, depths=_depths(points, len(frames), (height, width)), camera=camera)
 
 
 def read_stereomis(folder: Path) -> DataSetTruth | None:
@@ -68,10 +68,10 @@ def read_stereomis(folder: Path) -> DataSetTruth | None:
         raise HaustraError(f"{path} must have eight numbers on each line") from error
     if table.ndim != 2 or table.shape[1] != 8 or not np.isfinite(table).all():
         raise HaustraError(f"{path} must have eight finite numbers on each line")
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
-    poses[:, :3, 3] = MM_PER_M * table[:, 1:4]
-    return DataSetTruth(poses)
+    world_from_camera = np.tile(np.eye(4), (len(table), 1, 1))
+    world_from_camera[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+    world_from_camera[:, :3, 3] = MM_PER_M * table[:, 1:4]
+    return DataSetTruth(world_from_camera)
 
 
 def read_hamlyn(folder: Path) -> DataSetTruth | None:
@@ -123,22 +123,24 @@ def _points(base: Path, count: int) -> dict[int, Path]:
     return {number: path for path in files if (number := _number(path.stem)) < count}
 
 
-def _fit(poses: Array, points: dict[int, Path]) -> float:
+def _fit(world_from_camera: Array, points: dict[int, Path]) -> float:
     """Median distance, mm, from one frame's points to those of another far from it, both in the world; infinite
     without two."""
     if len(points) < 2:
         return np.inf
     first = min(points)
-    other = max(points, key=lambda k: float(np.linalg.norm(poses[k, :3, 3] - poses[first, :3, 3])))
-    here, there = (_world(poses[k], points[k]) for k in (first, other))
+    other = max(
+        points, key=lambda k: float(np.linalg.norm(world_from_camera[k, :3, 3] - world_from_camera[first, :3, 3]))
+    )
+    here, there = (_world(world_from_camera[k], points[k]) for k in (first, other))
     return float(np.median(cKDTree(here).query(there)[0])) if len(here) and len(there) else np.inf
 
 
-def _world(pose: Array, path: Path) -> Array:
+def _world(world_from_camera: Array, path: Path) -> Array:
     points = points_of(path)
     local = points[points[..., 2] > 0].astype(np.float64)
     local = local[:: max(1, len(local) // THINNED)]
-    return np.asarray(local @ pose[:3, :3].T + pose[:3, 3])
+    return np.asarray(local @ world_from_camera[:3, :3].T + world_from_camera[:3, 3])
 
 
 def _depths(points: dict[int, Path], count: int, shape: tuple[int, int]) -> Iterator[NDArray[np.float32]]:

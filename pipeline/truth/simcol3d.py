@@ -33,7 +33,7 @@ def read_simcol3d(folder: Path) -> DataSetTruth | None:
 
 def right_handed(places: Array, quaternions: Array) -> Array:
     """world_from_camera (N,4,4), OpenCV's axes, of Unity's places (N,3) and quaternions x y z w (N,4)."""
-    poses = np.tile(np.eye(4), (len(places), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
-    poses[:, :3, 3] = places
-    return np.asarray(MIRROR @ poses @ MIRROR)
+    world_from_camera = np.tile(np.eye(4), (len(places), 1, 1))
+    world_from_camera[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+    world_from_camera[:, :3, 3] = places
+    return np.asarray(MIRROR @ world_from_camera @ MIRROR)

@@ -131,20 +131,20 @@ def _matched(
 ) -> list[tuple[tuple[Frames, Array], Array]]:
     """Of each submap the frames that the reference has and no submap before it, its poses and the true ones."""
     row_of, claimed, found = {int(frame): row for row, frame in enumerate(frames)}, set[int](), []
-    for numbers, poses in submaps:
-        poses = checked_poses(poses)
+    for numbers, world_from_camera in submaps:
+        world_from_camera = checked_poses(world_from_camera)
         rows = [k for k, frame in enumerate(numbers) if int(frame) in row_of and int(frame) not in claimed]
         claimed |= {int(numbers[k]) for k in rows}
         theirs = [row_of[int(numbers[k])] for k in rows]
-        found.append(((np.asarray(numbers, np.int64)[rows], poses[rows]), truth[theirs]))
+        found.append(((np.asarray(numbers, np.int64)[rows], world_from_camera[rows]), truth[theirs]))
     return found
 
 
-def _submap_errors(frames: Frames, poses: Array, truth: Array) -> tuple[Array, list[tuple[Array, Array]]]:
+def _submap_errors(frames: Frames, world_from_camera: Array, truth: Array) -> tuple[Array, list[tuple[Array, Array]]]:
     """Distances (N,) of the centres after the submap's Sim(3); per interval, errors of motions in mm and degrees."""
-    truth_from_estimate = umeyama(poses[:, :3, 3], truth[:, :3, 3], with_scale=True)
+    truth_from_estimate = umeyama(world_from_camera[:, :3, 3], truth[:, :3, 3], with_scale=True)
     scale = float(scale_of(truth_from_estimate))
-    aligned = truth_from_estimate @ poses
+    aligned = truth_from_estimate @ world_from_camera
     aligned[:, :3, :3] /= scale
     distance = np.linalg.norm(aligned[:, :3, 3] - truth[:, :3, 3], axis=1)
     row_of = {int(frame): row for row, frame in enumerate(frames)}

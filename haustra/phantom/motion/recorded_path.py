@@ -44,10 +44,10 @@ def read_recording(path: Path) -> tuple[Array, Array]:
         raise PhantomError(f"{path}: not a TUM trajectory (lines of 8 numbers: seconds, position, quaternion)")
     if len(rows) < SHORTEST or not (np.diff(rows[:, 0]) > 0).all():
         raise PhantomError(f"{path}: needs at least {SHORTEST} poses in order of time, has {len(rows)}")
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
-    poses[:, :3, 3] = rows[:, 1:4]
-    return rows[:, 0], poses
+    world_from_camera = np.tile(np.eye(4), (len(rows), 1, 1))
+    world_from_camera[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
+    world_from_camera[:, :3, 3] = rows[:, 1:4]
+    return rows[:, 0], world_from_camera
 
 
 def replay(colon: Colon, caster: RayCaster, motion: MotionConfig, seconds: Array, recorded: Array) -> Array:
@@ -72,10 +72,10 @@ def replay(colon: Colon, caster: RayCaster, motion: MotionConfig, seconds: Array
     placed = centre + frames[..., 0] * sway[:, :1] + frames[..., 1] * sway[:, 1:]
     placed = keep_off(placed, centre, colon, caster, np.full(motion.frames, motion.clearance_mm))
     goal, goal_frames = colon.line.at(arc + motion.ahead_mm)
-    poses = np.tile(np.eye(4), (motion.frames, 1, 1))
-    poses[:, :3, :3] = look_at(goal - placed, goal_frames[..., 1]) @ (slow.inv() * turns).as_matrix()
-    poses[:, :3, 3] = placed
-    return poses
+    world_from_camera = np.tile(np.eye(4), (motion.frames, 1, 1))
+    world_from_camera[:, :3, :3] = look_at(goal - placed, goal_frames[..., 1]) @ (slow.inv() * turns).as_matrix()
+    world_from_camera[:, :3, 3] = placed
+    return world_from_camera
 
 
 def _resampled(seconds: Array, recorded: Array, motion: MotionConfig) -> tuple[Rotation, Array]:

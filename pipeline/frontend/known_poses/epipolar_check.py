@@ -51,34 +51,34 @@ class PoseCheck:
     depth: float
 
 
-def _inverted(poses: Array) -> Array:
-    turned = np.swapaxes(poses[:, :3, :3], 1, 2)
-    result = np.tile(np.eye(4), (len(poses), 1, 1))
-    result[:, :3, :3], result[:, :3, 3] = turned, -np.einsum("nij,nj->ni", turned, poses[:, :3, 3])
+def _inverted(world_from_camera: Array) -> Array:
+    turned = np.swapaxes(world_from_camera[:, :3, :3], 1, 2)
+    result = np.tile(np.eye(4), (len(world_from_camera), 1, 1))
+    result[:, :3, :3], result[:, :3, 3] = turned, -np.einsum("nij,nj->ni", turned, world_from_camera[:, :3, 3])
     return result
 
 
-def _scalar_first(poses: Array) -> Array:
+def _scalar_first(world_from_camera: Array) -> Array:
     """As if the file's quaternions had w before x y z."""
-    w, x, y, z = Rotation.from_matrix(poses[:, :3, :3]).as_quat().T
-    result = poses.copy()
+    w, x, y, z = Rotation.from_matrix(world_from_camera[:, :3, :3]).as_quat().T
+    result = world_from_camera.copy()
     result[:, :3, :3] = Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix()
     return result
 
 
 AS_GIVEN = "world_from_camera in OpenCV's axes"
 READINGS: dict[str, Callable[[Array], Array]] = {
-    AS_GIVEN: lambda poses: poses,
+    AS_GIVEN: lambda p: p,
     "camera_from_world, that is, inverted": _inverted,
-    "world_from_camera in OpenGL's axes (y up, z backwards)": lambda poses: poses @ Y_UP,
-    "camera_from_world in OpenGL's axes": lambda poses: _inverted(poses) @ Y_UP,
+    "world_from_camera in OpenGL's axes (y up, z backwards)": lambda p: p @ Y_UP,
+    "camera_from_world in OpenGL's axes": lambda p: _inverted(p) @ Y_UP,
     "world_from_camera of a left-handed world (y down in the camera, up in the file)": lambda p: MIRROR @ p @ MIRROR,
     "world_from_camera with w before x y z in its quaternions": _scalar_first,
 }
 
 
 def check_poses(
-    path: Path, frames: Sequence[int], poses: Array, rays: RayTable, find: FindFeatures, fits: float = FITS
+    path: Path, frames: Sequence[int], world_from_camera: Array, rays: RayTable, find: FindFeatures, fits: float = FITS
 ) -> PoseCheck:
     """Test world_from_camera (N,4,4) of frames. HaustraError, one sentence, where another reading of the file fits the
     pictures, or none does; fits: the share of inliers that is asked for."""
@@ -89,7 +89,7 @@ def check_poses(
             f"the poses of {path} cannot be tested: no two of {len(frames)} posed frames show the same from places "
             "apart"
         )
-    share = {name: _inlier_share(pairs, read(poses), rays.focal_px) for name, read in READINGS.items()}
+    share = {name: _inlier_share(pairs, read(world_from_camera), rays.focal_px) for name, read in READINGS.items()}
     given, best = share[AS_GIVEN], max(share, key=lambda name: share[name])
     counted = f"{100 * share[best]:.0f} % of {asked} matches lie on their epipolar lines"
     if share[best] >= fits and share[best] > given + CLEARLY:
@@ -102,7 +102,7 @@ def check_poses(
             f"the poses of {path} are not those of these pictures: read in any axes, at most {counted}; are they of "
             "another film, shifted in time, or is the lens another one (--camera)?"
         )
-    return PoseCheck(asked, given, _median_depth(pairs, poses, rays.focal_px))
+    return PoseCheck(asked, given, _median_depth(pairs, world_from_camera, rays.focal_px))
 
 
 def matched_pairs(frames: Sequence[int], rays: RayTable, find: FindFeatures) -> list[MatchedPair]:
@@ -136,19 +136,19 @@ def unit_rays(rays: RayTable, pixels: Array) -> Array:
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
-def _inlier_share(pairs: list[MatchedPair], poses: Array, focal_px: float) -> float:
-    good = np.concatenate([inliers(pair, poses, focal_px)[0] for pair in pairs])
+def _inlier_share(pairs: list[MatchedPair], world_from_camera: Array, focal_px: float) -> float:
+    good = np.concatenate([inliers(pair, world_from_camera, focal_px)[0] for pair in pairs])
     return float(good.mean())
 
 
-def _median_depth(pairs: list[MatchedPair], poses: Array, focal_px: float) -> float:
-    found = [inliers(pair, poses, focal_px) for pair in pairs]
+def _median_depth(pairs: list[MatchedPair], world_from_camera: Array, focal_px: float) -> float:
+    found = [inliers(pair, world_from_camera, focal_px) for pair in pairs]
     return float(np.median(np.concatenate([depth[good] for good, depth in found])))
 
 
-def inliers(pair: MatchedPair, poses: Array, focal_px: float) -> tuple[NDArray[np.bool_], Array]:
+def inliers(pair: MatchedPair, world_from_camera: Array, focal_px: float) -> tuple[NDArray[np.bool_], Array]:
     """(K,) whether each match lies on its epipolar line and before both cameras, and (K,) its depth in the first."""
-    here, there = poses[pair.rows[0]], poses[pair.rows[1]]
+    here, there = world_from_camera[pair.rows[0]], world_from_camera[pair.rows[1]]
     turn = there[:3, :3].T @ here[:3, :3]
     shift = there[:3, :3].T @ (here[:3, 3] - there[:3, 3])
     turned = pair.first @ turn.T

@@ -16,7 +16,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.base import MIN_FRAMES, FoundSubmap, FrontEndResult
+from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map, choose_frames
 from pipeline.frontend.odometry.frame_io import frame_reader
@@ -25,7 +25,7 @@ from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import adjust_all
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import MIN_FRAMES, Submap
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
@@ -53,52 +53,54 @@ class KnownPosesFrontEnd:
             raise HaustraError(
                 f"{table.path} has poses of {len(index)} of the {len(frames.index)} usable frames; three are needed"
             )
-        poses = np.stack([by_frame[frame] for frame in index.tolist()])
+        given = np.stack([by_frame[frame] for frame in index.tolist()])
         rays, refine = RayTable(frames.camera), settings.poses.refine
         with single_threaded(), SiftCache(frame_reader(workspace)) as find:
-            check = check_poses(table.path, index.tolist(), poses, rays, find, ROUGHLY_FITS if refine else FITS)
+            check = check_poses(table.path, index.tolist(), given, rays, find, ROUGHLY_FITS if refine else FITS)
             progress.log(
                 f"poses of {table.path.name}: {len(index)} of {len(frames.index)} frames; "
                 f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"
             )
             motion = settings.odometry.keyframe_motion * frames.camera.width
-            rows = choose_frames(poses, check.depth, rays.focal_px, motion)
+            rows = choose_frames(given, check.depth, rays.focal_px, motion)
             with progress.bar("triangulation", len(rows)) as advance:
-                local_map = build_map(index[rows].tolist(), poses[rows], rays, find, refine, advance)
+                local_map = build_map(index[rows].tolist(), given[rows], rays, find, refine, advance)
                 if refine:
                     adjust_all(local_map, True, advance)
         submap = to_submap(local_map, frames.camera.params, refit=refine)
         if submap is None:
             raise HaustraError(f"the poses of {table.path} triangulate no points that {MIN_FRAMES} frames see")
-        whole = _with_all_frames(submap, index, _moved(local_map, poses, rows) if refine else poses)
+        whole = _with_all_frames(submap, index, _moved(local_map, given, rows) if refine else given)
         if refine:
-            whole = in_world_of(whole, poses)
+            whole = in_world_of(whole, given)
         return FrontEndResult({NAME: [FoundSubmap(whole)]}, {"inliers": check.inliers})
 
 
-def _moved(local_map: LocalMap, poses: Array, rows: NDArray[np.int64]) -> Array:
+def _moved(local_map: LocalMap, given: Array, rows: NDArray[np.int64]) -> Array:
     """All poses (N,4,4) after the keyframes, at `rows`, were adjusted: frames between them follow the last one."""
     now = np.stack([inverse(keyframe.camera_from_world) for keyframe in local_map.keyframes])
-    last = np.maximum(np.searchsorted(rows, np.arange(len(poses)), side="right") - 1, 0)
-    return np.stack([now[k] @ inverse(poses[rows[k]]) @ pose for k, pose in zip(last, poses, strict=True)])
+    last = np.maximum(np.searchsorted(rows, np.arange(len(given)), side="right") - 1, 0)
+    return np.stack([now[k] @ inverse(given[rows[k]]) @ posed for k, posed in zip(last, given, strict=True)])
 
 
-def _with_all_frames(submap: Submap, index: NDArray[np.int64], poses: Array) -> Submap:
+def _with_all_frames(submap: Submap, index: NDArray[np.int64], given: Array) -> Submap:
     """The submap with every frame that has a pose; those between keyframes saw no point."""
     observations = submap.observations.copy()
     observations[:, 0] = np.searchsorted(index, submap.frames)[observations[:, 0]]
-    world_from_camera = np.array(poses, np.float64)
+    world_from_camera = np.array(given, np.float64)
     world_from_camera[np.searchsorted(index, submap.frames)] = submap.world_from_camera
     return replace(submap, frames=index, world_from_camera=world_from_camera, observations=observations)
 
 
-def in_world_of(submap: Submap, poses: Array) -> Submap:
+def in_world_of(submap: Submap, world_from_camera: Array) -> Submap:
     """The adjusted submap brought back to the world and the unit of the poses given (N,4,4).
 
     The turn is the mean one of the cameras', which a straight path tells, too; scale and shift are of their centres.
     """
-    centres, given = submap.centres, poses[:, :3, 3]
-    turn = Rotation.from_matrix(poses[:, :3, :3] @ np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)).mean()
+    centres, given = submap.centres, world_from_camera[:, :3, 3]
+    turn = Rotation.from_matrix(
+        world_from_camera[:, :3, :3] @ np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)
+    ).mean()
     spread, wanted = turn.apply(centres - centres.mean(axis=0)), given - given.mean(axis=0)
     scale = float((spread * wanted).sum() / np.maximum((spread**2).sum(), 1e-300))
     shift = given.mean(axis=0) - scale * turn.apply(centres.mean(axis=0))

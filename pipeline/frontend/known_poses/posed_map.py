@@ -13,10 +13,10 @@ from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from pipeline.frontend.known_poses.epipolar_check import MatchedPair, inliers, unit_rays
-from pipeline.mapping.feature_matching import match_features
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.matching.descriptor_matching import match_descriptors
+from pipeline.matching.feature_matching import match_features
 from pipeline.matching.feature_tracks import FeatureTracks, join_features
 from pipeline.matching.sift import FindFeatures, rootsift
 
@@ -25,14 +25,14 @@ MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that are given err less 
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
 
 
-def choose_frames(poses: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
+def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
     """Rows of the keyframes: the first, and each whose view at the median depth has moved by `motion_px`.
 
-    poses: world_from_camera (N,4,4); depth: of the wall, in the poses' unit.
+    depth: of the wall, in the unit of world_from_camera (N,4,4).
     """
     chosen = [0]
-    for row in range(1, len(poses)):
-        last, now = poses[chosen[-1]], poses[row]
+    for row in range(1, len(world_from_camera)):
+        last, now = world_from_camera[chosen[-1]], world_from_camera[row]
         turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1))
         moved = np.linalg.norm(now[:3, 3] - last[:3, 3]) / depth
         if focal_px * (turned + moved) >= motion_px:
@@ -41,17 +41,23 @@ def choose_frames(poses: Array, depth: float, focal_px: float, motion_px: float)
 
 
 def build_map(
-    frames: Sequence[int], poses: Array, rays: RayTable, find: FindFeatures, rough: bool, advance: ProgressCallback
+    frames: Sequence[int],
+    world_from_camera: Array,
+    rays: RayTable,
+    find: FindFeatures,
+    rough: bool,
+    advance: ProgressCallback,
 ) -> LocalMap:
     """Keyframes at world_from_camera (N,4,4) and their points. rough: the poses are to be adjusted, so that points stay
     that they do not fit."""
-    seed = _with_keyframes(frames, poses, rays)
-    _insert(seed, *_neighbour_tracks(frames, poses, rays, find, advance))
+    seed = _with_keyframes(frames, world_from_camera, rays)
+    _insert(seed, *_neighbour_tracks(frames, world_from_camera, rays, find, advance))
     _triangulate(seed)
-    matched = match_features(seed, find, advance)
+    views = [seed.sparse_view(keyframe) for keyframe in seed.keyframes]
+    matched = match_features(views, seed.incidence(), rays, find, advance)
     cameras_from_world = [keyframe.camera_from_world for keyframe in seed.keyframes]
     world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
-    result = _with_keyframes(frames, poses, rays)
+    result = _with_keyframes(frames, world_from_camera, rays)
     _insert(result, matched.tracks(world, False, np.inf), [features.pixels for features in matched.features])
     if not rough:
         _triangulate(result)
@@ -59,10 +65,10 @@ def build_map(
     return result
 
 
-def _with_keyframes(frames: Sequence[int], poses: Array, rays: RayTable) -> LocalMap:
+def _with_keyframes(frames: Sequence[int], world_from_camera: Array, rays: RayTable) -> LocalMap:
     empty = LocalMap(rays)
-    for frame, pose in zip(frames, poses, strict=True):
-        empty.add_keyframe(int(frame), inverse(pose), NO_IDS, NO_PIXELS)
+    for frame, matrix in zip(frames, world_from_camera, strict=True):
+        empty.add_keyframe(int(frame), inverse(matrix), NO_IDS, NO_PIXELS)
     return empty
 
 
@@ -82,7 +88,7 @@ def _triangulate(local_map: LocalMap) -> None:
 
 
 def _neighbour_tracks(
-    frames: Sequence[int], poses: Array, rays: RayTable, find: FindFeatures, advance: ProgressCallback
+    frames: Sequence[int], world_from_camera: Array, rays: RayTable, find: FindFeatures, advance: ProgressCallback
 ) -> tuple[FeatureTracks, list[Array]]:
     """Of matches by descriptors that lie on their epipolar lines."""
     found = [find(frame) for frame in frames]
@@ -96,6 +102,6 @@ def _neighbour_tracks(
             way = np.linalg.norm(found[one].pixels[rows[:, 0]] - found[other].pixels[rows[:, 1]], axis=1)
             pair = MatchedPair((one, other), unit[one][rows[:, 0]], unit[other][rows[:, 1]], way)
             pairs.append((one, other))
-            same.append(rows[inliers(pair, poses, rays.focal_px)[0]])
+            same.append(rows[inliers(pair, world_from_camera, rays.focal_px)[0]])
     nowhere = [np.zeros((len(features.pixels), 3)) for features in found]
     return join_features(nowhere, pairs, same), [features.pixels for features in found]

@@ -15,8 +15,7 @@ from haustra.core.progress import ProgressCallback, no_progress
 from pipeline.frontend.odometry.chunk_stitching import first_from_second, stitch, without_stubs
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
 from pipeline.frontend.odometry.klt import TrackerImage
-from pipeline.frontend.odometry.state_machine import MAX_JUMP, MAX_LOST_FRAMES
-from pipeline.frontend.odometry.tracking import Tracker
+from pipeline.frontend.odometry.tracking import MAX_JUMP, MAX_LOST_FRAMES, Tracker
 from pipeline.mapping.local_map import LocalMap
 
 COPIED = 12  # keyframes of the map's beginning that the reversed map starts from

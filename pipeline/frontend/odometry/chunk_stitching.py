@@ -1,6 +1,6 @@
 """Stitching of consecutive chunks: the similarity of two maps from the frames that both posed.
 
-No likeness is involved: a frame that both posed is the same picture. Each such frame says where one world lies in the
+No appearance is compared: a frame that both posed is the same picture. Each such frame says where one world lies in the
 other, its scale by the depths of both maps along the same rays, so that a camera at rest does as well as a moving one.
 """
 

@@ -9,7 +9,7 @@ from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from haustra.core.threads import single_threaded
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.odometry.state_machine import Odometry
+from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.mapping.map_io import save_maps
 from pipeline.run_folder.workspace import Workspace, write_json
 

@@ -74,7 +74,7 @@ def temp_dir(workspace: Workspace) -> Path:
 def track_chunks(
     jobs: list[Job], rays: RayTable, run: JobRunner, progress: Progress
 ) -> tuple[list[LocalMap], Stitching]:
-    """Maps of all chunks in the order of their beginning, sewn where the frames that two have in common agree."""
+    """Maps of all chunks in the order of their beginning, stitched where the frames that two have in common agree."""
     for job in jobs:
         Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
     found = [_done(job, rays) for job in jobs]

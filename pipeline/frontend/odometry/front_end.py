@@ -23,15 +23,18 @@ from pipeline.frontend.odometry.chunks import (
     temp_dir,
     track_chunks,
 )
-from pipeline.frontend.odometry.finish_maps import adjust_maps, join_maps, make_all_metric, submaps_of
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
-from pipeline.frontend.odometry.state_machine import Odometry
+from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
+from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap
+from pipeline.mapping.metric_map import make_all_metric
 from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap_merging import merge_and_adjust
+from pipeline.mapping.submap_of_map import submaps_of
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
 
@@ -99,7 +102,7 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
             camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
-        merged, joins = join_maps(maps, held, features, settings.seed, progress)
+        merged, joins = merge_and_adjust(maps, held, features, settings.seed, progress)
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
             joins += bridged
@@ -118,29 +121,36 @@ def _tracked(
         run = local_run(processors()) if settings.odometry.ray is None else ray_run(settings.odometry.ray)
         jobs = jobs_of(frames.index, frames.camera, pieces, settings, workspace)
         return track_chunks(jobs, rays, run, progress)
-    odometry = Odometry(rays, settings.seed, settings.stride, settings.odometry.keyframe_motion)
-    read = frame_reader(workspace)
+    return _tracked_in_one_go(frames, rays, settings, features, workspace, progress), None
 
-    def look(index: int) -> tuple[int, NDArray[np.uint8], TrackerImage]:
+
+def _tracked_in_one_go(
+    frames: Frames,
+    rays: RayTable,
+    settings: FrontEndSettings,
+    features: SiftCache,
+    workspace: Workspace,
+    progress: Progress,
+) -> list[LocalMap]:
+    """Frame by frame; then, for maps that began after the film did, backwards from their beginning."""
+    motion, stride, read = settings.odometry.keyframe_motion, settings.stride, frame_reader(workspace)
+    odometry = Odometry(rays, settings.seed, stride, motion)
+
+    def look(index: int) -> tuple[NDArray[np.uint8], TrackerImage]:
         rgb, mask = read(index)
-        return index, rgb, odometry.view(rgb, mask)
+        return rgb, odometry.view(rgb, mask)
 
     started = time.perf_counter()
-    with progress.bar("odometry", len(frames.index)) as advance:
-        for done, (index, rgb, view) in enumerate(prefetched(look, frames.index.tolist()), start=1):
-            state = odometry.process(index, rgb, view)
-            if odometry.keyframe == index:
-                features.begin(index)
+    index = frames.index.tolist()
+    with progress.bar("odometry", len(index)) as advance:
+        for done, (frame, (rgb, view)) in enumerate(zip(index, prefetched(look, index), strict=True), start=1):
+            state = odometry.process(frame, rgb, view)
+            if odometry.keyframe == frame:
+                features.begin(frame)
             pace = done / max(time.perf_counter() - started, 1e-9)
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
+    maps = odometry.finish()
+    if all(local_map.keyframes[0].frame == frames.index[0] for local_map in maps):
+        return maps
     with progress.bar("tracking backwards", None) as advance:
-        maps, _ = extend_backwards(
-            odometry.finish(),
-            frames.index,
-            lambda frame: look(frame)[1:],
-            settings.stride,
-            settings.odometry.keyframe_motion,
-            settings.seed,
-            advance,
-        )
-    return maps, None
+        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0]

@@ -107,10 +107,10 @@ class Initializer:
         tracks = common[hypothesis.inlier]
         new_map.tracks.points[tracks] = hypothesis.points[hypothesis.inlier] * scale
         new_map.tracks.has_point[tracks] = True
-        last_pose = hypothesis.second_from_first.copy()
-        last_pose[:3, 3] *= scale
+        last_from_first = hypothesis.second_from_first.copy()
+        last_from_first[:3, 3] *= scale
         end = len(self.buffered) - 1
-        cameras_from_world = {number: np.eye(4), end: last_pose}
+        cameras_from_world = {number: np.eye(4), end: last_from_first}
         chosen = np.unique(np.linspace(number, end, BETWEEN + 2).round().astype(int))
         guess: Array = np.eye(4)
         for k in chosen[1:-1]:

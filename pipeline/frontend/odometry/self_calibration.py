@@ -16,11 +16,12 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SilentProgress
 from haustra.core.ray_table import RayTable
 from pipeline.frontend.base import COLMAP_WORKER, MAX_FOCAL_SIGMA
-from pipeline.frontend.odometry.finish_maps import adjust_maps, submaps_of
 from pipeline.mapping.colmap_io import write_model
+from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_all
 from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap_of_map import submaps_of
 from pipeline.matching.sift import FindFeatures
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace

@@ -1,15 +1,24 @@
-"""Tracking of the camera in a map: predict, track corners, resect, and make a keyframe when the view has changed."""
+"""Tracking: frames go in one by one, each is posed in the local map, and maps come out.
+
+`Tracker` predicts, tracks corners, resects, and makes a keyframe when the view has changed. `Odometry` is the state
+machine above it (starting, tracking, lost). A lost camera starts a new map at once, and the old one keeps looking for a
+few frames more: whichever first knows where the camera is goes on. No frame is read twice; only the reference images
+are kept.
+"""
 
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
+from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, angle_between, in_camera, inverse
+from pipeline.config import OdometrySettings
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
-from pipeline.frontend.odometry.klt import Pixels, TrackerImage
+from pipeline.frontend.odometry.initialization import Initializer
+from pipeline.frontend.odometry.klt import Pixels, TrackerImage, tracker_image
+from pipeline.frontend.odometry.motion_model import MAX_GAP, predicted_pose, velocity_between
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import WINDOW, LocalMap
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_window
@@ -23,13 +32,20 @@ SURE_SHARE = 0.75  # below it sample consensus has a say too
 MIN_FOUND_SHARE = 0.15  # of the points that should be in view
 MAX_STEP = 0.5  # median depths between two frames
 MAX_TURN = np.radians(25.0)  # between two frames
-MAX_GAP = 3  # frames over which the motion is carried on
 KEYFRAME_FOUND_SHARE = 0.7  # of the reference's tracks; fewer, and the view has changed
 ADJUST_AFTER = 3  # frames: where each one becomes a keyframe, an adjustment for each would take most of the time
 ADJUST_AFTER_GUESS = 1  # with a guessed lens, which bends the map: what is left bent longer is lost more often
 MIN_CHECKED_POINTS = 15
 
+MAX_LOST_FRAMES = 10  # frames for which a lost map goes on looking
+MAX_JUMP = 15  # frames without a picture after which the old map is not asked any more
+CHECKED_KEYFRAMES = 4  # first keyframes of a map, by which the lighting check judges it
+MAX_LIGHTING_CORRELATION = 0.0  # rank correlation of distance and brightness above which it is dropped
+MIN_KEYFRAMES = 3  # of a map that is kept
+KEYFRAME_MOTION = OdometrySettings().keyframe_motion
+
 Outcome = Literal["tracked", "keyframe", "lost"]
+State = Literal["starting", "tracking", "lost"]
 
 
 class Tracker:
@@ -58,17 +74,14 @@ class Tracker:
 
     def process(self, frame: int, steps: int, view: TrackerImage, rgb: NDArray[np.uint8]) -> Outcome:
         """Pose the frame, `steps` frame intervals after the last one that was posed."""
-        predicted = self._predict(steps)
-        found = self._resect(view, predicted)
+        found = self._resect(view, predicted_pose(self.camera_from_world, self.velocity, steps))
         if found is None:
             return "lost"
         camera_from_world, mapped, inlier = found
         if not self._is_plausible(camera_from_world, steps):
             return "lost"
-        if steps <= MAX_GAP:
-            self.velocity = _fraction(camera_from_world @ inverse(self.camera_from_world), 1 / steps)
-        else:
-            self.velocity = np.eye(4)
+        moved = velocity_between(self.camera_from_world, camera_from_world, steps)
+        self.velocity = moved if steps <= MAX_GAP else np.eye(4)
         self.camera_from_world, self.frame = camera_from_world, frame
         self.unadjusted += steps
         tracks = self.tracks
@@ -82,13 +95,6 @@ class Tracker:
         self._check_lighting(rgb, rows)
         self._make_keyframe(frame, view)
         return "keyframe"
-
-    def _predict(self, steps: int) -> Array:
-        predicted = self.camera_from_world
-        if steps <= MAX_GAP:
-            for _ in range(steps):
-                predicted = self.velocity @ predicted
-        return predicted
 
     def _resect(
         self, view: TrackerImage, predicted: Array
@@ -161,14 +167,14 @@ class Tracker:
     def _set_reference(self, view: TrackerImage) -> None:
         """Move the reference frame to the last keyframe's image; its new corners belong to that keyframe too."""
         tracks = self.tracks
-        tracks.found &= ~self._barred()
+        tracks.found &= ~self._rejected()
         begun = tracks.count
         tracks.set_reference(view)
         self.map.tracks.reserve(tracks.count)
         fresh = tracks.ids >= begun
         self.map.extend(-1, tracks.ids[fresh], tracks.now[fresh])
 
-    def _barred(self) -> NDArray[np.bool_]:
+    def _rejected(self) -> NDArray[np.bool_]:
         self.map.tracks.reserve(self.tracks.count)
         return self.map.tracks.rejected[self.tracks.ids]
 
@@ -189,14 +195,75 @@ class Tracker:
             return np.eye(4)
         before, last = self.map.keyframes[-2:]
         steps = max(1, round(abs(last.frame - before.frame) / stride))
-        return _fraction(last.camera_from_world @ inverse(before.camera_from_world), 1 / steps)
+        return velocity_between(before.camera_from_world, last.camera_from_world, steps)
 
 
-def _fraction(motion: Array, share: float) -> Array:
-    """A share of a motion: of its rotation vector and of its translation."""
-    if share == 1:
-        return motion
-    part = np.eye(4)
-    part[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(motion[:3, :3]).as_rotvec()).as_matrix()
-    part[:3, 3] = share * motion[:3, 3]
-    return part
+class Odometry:
+    """Feed it frames in order, then ask for the maps."""
+
+    def __init__(self, rays: RayTable, seed: int, stride: int = 1, keyframe_motion: float = KEYFRAME_MOTION) -> None:
+        self.rays, self.stride, self.keyframe_motion = rays, stride, keyframe_motion
+        self.rng = np.random.default_rng(seed)
+        self.maps: list[LocalMap] = []  # closed ones
+        self.tracker: Tracker | None = None
+        self.start: Initializer | None = None
+        self.lost_frames = 0  # frames since the tracker last knew
+
+    @property
+    def state(self) -> State:
+        if self.tracker is None:
+            return "starting"
+        return "tracking" if self.lost_frames == 0 else "lost"
+
+    @property
+    def submaps(self) -> int:
+        """Maps so far, with the current one."""
+        return len(self.maps) + (self.tracker is not None)
+
+    @property
+    def keyframe(self) -> int | None:
+        """Number of the frame that became the latest keyframe of the current map."""
+        return self.tracker.map.keyframes[-1].frame if self.tracker is not None else None
+
+    def view(self, rgb: NDArray[np.uint8], mask: NDArray[np.uint8]) -> TrackerImage:
+        """The frame as the tracker needs it; depends on no other frame. rgb (H,W,3) uint8; mask (H,W), nonzero where
+        features may lie."""
+        return tracker_image(rgb, self.rays.masked(mask))
+
+    def process(self, frame: int, rgb: NDArray[np.uint8], view: TrackerImage) -> State:
+        """The next frame and its `view`; `frame` numbers ascend."""
+        if self.tracker is not None:
+            steps = max(1, round((frame - self.tracker.frame) / self.stride))
+            outcome = "lost" if steps > MAX_JUMP else self.tracker.process(frame, steps, view, rgb)
+            if outcome != "lost":
+                self.lost_frames, self.start = 0, None
+                if outcome == "keyframe" and self._fails_lighting_check():
+                    self.tracker = None
+                return self.state
+            self.lost_frames += 1
+            if self.lost_frames > MAX_LOST_FRAMES or steps > MAX_JUMP:
+                self._close()
+        self.start = self.start or Initializer(self.rays, self.rng)
+        new_map = self.start.process(frame, view, rgb)
+        if new_map is not None:
+            self._close()
+            tracks, motion = self.start.tracks, self.keyframe_motion
+            self.tracker = Tracker(new_map, tracks, view, frame, self.rng, motion, self.stride)
+            self.start, self.lost_frames = None, 0
+        return self.state
+
+    def finish(self) -> list[LocalMap]:
+        """All maps, in the order of their beginning."""
+        self._close()
+        return self.maps
+
+    def _close(self) -> None:
+        if self.tracker is not None and len(self.tracker.map.keyframes) >= MIN_KEYFRAMES:
+            self.maps.append(self.tracker.map)
+        self.tracker, self.lost_frames = None, 0
+
+    def _fails_lighting_check(self) -> bool:
+        """Whether, in a map's first keyframes, near wall is not brighter than far wall."""
+        assert self.tracker is not None
+        correlations = self.tracker.lighting
+        return len(correlations) == CHECKED_KEYFRAMES and float(np.median(correlations)) > MAX_LIGHTING_CORRELATION

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
-from pipeline.frontend.odometry.state_machine import Odometry
+from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.input.frames import Frames, write_image
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import adjust_all

@@ -9,8 +9,7 @@ from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import in_camera, inverse
 from pipeline.frontend.odometry.klt import normalise
-from pipeline.frontend.odometry.state_machine import Odometry
-from pipeline.frontend.odometry.tracking import Tracker
+from pipeline.frontend.odometry.tracking import Odometry, Tracker
 from pipeline.mapping import submap_matching, submap_merging
 from pipeline.mapping.local_map import Keyframe, LocalMap
 from pipeline.mapping.map_adjustment import adjust_window, sharing

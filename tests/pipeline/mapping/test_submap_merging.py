@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from haustra.core.progress import SilentProgress
-from pipeline.frontend.odometry import finish_maps
+from pipeline.mapping import final_adjustment, submap_merging
+from pipeline.mapping.final_adjustment import adjust_maps_to_features
 from pipeline.mapping.local_map import TrackKind
 from pipeline.mapping.submap_merging import Merged, merge_maps
 from pipeline.mapping.submap_of_map import to_submap
@@ -35,13 +36,13 @@ def there_and_back(clip):
         return images[number], MASK
 
     find = SiftCache(read)
-    return maps, finish_maps.refit_maps(polished(maps), find, SilentProgress()), find, order
+    return maps, adjust_maps_to_features(polished(maps), find, SilentProgress()), find, order
 
 
 def test_a_place_seen_again_joins_two_maps(clip, there_and_back):
     maps, held, find, order = there_and_back
     assert None not in held
-    (joined,), joins = finish_maps.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
+    (joined,), joins = submap_merging.merge_and_adjust(copy.deepcopy(maps), held, find, 0, SilentProgress())
     assert joins == 1
     numbers = [int(k.ids.max()) for k in joined.keyframes]
     assert max(numbers) < len(joined.tracks)
@@ -77,17 +78,17 @@ def test_a_join_that_features_do_not_hold_is_undone(there_and_back, monkeypatch)
     maps, held, find, _ = there_and_back
     poses = [[k.camera_from_world.copy() for k in m.keyframes] for m in maps]
     together = Merged(copy.deepcopy(maps[0]), (0, 1))
-    monkeypatch.setattr(finish_maps, "merge_maps", lambda *_: [together])
+    monkeypatch.setattr(submap_merging, "merge_maps", lambda *_: [together])
     for outcome in (None, np.inf):
-        monkeypatch.setattr(finish_maps, "adjust_to_features", lambda *_, outcome=outcome: outcome)
-        kept, joins = finish_maps.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress())
+        monkeypatch.setattr(final_adjustment, "adjust_to_features", lambda *_, outcome=outcome: outcome)
+        kept, joins = submap_merging.merge_and_adjust(copy.deepcopy(maps), held, find, 0, SilentProgress())
         assert joins == 0
         for local_map, before in zip(kept, poses, strict=True):
             np.testing.assert_array_equal([k.camera_from_world for k in local_map.keyframes], before)
             features = local_map.tracks.is_kind(TrackKind.FEATURE)
             assert any(features[k.ids].any() for k in local_map.keyframes), "with their features"
-    monkeypatch.setattr(finish_maps, "adjust_to_features", lambda *_: held[0])
-    assert finish_maps.join_maps(copy.deepcopy(maps), held, find, 0, SilentProgress()) == ([together.map], 1)
+    monkeypatch.setattr(final_adjustment, "adjust_to_features", lambda *_: held[0])
+    assert submap_merging.merge_and_adjust(copy.deepcopy(maps), held, find, 0, SilentProgress()) == ([together.map], 1)
 
 
 def test_other_places_are_not_joined(clip, monkeypatch):

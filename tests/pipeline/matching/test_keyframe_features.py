@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.mapping.feature_matching import MatchedFeatures
+from pipeline.matching.feature_matching import MatchedFeatures
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sift import detect_sift
 

@@ -9,7 +9,7 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.ray_table import RayTable
-from pipeline.mapping.feature_matching import features_of_keyframe
+from pipeline.matching.keyframe_features import features_of_view
 from pipeline.matching.sift import detect_sift
 from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, render, run
@@ -102,11 +102,11 @@ def test_features_lie_where_the_lens_has_rays():
     """What a lens cannot see along is no part of a place, though the picture shows something there."""
     (local_map,), _ = run([render(camera_at(k)) for k in range(12)])
     with SiftCache(lambda _: (IMAGE, MASK)) as find:
-        whole = features_of_keyframe(local_map, 0, find)
+        whole = features_of_view(0, local_map.sparse_view(local_map.keyframes[0]), local_map.rays, find)
         narrow = RayTable(Camera("PINHOLE", CAMERA.width, CAMERA.height, CAMERA.params))
         narrow.usable[:, :90] = 0
         local_map.recalibrate(narrow)
-        cut = features_of_keyframe(local_map, 0, find)
+        cut = features_of_view(0, local_map.sparse_view(local_map.keyframes[0]), local_map.rays, find)
     right = whole.pixels[:, 0] >= 90
     assert 0 < right.sum() < len(right)
     np.testing.assert_array_equal(cut.pixels, whole.pixels[right])

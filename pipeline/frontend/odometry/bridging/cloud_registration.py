@@ -44,24 +44,24 @@ class WallPatches:
     def registered(self, cloud: Array, guess: Array, held: float = HELD) -> Array:
         """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
         that less than `held` speaks for."""
-        pose = guess
+        world_from_camera = guess
         for _ in range(ITERATIONS):
-            points = in_camera(pose, cloud)
+            points = in_camera(world_from_camera, cloud)
             distance, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
             good = np.isfinite(distance)
             good[good] = self.flat[patch[good]]
             if good.sum() < FEWEST:
                 return guess
             step, size = self._step(points[good], patch[good], held)
-            pose = step @ pose
+            world_from_camera = step @ world_from_camera
             if size < DONE_MM:
                 break
-        return np.asarray(pose)
+        return np.asarray(world_from_camera)
 
-    def fit(self, cloud: Array, pose: Array) -> tuple[float, float]:
+    def fit(self, cloud: Array, world_from_camera: Array) -> tuple[float, float]:
         """Median distance (mm) of a cloud's points at a pose from the planes that they have, and the share that has
         one."""
-        points = in_camera(pose, cloud)
+        points = in_camera(world_from_camera, cloud)
         off, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
         good = np.isfinite(off)
         patch, points = patch[good], points[good]

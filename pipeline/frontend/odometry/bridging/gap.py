@@ -70,8 +70,11 @@ def bridge_maps(
         gap = min(local_map.frames) - max(before.frames)
         whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
         by = adjust_to_features(whole, find)
-        held = "" if by is not None else "; features do not hold the seam"
-        progress.log(f"the map from frame {min(local_map.frames)} on joined over {gap} frames by depth{held}")
+        first, held = (
+            min(local_map.frames),
+            "" if by is not None else "; too few features agree to adjust it",
+        )
+        progress.log(f"submap from frame {first} on joined to the one before over {gap} frames by depth{held}")
         result[-1], count = whole, count + 1
     return result, count
 
@@ -81,8 +84,8 @@ def first_from_second(first: LocalMap, second: LocalMap, clouds: Clouds) -> Arra
     if first.depth_at is None or second.depth_at is None:
         return None
     here, there = (poses_of(local_map) for local_map in (first, second))
-    pose = registered_over_gap(here, there, clouds)
-    return None if pose is None else np.asarray(pose @ inverse(there[min(there)]))
+    world_from_camera = registered_over_gap(here, there, clouds)
+    return None if world_from_camera is None else np.asarray(world_from_camera @ inverse(there[min(there)]))
 
 
 def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds: Clouds) -> Array | None:
@@ -103,39 +106,41 @@ def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds:
         cloud = clouds(frame) if (begin - frame) % EVERY == 0 else None
         return guess if cloud is None else wall.registered(cloud, guess)
 
-    pose = wall.registered(after, _followed(here, there, registered))
-    back = WallPatches.of(after).registered(before, inverse(pose) @ here[end])
-    apart = inverse(pose) @ here[end] @ inverse(back)  # of the first frame, by the way back, from its pose
+    world_from_camera = wall.registered(after, _followed(here, there, registered))
+    back = WallPatches.of(after).registered(before, inverse(world_from_camera) @ here[end])
+    apart = inverse(world_from_camera) @ here[end] @ inverse(back)  # of the first frame, by the way back, from its pose
     turn, shift = _tangent(apart)[:3], apart[:3, 3]
-    off, share = wall.fit(first, pose)
+    off, share = wall.fit(first, world_from_camera)
     one_way = np.linalg.norm(turn) <= MOST_TURN and np.linalg.norm(shift) <= MOST_SHIFT_MM
     if not one_way or off > MOST_WORSE * usual or share < LEAST_SHARE:
         return None
-    return np.asarray(pose @ _motion(_tangent(apart) / 2))
+    return np.asarray(world_from_camera @ _motion(_tangent(apart) / 2))
 
 
 def velocity_over_gap(here: dict[int, Array], there: dict[int, Array]) -> Array:
     """world_from_camera (4,4) of the first frame of `there` by the velocity alone."""
-    return _followed(here, there, lambda _, pose: pose)
+    return _followed(here, there, lambda _, predicted: predicted)
 
 
 def _followed(here: dict[int, Array], there: dict[int, Array], corrected: Callable[[int, Array], Array]) -> Array:
     """The pose after the gap, frame by frame from a velocity that goes from that before it to that after it."""
     end, begin = max(here), min(there)
-    pose, leaving, coming = here[end], _pace(here, end, -PACE), _pace(there, begin, PACE)
+    world_from_camera, leaving, coming = here[end], _pace(here, end, -PACE), _pace(there, begin, PACE)
     for frame in range(end + 1, begin + 1):
         share = (frame - end - 0.5) / (begin - end)
-        pose = corrected(frame, pose @ _motion((1 - share) * leaving + share * coming))
-    return pose
+        world_from_camera = corrected(frame, world_from_camera @ _motion((1 - share) * leaving + share * coming))
+    return world_from_camera
 
 
-def joint_cloud(poses: dict[int, Array], frame: int, direction: int, clouds: Clouds, least: int = 0) -> Array | None:
+def joint_cloud(
+    world_from_camera: dict[int, Array], frame: int, direction: int, clouds: Clouds, least: int = 0
+) -> Array | None:
     """Clouds (N,3) of a frame and those up to `REACH` after or before it, one in `STEP`, in the frame's axes."""
     others = [frame + direction * step for step in range(least, REACH + 1, STEP)]
     seen = [
-        in_camera(inverse(poses[frame]) @ poses[other], cloud)
+        in_camera(inverse(world_from_camera[frame]) @ world_from_camera[other], cloud)
         for other in others
-        if other in poses and (cloud := clouds(other)) is not None
+        if other in world_from_camera and (cloud := clouds(other)) is not None
     ]
     return np.concatenate(seen) if seen else None
 
@@ -145,14 +150,14 @@ def poses_of(local_map: LocalMap) -> dict[int, Array]:
     return {frame: inverse(seen.camera_from_world) for frame, seen in frame_observations(local_map).items()}
 
 
-def _pace(poses: dict[int, Array], frame: int, steps: int) -> Array:
+def _pace(world_from_camera: dict[int, Array], frame: int, steps: int) -> Array:
     """Motion (6,) of one frame, in the camera's axes, over `steps` frames from `frame` on."""
-    known = [other for other in poses if 0 < (other - frame) * np.sign(steps) <= abs(steps)]
+    known = [other for other in world_from_camera if 0 < (other - frame) * np.sign(steps) <= abs(steps)]
     other = max(known, key=lambda k: abs(k - frame), default=frame)
     if other == frame:
         return np.zeros(6)
     first, second = min(frame, other), max(frame, other)
-    return _tangent(inverse(poses[first]) @ poses[second]) / (second - first)
+    return _tangent(inverse(world_from_camera[first]) @ world_from_camera[second]) / (second - first)
 
 
 def _tangent(motion: Array) -> Array:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.sim3 import umeyama
 from pipeline.frontend.odometry.backward_tracking import extend_backwards
 from pipeline.frontend.odometry.klt import tracker_image
-from pipeline.frontend.odometry.state_machine import KEYFRAME_MOTION
+from pipeline.frontend.odometry.tracking import KEYFRAME_MOTION
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap_of_map import to_submap
 from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, render, run

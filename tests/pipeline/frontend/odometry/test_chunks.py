@@ -15,12 +15,13 @@ from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
 from haustra.core.sim3 import transform_points
 from pipeline.config import Config, OdometrySettings, load_config
-from pipeline.frontend.odometry import chunks, finish_maps
+from pipeline.frontend.odometry import chunks
 from pipeline.frontend.odometry.chunk_stitching import first_from_second
 from pipeline.frontend.odometry.chunks import jobs_of, local_run, split, stitch_chunks, temp_dir, track_chunks
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import solve_structure
+from pipeline.mapping import submap_merging
 from pipeline.mapping.map_io import load_maps, save_maps
 from pipeline.mapping.submap_merging import Merged
 from pipeline.mapping.submap_of_map import to_submap
@@ -186,7 +187,7 @@ def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
     """Each frame has one depth map, and no submap is left without frames."""
     monkeypatch.setattr(chunks, "OVERLAP", 12)
     monkeypatch.setattr(chunks, "first_from_second", lambda *_: None)
-    monkeypatch.setattr(finish_maps, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
+    monkeypatch.setattr(submap_merging, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
     workspace, frames = stored(tmp_path, IMAGES + more_images())
     config = Config(front_end="odometry", odometry=OdometrySettings(chunks=2))
     submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())

@@ -15,7 +15,7 @@ from pipeline.frontend.odometry import front_end, initialization, tracking
 from pipeline.frontend.odometry.chunk_worker import track
 from pipeline.frontend.odometry.chunks import jobs_of
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.odometry.state_machine import Odometry
+from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.local_map import WINDOW
 from pipeline.mapping.map_adjustment import adjust_window

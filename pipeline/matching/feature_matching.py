@@ -1,6 +1,6 @@
-"""SIFT features of a map's keyframes, lifted to 3-D by the map's points and matched where the map predicts them."""
+"""SIFT features of posed keyframes, lifted to 3-D by the sparse points and matched where the poses predict them."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from haustra.core.progress import ProgressCallback
+from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, in_camera
-from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_features
 from pipeline.matching.guided_matching import match_near, self_similarity
-from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, lift_features
+from pipeline.matching.keyframe_features import KeyframeFeatures, SparseView, features_of_view
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import STATIC_PX
 
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
 MIN_SHARED = 10  # points that make another keyframe worth comparing
-MAX_OFF_SHARE = 0.019  # of the width: a feature from where the map has it, in another keyframe; 6 px of 320
-MOVING_PX = 1.5  # way of what the map expects to move
+MAX_OFF_SHARE = 0.019  # of the width: a feature from where the poses have it, in another keyframe; 6 px of 320
+MOVING_PX = 1.5  # way of what the poses expect to move
 CACHED = 64  # keyframes whose descriptors are kept as RootSIFT, half a megabyte each
 THREADS = 2  # OpenCV and BLAS let go of the interpreter; the order of what they give is fixed
 
@@ -54,90 +54,64 @@ class MatchedFeatures:
         return np.unique(tracks.track[guessed[starts[tracks.place] + tracks.feature]])
 
 
-def features_of_keyframe(
-    local_map: LocalMap, number: int, find: FindFeatures, extrapolate: bool = False
-) -> KeyframeFeatures:
-    """Of keyframe `number`; none where it sees too few points. extrapolate: see `lift_features`."""
-    keyframe = local_map.keyframes[number]
-    points, pixels = local_map.visible_points(keyframe)
-    if len(points) < MIN_FEATURES:
-        return KeyframeFeatures.none(number)
-    depth = in_camera(keyframe.camera_from_world, points)[:, 2]
-    front = depth > 0
-    enough = extrapolate and int(front.sum()) >= MIN_FEATURES
-    return lift_features(number, find(keyframe.frame), local_map.rays, pixels[front], depth[front], enough)
+def match_features(
+    views: Sequence[SparseView], seen: csr_array, rays: RayTable, find: FindFeatures, advance: ProgressCallback
+) -> MatchedFeatures:
+    """Find features in all keyframes and match them between keyframes that are near in time or share points.
 
-
-def match_features(local_map: LocalMap, find: FindFeatures, advance: ProgressCallback) -> MatchedFeatures:
-    """Find features in all keyframes and match them between keyframes that are near in time or share points."""
-    keyframes = range(len(local_map.keyframes))
+    seen: (keyframes, tracks) ones where a keyframe sees a known point.
+    """
+    radius = MAX_OFF_SHARE * rays.camera.width
     with ThreadPoolExecutor(THREADS) as threads:
         # At the picture's edge is the nearest wall, which the frame's depth needs most, and corners end before it.
-        lifted = threads.map(lambda number: features_of_keyframe(local_map, number, find, extrapolate=True), keyframes)
-        features = list(_counted(lifted, len(keyframes), "finding features", advance))
-        pairs = covisible_pairs(local_map)
+        lift = partial(features_of_view, rays=rays, find=find, extrapolate=True)
+        features = list(_counted(threads.map(lift, range(len(views)), views), len(views), "finding features", advance))
+        pairs = covisible_pairs(seen)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
         roots = lru_cache(CACHED)(lambda number: features[number].rootsift)
-        elsewhere = list(threads.map(partial(_elsewhere, _radius(local_map)), features))
-        found = threads.map(partial(_match_pair, local_map, features, elsewhere, roots), pairs)
-        same = list(_counted(found, len(pairs), "matching pairs of keyframes", advance))
+        elsewhere = list(threads.map(lambda f: self_similarity(f.pixels, f.rootsift, radius), features))
+        match = partial(_match_pair, views, rays, features, elsewhere, roots)
+        same = list(_counted(threads.map(match, pairs), len(pairs), "matching pairs of keyframes", advance))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(f, descriptors=np.zeros((0, 128), np.uint8)) for f in features]
     return MatchedFeatures(bare, pairs, same)
 
 
-def covisible_pairs(local_map: LocalMap) -> list[tuple[int, int]]:
+def covisible_pairs(seen: csr_array) -> list[tuple[int, int]]:
     """Pairs of keyframes that follow each other or, after a merge, saw the same from elsewhere."""
-    seen = incidence(local_map)
-    shared = csr_array(seen @ seen.T)
+    shared, total = csr_array(seen @ seen.T), seen.shape[0]
     pairs = set()
-    for one in range(len(local_map.keyframes)):
-        pairs |= {(one, other) for other in range(one + 1, min(one + AHEAD + 1, len(local_map.keyframes)))}
+    for one in range(total):
+        pairs |= {(one, other) for other in range(one + 1, min(one + AHEAD + 1, total))}
         row = slice(shared.indptr[one], shared.indptr[one + 1])
-        others, count = shared.indices[row], shared.data[row]
-        far = (np.abs(others - one) > AHEAD) & (count >= MIN_SHARED)
-        best = others[far][np.lexsort((others[far], -count[far]))[:AHEAD]]
+        others, points = shared.indices[row], shared.data[row]
+        far = (np.abs(others - one) > AHEAD) & (points >= MIN_SHARED)
+        best = others[far][np.lexsort((others[far], -points[far]))[:AHEAD]]
         pairs |= {(min(one, int(k)), max(one, int(k))) for k in best}
     return sorted(pairs)
 
 
-def incidence(local_map: LocalMap, among: NDArray[np.bool_] | None = None) -> csr_array:
-    """(keyframes, tracks) ones where a keyframe sees a known point, `among` (T,) these tracks."""
-    usable = local_map.tracks.has_point if among is None else local_map.tracks.has_point & among
-    ids = [np.unique(k.ids[usable[k.ids]]) for k in local_map.keyframes]
-    starts = np.concatenate([[0], np.cumsum([len(i) for i in ids])])
-    columns = np.concatenate([np.zeros(0, np.int64), *ids])
-    return csr_array((np.ones(len(columns)), columns, starts), shape=(len(ids), len(usable)))
-
-
 def _match_pair(
-    local_map: LocalMap,
+    views: Sequence[SparseView],
+    rays: RayTable,
     features: list[KeyframeFeatures],
     elsewhere: list[Array],
     roots: RootSift,
     pair: tuple[int, int],
 ) -> NDArray[np.int64]:
-    """(K,2) features of a pair of keyframes that look alike and lie where the map says.
+    """(K,2) features of a pair of keyframes that look alike and lie where their poses say.
 
     elsewhere: of each keyframe, how much its features' most alike elsewhere in it look like them. What stands still in
     the picture where the wall should move is dirt, a reflection or text that was burned in.
     """
     here, there = (features[number] for number in pair)
-    first, second = (local_map.keyframes[number].camera_from_world for number in pair)
-    expected = local_map.rays.project_valid(in_camera(second, here.world_points(first)))
-    rows = match_near(expected, there.pixels, roots(pair[0]), roots(pair[1]), elsewhere[pair[0]], _radius(local_map))
+    first, second = (views[number].camera_from_world for number in pair)
+    expected = rays.project_valid(in_camera(second, here.world_points(first)))
+    radius = MAX_OFF_SHARE * rays.camera.width
+    rows = match_near(expected, there.pixels, roots(pair[0]), roots(pair[1]), elsewhere[pair[0]], radius)
     before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]
     way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)
     return rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))]
-
-
-def _radius(local_map: LocalMap) -> float:
-    """Pixels within which a feature is looked for."""
-    return MAX_OFF_SHARE * local_map.rays.camera.width
-
-
-def _elsewhere(radius: float, features: KeyframeFeatures) -> Array:
-    return self_similarity(features.pixels, features.rootsift, radius)
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: ProgressCallback) -> Iterator[T]:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.robustness.strange_files import encode
 
-PAGE = Path(__file__).parents[1] / "docs/guide/calibrate.md"
+PAGE = Path(__file__).parents[2] / "docs/guide/calibrate.md"
 SIZE, FOCAL, CENTRE, K1 = 320, 150.0, (164.0, 157.0), 0.03  # centre from the first pixel's corner
 SQUARES = 10, 7
 
