@@ -1,13 +1,13 @@
 """docs/lab/loop_tracks.md from benchmarks/results/loops.json and loops_before.json.
 
-python scripts/loop_tracks_page.py > docs/lab/loop_tracks.md
+python scripts/pages/loop_tracks_page.py > docs/lab/loop_tracks.md
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 AFTER, BEFORE = (ROOT / f"benchmarks/results/{name}.json" for name in ("loops", "loops_before"))
 CHOSEN_ON = ("long_a", "long_c")
 
@@ -19,7 +19,7 @@ HEAD = """# How far ahead features are matched when loops are closed
 - **Command:** `haustra phantom LOOPS --suite --config benchmarks/loops.yaml`, then
   `python -m benchmarks.loops pose-graph LOOPS/long_a LOOPS/long_b LOOPS/long_c --surface --json FILE` on commits
   {before} (five keyframes ahead) and {after} (twelve). Rendered by
-  `python scripts/loop_tracks_page.py > docs/lab/loop_tracks.md`.
+  `python scripts/pages/loop_tracks_page.py > docs/lab/loop_tracks.md`.
 - **Films:** 600 frames out and back along 200 mm of gut, one seed each. Twelve was chosen on {chosen}; the other film
   is reported on.
 
