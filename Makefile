@@ -59,7 +59,7 @@ table: $(STAMP)
 # The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
 paper: $(STAMP)
 	$(BIN)/python -m benchmarks.paper --work runs/paper
-	$(BIN)/python -m scripts.paper_page > docs/lab/paper.md
+	$(BIN)/python -m scripts.pages.paper_page > docs/lab/paper.md
 
 clean:
 	rm -rf $(VENV) demo_run build *.egg-info

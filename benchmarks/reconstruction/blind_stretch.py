@@ -7,7 +7,8 @@
 Tracking (`--fast`, lens given) of each folder without the sensor's depth and with it: submaps, frames posed, and the
 ATE of the largest submap after Sim(3), and SE(3) where it is in mm. Then the registration alone: at every 40th frame
 the next 30 are taken for blind, true poses are given on both sides, and the first pose after the gap is compared with
-the truth: from constant velocity, and registered; None where it is refused. Rendered by `python scripts/blind_page.py`.
+the truth: from constant velocity, and registered; None where it is refused. Rendered by
+`python scripts/pages/blind_page.py`.
 """
 
 import argparse

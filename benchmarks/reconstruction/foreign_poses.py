@@ -5,7 +5,8 @@
 For each seed `sfm` reconstructs the folder with its lens, and its sparse model is given back as `--poses`: frames
 posed, ATE RMSE and F-score at 1 mm after Sim(3). Then the true poses are written as a TUM file in each wrong reading,
 and as those of other frames, and each is given as `--poses`: the sentence of the refusal; None where the run goes on.
-A row is added as each run ends; a stopped call goes on where it was. Rendered by `python scripts/known_poses_page.py`.
+A row is added as each run ends; a stopped call goes on where it was. Rendered by
+`python scripts/pages/known_poses_page.py`.
 """
 
 import argparse

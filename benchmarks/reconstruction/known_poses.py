@@ -6,7 +6,7 @@
 Both runs are `--fast` with the lens given, by lossless frames. F-score at 1 mm of the run with poses after SE(3), in
 its own mm; of the run without (odometry) after its path's Sim(3), as it is and with its keyframes put where they truly
 were. A row is added as each film ends; a stopped call goes on where it was. Rendered by
-`python scripts/known_poses_page.py`.
+`python scripts/pages/known_poses_page.py`.
 """
 
 import argparse

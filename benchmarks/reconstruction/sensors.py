@@ -11,7 +11,7 @@ own depth instead of those gathered from the frames around, and with points but 
 
 scale_error: of the path, 1 is 100 %; None without millimetres. Errors of the path are RMSE of camera centres; F-scores
 are at 1 mm, after the path's Sim(3), and after its SE(3), that is in the run's own mm. A row is added as each run
-ends; a stopped call goes on where it was. Rendered by `python scripts/sensors_page.py`.
+ends; a stopped call goes on where it was. Rendered by `python scripts/pages/sensors_page.py`.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scripts.live_page import page
+from scripts.pages.live_page import page
 
 
 def test_the_note_is_rendered_from_its_records():

@@ -5,13 +5,13 @@ import json
 
 import pytest
 
-from scripts.rooms_page import PAGE, RECORD, enter, page
+from scripts.pages.rooms_page import PAGE, RECORD, enter, page
 
 RECORDED = json.loads(RECORD.read_text())
 
 
 def test_the_page_is_what_its_record_says() -> None:
-    assert page(RECORDED) == PAGE.read_text(encoding="utf-8"), "run: python scripts/rooms_page.py"
+    assert page(RECORDED) == PAGE.read_text(encoding="utf-8"), "run: python scripts/pages/rooms_page.py"
 
 
 def test_runs_enter_the_record_once() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts import blind_page, known_poses_page, sensors_page
+from scripts.pages import blind_page, known_poses_page, sensors_page
 
 LAB = Path(__file__).parents[2] / "docs/lab"
 
@@ -17,5 +17,5 @@ LAB = Path(__file__).parents[2] / "docs/lab"
 )
 def test_the_page_is_what_its_record_says(script, name) -> None:
     printed = script.page(json.loads(script.RECORD.read_text()))
-    told = f"run: python scripts/{script.__name__.split('.')[-1]}.py > docs/lab/{name}.md"
+    told = f"run: python scripts/pages/{script.__name__.split('.')[-1]}.py > docs/lab/{name}.md"
     assert printed == (LAB / f"{name}.md").read_text(encoding="utf-8"), told

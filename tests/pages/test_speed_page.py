@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from scripts.speed_page import RECORD, page
+from scripts.pages.speed_page import RECORD, page
 
 ROOT = Path(__file__).parents[2]
 
@@ -11,4 +11,4 @@ ROOT = Path(__file__).parents[2]
 def test_the_page_is_what_its_record_says() -> None:
     committed = (ROOT / "docs/lab/speed.md").read_text(encoding="utf-8")
     printed = page(json.loads(RECORD.read_text()))
-    assert printed == committed, "run: python -m scripts.speed_page > docs/lab/speed.md"
+    assert printed == committed, "run: python -m scripts.pages.speed_page > docs/lab/speed.md"

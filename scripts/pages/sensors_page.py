@@ -1,13 +1,13 @@
 """docs/lab/sensors.md from benchmarks/results/sensors.json: what each part of a sensor's use gives.
 
-python scripts/sensors_page.py > docs/lab/sensors.md
+python scripts/pages/sensors_page.py > docs/lab/sensors.md
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks/results/sensors.json"
 
 HEAD = """# Depth sensors and second eyes, part by part
@@ -16,7 +16,7 @@ HEAD = """# Depth sensors and second eyes, part by part
 - **Question:** What do a time-of-flight sensor and a second eye give to scale, path and surface, and by which part?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction sensors SUITE/easy_withdrawal
   --parts --json benchmarks/results/sensors.json`, and other films without `--parts`, on commit {commit}. Rendered by
-  `python scripts/sensors_page.py > docs/lab/sensors.md`.
+  `python scripts/pages/sensors_page.py > docs/lab/sensors.md`.
 
 Sensors of 64x64 and of 240x180 zones: 3 % of noise, holes at grazing angles and highlights, 5 % dropped. Stereo: 4 mm
 between the eyes, 320 px each. Odometry, lens given, one run each. ATE: RMSE of camera centres. F-score at 1 mm, in mm:

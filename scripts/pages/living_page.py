@@ -1,6 +1,6 @@
 """docs/lab/living.md from benchmarks/results/living.json: path and surface of films whose wall moves.
 
-python scripts/living_page.py > docs/lab/living.md
+python scripts/pages/living_page.py > docs/lab/living.md
 """
 
 import json
@@ -8,7 +8,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks/results/living.json"
 AMPLITUDES = {"0.0": "0", "2.5": "2.5", "5.0": "5", "10": "10"}
 
@@ -22,7 +22,7 @@ HEAD = """# Walls that move
   (lighting check) was decided on a real clip.
 - **Command:** `python -m benchmarks.living FILMS/* --json living.json`; {processor}, {cores} cores with other work
   beside it, so that the seconds say little. Seed 0, one run a film. Rendered from `benchmarks/results/living.json` by
-  `python scripts/living_page.py > docs/lab/living.md`.
+  `python scripts/pages/living_page.py > docs/lab/living.md`.
 
 ATE is CLiMB's: mean distance of camera centres after one Sim(3) a submap, weighted by matched poses. F-score at 1 mm is
 that of the largest submap's mesh against the wall at rest, after the Sim(3) of its camera poses; it counts against the

@@ -1,6 +1,6 @@
 """docs/lab/blind_stretch.md from benchmarks/results/blind.json: a second without pictures, with and without a sensor.
 
-python scripts/blind_page.py > docs/lab/blind_stretch.md
+python scripts/pages/blind_page.py > docs/lab/blind_stretch.md
 """
 
 import json
@@ -8,7 +8,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks/results/blind.json"
 
 HEAD = """# A second without pictures
@@ -18,7 +18,7 @@ HEAD = """# A second without pictures
 - **Command:** `haustra phantom SUITE --suite`; of each film `python scripts/simulated_sensor.py SUITE/FILM SENSED/FILM
   --noise 0.03 --blind FIRST LAST` (64x64 zones, 3 % of noise, 30 pictures blurred away); then
   `python -m benchmarks.reconstruction blind-stretch SENSED/* --truth SUITE --json benchmarks/results/blind.json`.
-  On commit {commit}. Rendered by `python scripts/blind_page.py > docs/lab/blind_stretch.md`.
+  On commit {commit}. Rendered by `python scripts/pages/blind_page.py > docs/lab/blind_stretch.md`.
 
 ## Tracking
 

@@ -1,13 +1,13 @@
 """docs/lab/speed.md from benchmarks/results/speed.json: whole runs beside the version before and beside COLMAP.
 
-python -m scripts.speed_page > docs/lab/speed.md
+python -m scripts.pages.speed_page > docs/lab/speed.md
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks/results/speed.json"
 DECIMATION = ROOT / "benchmarks/results/decimation.json"
 OURS, PEER = "reconstruct", "colmap+linear+tsdf"
@@ -18,7 +18,7 @@ HEAD = """# Speed of whole runs
 - **Question:** How long does a run take, what does it need, and what is lost by the ways in which it was made faster?
 - **Command:** `python -m benchmarks.speed throughput FOLDERS --before CHECKOUT --runs {runs} --json speed.json`, on
   commit {commit}; `before` is commit {before}. {processor}, {cores} cores, Python {python}. Rendered from
-  `benchmarks/results/speed.json` by `python -m scripts.speed_page > docs/lab/speed.md`.
+  `benchmarks/results/speed.json` by `python -m scripts.pages.speed_page > docs/lab/speed.md`.
 - **Protocol:** the methods take turns; wall time of the whole process, from the command to its end. Default settings,
   seed 0. F-score at 1 mm and ATE of the largest submap, after the Sim(3) of its camera path. Median of {runs} runs; for
   the ratio the median of the ratios of each turn, and in brackets the least and the greatest.

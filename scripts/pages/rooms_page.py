@@ -1,6 +1,6 @@
 """docs/lab/rooms.md from benchmarks/results/rooms.json: results before and after the redesign of November 2026.
 
-    python scripts/rooms_page.py [--before RUNS.json] [--after RUNS.json]
+    python scripts/pages/rooms_page.py [--before RUNS.json] [--after RUNS.json]
 
 RUNS.json: what `mapper-seeds --json` of the commit before or after wrote; its runs are entered into the record first.
 """
@@ -12,7 +12,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 WIDTH = 120
 RECORD, PAGE = ROOT / "benchmarks/results/rooms.json", ROOT / "docs/lab/rooms.md"
 
@@ -26,8 +26,8 @@ loop closing share now, change any result?
 **Measured** on one machine ({machine[processor]}, {machine[cores]} cores), before: commit {before}, after: {after};
 loop closing, and the runs that say so: {loops}, since a review found between the two that
 loops which end in the very view where they began were left out. Rendered from `benchmarks/results/rooms.json` by
-`python scripts/rooms_page.py`. All films had been in sight of earlier choices: these are figures of a comparison, not
-of accuracy.
+`python scripts/pages/rooms_page.py`. All films had been in sight of earlier choices: these are figures of a comparison,
+not of accuracy.
 """
 
 

@@ -1,13 +1,13 @@
 """docs/lab/live.md from benchmarks/results/live*.json: whether live sessions keep up, how soon, in how much memory.
 
-python -m scripts.live_page > docs/lab/live.md
+python -m scripts.pages.live_page > docs/lab/live.md
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks/results"
 RECORDS = {"nothing drawn": "live.json", "drawn by Chromium": "live_drawn.json", "played again": "live_looped.json"}
 
@@ -19,7 +19,7 @@ HEAD = """# Live sessions
 - **Command:** `python -m benchmarks.speed live FILMS --runs 3 --json live.json`, on commit {commit}; {processor},
   {cores} cores, Python {python}; the same with `--browser chromium` (`live_drawn.json`, commit {drawn}) and with
   `--seconds` (`live_looped.json`, commit {looped}). Rendered from `benchmarks/results/live*.json` by
-  `python -m scripts.live_page > docs/lab/live.md`.
+  `python -m scripts.pages.live_page > docs/lab/live.md`.
 - **Protocol:** the command in a process of its own, default settings, without the run at the end. *Kept up with*:
   frames that were judged and, where they are worth it, tracked, over the time from the first to the last of them.
   *Surface after*: from a keyframe's frame to its surface in the state that the page asks for; drawing comes on top.

@@ -1,6 +1,6 @@
 """docs/lab/depth_and_surface.md from benchmarks/results/depth.json: depth and mesh of films that burn.
 
-python scripts/depth_page.py > docs/lab/depth_and_surface.md
+python scripts/pages/depth_page.py > docs/lab/depth_and_surface.md
 """
 
 import json
@@ -8,7 +8,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks/results/depth.json"
 
 HEAD = """# Depth and surface of films that burn
@@ -17,7 +17,7 @@ HEAD = """# Depth and surface of films that burn
 - **Question:** What is the mesh worth beside true depth on the same poses, where near folds burn and the far lumen is
   dark? Which depth should be fused, and does depth from several views help?
 - **Command:** as named with each table; `{machine[processor]}`, {machine[cores]} cores. Rendered from
-  `benchmarks/results/depth.json` by `python scripts/depth_page.py > docs/lab/depth_and_surface.md`.
+  `benchmarks/results/depth.json` by `python scripts/pages/depth_page.py > docs/lab/depth_and_surface.md`.
 - **Decision:** Depth is admitted by its expected error in voxels. Bright pictures are not dimmed. Several views are off
   unless asked for. Light is no witness on depth.
 """

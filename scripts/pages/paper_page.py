@@ -2,7 +2,7 @@
 
 The words are in paper_page.txt; every figure that we measured comes from the records.
 
-python -m scripts.paper_page > docs/lab/paper.md
+python -m scripts.pages.paper_page > docs/lab/paper.md
 """
 
 from pathlib import Path

@@ -1,14 +1,14 @@
 """docs/lab/known_poses.md from benchmarks/results: known_poses.json, surface from true poses beside its ceiling, and
 foreign_poses.json, COLMAP's model as poses and what is said of wrong ones.
 
-python scripts/known_poses_page.py > docs/lab/known_poses.md
+python scripts/pages/known_poses_page.py > docs/lab/known_poses.md
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks/results/known_poses.json"
 FOREIGN = ROOT / "benchmarks/results/foreign_poses.json"
 
@@ -19,7 +19,7 @@ HEAD = """# True poses instead of tracking
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction known-poses SUITE/*
   --json benchmarks/results/known_poses.json`, and `python -m benchmarks.reconstruction foreign-poses CTCOLON
   --json benchmarks/results/foreign_poses.json`, on commit {commit}. Rendered by
-  `python scripts/known_poses_page.py > docs/lab/known_poses.md`.
+  `python scripts/pages/known_poses_page.py > docs/lab/known_poses.md`.
 
 F-score at 1 mm, `--fast`, lens given, one run each. `--poses`: in the run's own mm, after SE(3). Ceiling: completed
 depth of the run without poses (odometry), fused with its keyframes where they truly were.
