@@ -1,0 +1,1 @@
+"""Walls that move: depth carried to the wall at another time."""
