@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.common.carried_depth import carried, points_of
 from benchmarks.common.living_truth import TrueMotion, true_depth
 from benchmarks.common.record import RunTable, print_row
 from benchmarks.common.runner import add_folders, run
@@ -36,7 +37,6 @@ from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses
 from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
-from reconstruction.motion.carried_depth import carried, points_of
 from reconstruction.mesh.surface_mesh import drop_small_components
 
 SIXTH = 6
@@ -159,7 +159,9 @@ def _at_rest(view: View, motion: TrueMotion, intrinsics: Array) -> View:
     rotation, centre = view.world_from_camera[:3, :3], view.world_from_camera[:3, 3]
     known = view.depth > 0
     offsets = np.zeros((*view.depth.shape, 3), np.float32)
-    offsets[known] = motion.to_rest(points_of(view.depth, intrinsics)[known] @ rotation.T + centre, view.frame) @ rotation
+    offsets[known] = (
+        motion.to_rest(points_of(view.depth, intrinsics)[known] @ rotation.T + centre, view.frame) @ rotation
+    )
     found = carried(view.depth, offsets, intrinsics)
     return view._replace(depth=found.depth, confidence=found.image(view.confidence))
 

@@ -1,1 +1,1 @@
-"""Walls that move: depth carried to the wall at another time."""
+"""Walls that move: what the points of a map that takes them for still say of it."""
