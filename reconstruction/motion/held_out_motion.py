@@ -19,7 +19,7 @@ from reconstruction.motion.offset_field import fit_offsets, make_field
 
 Array = NDArray[np.float64]
 NODES, KNOT_S = 60, 0.3  # knots as dense as a contraction that passes in half a second needs
-SIGMA = 0.01  # of an offset, in units of the median depth: 0.3 mm at 30 mm
+SIGMA = 0.005  # of an offset that a map leaves, in median depths: 0.15 mm at 30 mm; chosen of 0.002 to 0.01
 NOISE_PX = 0.5
 LOSS_PX = 1.0  # Cauchy
 CELL = 0.05  # median depths: points so near may be one corner found twice, whose errors are the same
