@@ -50,8 +50,8 @@ CEILINGS = """
 F-score at 1 mm, as above, of the three paths and in the mean: our own fusion fed with the film's true poses and depth,
 or with those of a run, and with each frame's depth carried to the wall at rest by the true motion, which is what a
 perfect model of motion would do. True poses and depth: every sixth frame of the film; the others: keyframes of the
-largest submaps of the runs above. `python -m benchmarks.living_ceilings FILMS/* --runs RUNS --json living_ceilings.json`;
-commit {commit}.
+largest submaps of the runs above.
+`python -m benchmarks.living_ceilings FILMS/* --runs RUNS --json living_ceilings.json`; commit {commit}.
 
 | amplitude (mm) | fused | motion left in: paths | mean | carried to rest: paths | mean |
 |---|---|---|---|---|---|
