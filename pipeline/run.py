@@ -31,6 +31,7 @@ from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
 from pipeline.surface.lamp_file import lamp_of
 from pipeline.surface.scale import Scale, ScaleSource, check_scale_file, scale_of_poses, scale_of_sensor
+from pipeline.surface.wall_motion import wall_motion_stage
 
 
 def reconstruct(
@@ -65,6 +66,7 @@ def reconstruct(
         completed = complete(frames, submaps, later.completer, config.depth, workspace, progress)
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
+        timed("motion", wall_motion_stage)(frames, completed, workspace, progress)
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed, lamp)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)

@@ -47,7 +47,7 @@ completion.data
 completion.networks
 completion.confidence
 reconstruction.evaluation
-reconstruction.coverage reconstruction.fusion
+reconstruction.coverage reconstruction.fusion reconstruction.motion
 reconstruction.mesh
 reconstruction.pose_graph
 haustra.phantom

@@ -21,6 +21,7 @@ from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace, write_json
 from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface, mesh_path
+from pipeline.surface.wall_motion import load_motion, sentences
 from reconstruction.evaluation.trajectory_io import write_tum
 from reconstruction.mesh.mesh_io import write_mesh
 
@@ -125,6 +126,9 @@ def collect_metrics(
     evidence = structure["evidence"][structure["mapper"]]
     evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
     records = [_submap_metrics(frames, *parts) for parts in zip(submaps, surfaces, coverage, evidence, strict=False)]
+    motion = load_motion(workspace)
+    for record, found in zip(records, motion, strict=False):
+        record["wall_motion"] = None if found is None else asdict(found)
     return {
         "source": workspace.record["source"]["path"],
         "frames": {
@@ -136,7 +140,7 @@ def collect_metrics(
         "camera": workspace.result("frames")["camera_origin"],
         "front_end": front_end_of(workspace),
         "mapper": structure["mapper"],
-        "warnings": [*structure["warnings"], *refinement["warnings"]],
+        "warnings": [*structure["warnings"], *refinement["warnings"], *sentences(motion)],
         "loops": refinement["submaps"],
         "model": workspace.record["config"]["model"],
         "submaps": records,

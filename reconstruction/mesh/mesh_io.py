@@ -58,7 +58,16 @@ def read_mesh(path: Path | str) -> SurfaceMesh:
 
 def read_face_property(path: Path | str, name: str) -> NDArray | None:
     """A scalar property of a PLY file's faces, (F,); None where the file has no such property."""
-    values = _ply_element(_load(Path(path)), "face").get(name)
+    return _ply_property(path, "face", name)
+
+
+def read_vertex_property(path: Path | str, name: str) -> NDArray | None:
+    """A scalar property of a PLY file's vertices, (V,); None where the file has no such property."""
+    return _ply_property(path, "vertex", name)
+
+
+def _ply_property(path: Path | str, element: str, name: str) -> NDArray | None:
+    values = _ply_element(_load(Path(path)), element).get(name)
     return None if values is None else values.reshape(-1)
 
 

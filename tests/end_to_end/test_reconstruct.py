@@ -60,6 +60,7 @@ def test_every_artefact_of_the_contract_is_there(finished):
         "frames",
         "structure",
         "depth",
+        "motion",
         "surface",
         "coverage",
         "report",
@@ -74,7 +75,7 @@ def test_every_artefact_of_the_contract_is_there(finished):
 def test_a_profile_names_every_stage_and_is_on_the_page(finished):
     folder, result = finished
     profile = result.metrics["profile"]
-    stages = ["frames", "structure", "depth", "loop closing", "surface", "files", "coverage", "report"]
+    stages = ["frames", "structure", "depth", "loop closing", "motion", "surface", "files", "coverage", "report"]
     assert [one["stage"] for one in profile] == stages
     assert all(one["seconds"] >= 0 and one["cpu_seconds"] >= 0 for one in profile)
     assert "time of stage: surface" in (folder / "report.html").read_text()

@@ -9,7 +9,14 @@ import trimesh
 
 from haustra.core.errors import ReconstructionError
 from reconstruction.mesh.formats import MESH_FORMATS, MeshFormat
-from reconstruction.mesh.mesh_io import check_textured, read_face_property, read_mesh, write_mesh, write_textured
+from reconstruction.mesh.mesh_io import (
+    check_textured,
+    read_face_property,
+    read_mesh,
+    read_vertex_property,
+    write_mesh,
+    write_textured,
+)
 from reconstruction.mesh.open3d_import import import_open3d
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 from reconstruction.mesh.textured_mesh import TexturedMesh
@@ -125,6 +132,16 @@ def test_an_empty_surface_survives_ply_only(tmp_path):
     assert not len(read_mesh(write_mesh(empty, tmp_path / "empty.ply")).faces)
     with pytest.raises(ReconstructionError, match="without faces"):
         write_mesh(empty, tmp_path / "empty.glb")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_values_of_vertices_are_read(tmp_path, encoding):
+    sphere = trimesh.creation.icosphere(subdivisions=1)
+    arc = np.linspace(0, 9, len(sphere.vertices), dtype=np.float32)
+    sphere.vertex_attributes["arc_mm"] = arc
+    sphere.export(tmp_path / "truth.ply", encoding=encoding)
+    np.testing.assert_allclose(read_vertex_property(tmp_path / "truth.ply", "arc_mm"), arc, rtol=1e-6)
+    assert read_vertex_property(tmp_path / "truth.ply", "other") is None
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])

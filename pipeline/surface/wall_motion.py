@@ -1,0 +1,137 @@
+"""Stage 5b: whether the wall moved while it was filmed, by each submap's own points. Nothing is changed by it.
+
+Long films are asked piece by piece, so that memory does not grow with the film.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.progress import Progress
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.input.frames import Frames
+from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.run_folder.stage import load_or_make
+from pipeline.run_folder.workspace import Workspace
+from reconstruction.motion.held_out_motion import TOLD, HeldOutMotion, Residuals, held_out_motion
+
+STAGE = "motion"
+PIECE_S = 30.0
+MOST_OBSERVATIONS = 60_000  # of a piece
+MIN_TRACK_LENGTH = 3  # frames that saw a point; fewer miss nothing
+NEAREST = 0.05  # scene units; nearer than that is no wall
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class WallMotion:
+    """Of a submap: whether its points tell that its wall moved; `explained`, the share of held-out residuals that a
+    motion foretells; the share of the wall that is followed which moved, and in which seconds of the film (none where
+    it is not told)."""
+
+    told: bool
+    explained: float
+    share: float
+    seconds: tuple[int, ...]
+
+    def sentence(self, number: int) -> str:
+        """For a person."""
+        return (
+            f"the wall of submap {number} moved while it was filmed: {100 * self.share:.0f} % of what is followed of "
+            f"it, at {_spans(self.seconds)}; how far cannot be told from the camera's own motion, so that path, depth "
+            "and scale are not to be trusted to millimetres"
+        )
+
+
+def wall_motion_stage(
+    frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace, progress: Progress
+) -> list[WallMotion | None]:
+    """Of each submap; None where too little is followed to tell."""
+    return load_or_make(
+        workspace, STAGE, lambda: load_motion(workspace), lambda: _ask_all(frames, submaps, workspace, progress)
+    )
+
+
+def load_motion(workspace: Workspace) -> list[WallMotion | None]:
+    """What a finished stage found; none in runs of earlier versions."""
+    if not workspace.is_done(STAGE):
+        return []
+    records = workspace.result(STAGE)["submaps"]
+    return [None if r is None else WallMotion(**r | {"seconds": tuple(r["seconds"])}) for r in records]
+
+
+def _ask_all(frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace, progress: Progress) -> None:
+    found = [measure_motion(frames, completed.submap) for completed in submaps]
+    workspace.finish(STAGE, submaps=[None if one is None else asdict(one) for one in found])
+    for sentence in sentences(found):
+        progress.log(sentence)
+
+
+def sentences(found: list[WallMotion | None]) -> list[str]:
+    """One for each submap whose wall moved."""
+    return [one.sentence(number) for number, one in enumerate(found) if one is not None and one.told]
+
+
+def measure_motion(frames: Frames, submap: Submap) -> WallMotion | None:
+    """Of one submap; None where too little is followed to tell."""
+    seconds = frames.seconds_of_numbers(submap.frames)
+    pieces = np.array_split(np.arange(len(seconds)), max(1, round((seconds[-1] - seconds[0]) / PIECE_S)))
+    asked = (_of_piece(frames, submap, seconds, rows) for rows in pieces if len(rows))
+    found = [one for one in asked if one is not None]
+    return _together(found) if found else None
+
+
+def _of_piece(frames: Frames, submap: Submap, seconds: Array, rows: NDArray[np.int64]) -> HeldOutMotion | None:
+    mine = np.isin(submap.observations[:, 0], rows)
+    mine[mine] = _thinned(submap.observations[mine, 1])
+    return held_out_motion(residuals(frames, submap, seconds, mine))
+
+
+def _thinned(point: NDArray[np.int64]) -> Mask:
+    """(M,) observations of points with enough of them, and of no more points than a piece can hold."""
+    count = np.bincount(point)
+    usable = np.flatnonzero(count >= MIN_TRACK_LENGTH)
+    step = max(1, -(-int(count[usable].sum()) // MOST_OBSERVATIONS))
+    kept = np.zeros(len(count), dtype=bool)
+    kept[usable[::step]] = True
+    return kept[point]
+
+
+def residuals(frames: Frames, submap: Submap, seconds: Array, mine: Mask) -> Residuals:
+    """Of the observations `mine` (M,) of a submap whose frames are at `seconds` (N,)."""
+    camera = refined_camera(frames.camera, submap)
+    row, point = submap.observations[mine].T
+    plane, valid = camera.unproject(submap.pixels[mine])
+    rotation, world = np.swapaxes(submap.world_from_camera[row, :3, :3], 1, 2), submap.points[point]
+    local = np.einsum("mij,mj->mi", rotation, world - submap.centres[row])
+    good = valid & (local[:, 2] > NEAREST)
+    row, point, plane, rotation, world, local = (a[good] for a in (row, point, plane, rotation, world, local))
+    depth, focal = local[:, 2], float(np.sqrt(camera.focal[0] * camera.focal[1]))
+    slope = np.zeros((len(local), 2, 3))
+    slope[:, 0, 0] = slope[:, 1, 1] = focal / depth
+    slope[:, :, 2] = -focal * local[:, :2] / depth[:, None] ** 2
+    pixels = focal * (local[:, :2] / depth[:, None] - plane)
+    return Residuals(point, world, seconds[row], pixels, slope @ rotation)
+
+
+def _together(found: list[HeldOutMotion]) -> WallMotion:
+    """Pieces of one submap: what those say that tell of motion, as a share of all."""
+    told = [one for one in found if one.is_told]
+    most = max(one.explained for one in found)
+    if not told:
+        return WallMotion(False, most, 0.0, ())
+    seconds = np.concatenate([np.floor(one.begin[one.explained_then > TOLD]).astype(int) for one in told])
+    return WallMotion(True, most, sum(one.share for one in told) / len(found), tuple(np.unique(seconds).tolist()))
+
+
+def _spans(seconds: tuple[int, ...]) -> str:
+    """Seconds in words: `1 to 4 s, 7 to 9 s`; at most four stretches."""
+    starts = [s for s in seconds if s - 1 not in seconds]
+    ends = [s + 1 for s in seconds if s + 1 not in seconds]
+    spans = [f"{a} to {b} s" for a, b in zip(starts, ends, strict=True)]
+    return ", ".join(spans[:4]) + (" and on" if len(spans) > 4 else "")
