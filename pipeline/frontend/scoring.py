@@ -25,6 +25,8 @@ MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for 
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
+MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
+MIN_SEEN = 8  # points that a frame must see to stay where such points are taken out
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated
 
 
@@ -44,11 +46,12 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
     """
     ordered = sorted(found, key=lambda one: -len(one.submap.frames))
     images, candidates = _image_reader(workspace), []
-    for number, (one, submap) in enumerate(zip(ordered, disjoint(o.submap for o in ordered), strict=True)):
+    for number, (one, found_submap) in enumerate(zip(ordered, disjoint(o.submap for o in ordered), strict=True)):
+        submap = without_wild_points(found_submap)
         if len(submap.frames) < MIN_FRAMES:
             continue
         correlations = lighting_correlations(submap, images)
-        check, model = summarised(submap, correlations), one.model
+        check, model = summarised(submap, correlations), one.model if submap is found_submap else None
         if check.inconsistent_share > MAX_INCONSISTENT:
             begin, end = best_stretch(correlations)
             if MIN_KEPT * len(submap.frames) <= end - begin < len(submap.frames):
@@ -61,6 +64,18 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
             write_model(submap, camera, folder)
         candidates.append(Candidate(submap, check, folder))
     return candidates
+
+
+def without_wild_points(submap: Submap) -> Submap:
+    """The same submap where all its points lie near their pixels; else without those that do not, and without frames
+    that then see too few."""
+    wild = ~(submap.error_px < MAX_POINT_ERROR_PX)  # also what is not a number
+    if not wild.any():
+        return submap
+    rest = submap.without_points(wild)
+    seen = np.bincount(rest.observations[:, 0], minlength=len(rest.frames))
+    rest = rest.without_frames(set(rest.frames[seen < MIN_SEEN].tolist()))
+    return rest.without_points(rest.track_lengths() < 2)
 
 
 def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:

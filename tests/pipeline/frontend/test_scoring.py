@@ -1,0 +1,36 @@
+"""Points that a mapper left anywhere: out, with the frames that nothing else holds."""
+
+import numpy as np
+import pytest
+
+from pipeline.frontend.scoring import MIN_SEEN, without_wild_points
+from pipeline.mapping.submap import Submap
+
+
+def submap(errors, frames=5):
+    """Every frame sees every point, but the last one those of odd number alone."""
+    points = len(errors)
+    seen = [(f, p) for f in range(frames) for p in range(points) if f < frames - 1 or p % 2]
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    return Submap(
+        np.arange(frames) * 10, poses, np.zeros((points, 3)), np.array(errors, float), np.array(seen),
+        np.zeros((len(seen), 2)), (100.0, 100.0, 50.0, 50.0),
+    )  # fmt: skip
+
+
+def test_submap_without_such_points_is_the_same_object():
+    one = submap([0.4, 3.9] * 10)
+    assert without_wild_points(one) is one
+
+
+@pytest.mark.parametrize("wild", [11.0, 1e150, np.inf, np.nan])
+def test_wild_points_go_and_frames_that_saw_little_else(wild):
+    rest = without_wild_points(submap([0.4, wild] * 10))
+    assert len(rest.points) == 10 >= MIN_SEEN
+    assert rest.frames.tolist() == [0, 10, 20, 30]  # the last frame saw the wild ones alone
+    assert rest.error_px.max() < 1
+    np.testing.assert_array_equal(np.bincount(rest.observations[:, 1]), 4)
+
+
+def test_nothing_is_left_of_a_model_that_is_wild_throughout():
+    assert len(without_wild_points(submap([1e140] * 20)).frames) == 0
