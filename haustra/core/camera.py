@@ -97,7 +97,8 @@ class Camera:
             far = np.abs(off).max(axis=1) > CONVERGED_PX
             left, off = left[far], off[far]
             jacobian = self.pixel_jacobian(plane[left])
-            singular = np.abs(np.linalg.det(jacobian)) < 1e-6
+            with np.errstate(invalid="ignore"):  # far out a polynomial overflows
+                singular = ~(np.abs(np.linalg.det(jacobian)) >= 1e-6)
             jacobian[singular] = np.eye(2) * self.focal[0]
             step = np.linalg.solve(jacobian, off[:, :, None])[:, :, 0]
             plane[left] = np.clip(plane[left] + np.clip(step, -0.5, 0.5), -2 * WIDEST, 2 * WIDEST)
