@@ -30,7 +30,14 @@ from pipeline.run_folder.workspace import Workspace, create_workspace, resume_wo
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
 from pipeline.surface.lamp_file import lamp_of
-from pipeline.surface.scale import Scale, ScaleSource, check_scale_file, scale_of_poses, scale_of_sensor
+from pipeline.surface.scale import (
+    Scale,
+    ScaleSource,
+    check_scale_file,
+    checked_against,
+    scale_of_poses,
+    scale_of_sensor,
+)
 from pipeline.surface.wall_motion import wall_motion_stage
 
 
@@ -87,13 +94,15 @@ def _given_scales(
     config: Config, frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace
 ) -> tuple[Scale | None, ...]:
     """Of each submap as it is fused: from a sensor's depth, or from the unit of poses."""
+    by_poses: tuple[Scale | None, ...] = ()
+    if config.poses.file is not None:
+        by_poses = (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit),)
     sensor = open_sensor(workspace, frames.camera.width)
     if sensor is not None:
         found, units = [sensor_scale(one.submap, sensor) for one in submaps], scene_units(workspace)
-        return tuple(scale_of_sensor(None if one is None else one.in_unit_of(units)) for one in found)
-    if config.poses.file is not None:
-        return (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit),)
-    return ()
+        sensed = [scale_of_sensor(None if one is None else one.in_unit_of(units)) for one in found]
+        return tuple(None if one is None else checked_against(one, by_poses) for one in sensed)
+    return by_poses
 
 
 def _with_lens_of_poses(config: Config) -> Config:

@@ -143,9 +143,7 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     before it had a camera path, is in nobody's way: the command is given again, corrected."""
     replaced = workspace.record_path.exists()
     if replaced and not overwrite and not _is_in_nobodys_way(workspace.root):
-        raise HaustraError(
-            f"{workspace.root} already holds a run; add --resume to go on with it or --overwrite to redo it"
-        )
+        raise HaustraError(f"{workspace.root} already holds a run; {_ways_on(workspace.root, config)}")
     workspace.record |= {
         "source": record_inputs(source, config),  # before the earlier run goes: this may fail
         "versions": _versions(),
@@ -156,6 +154,17 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     workspace.save()
     _clear_if_begun(workspace)
     workspace.log.mkdir(exist_ok=True)
+
+
+def _ways_on(root: Path, config: Config) -> str:
+    """What can be done about a run that is in the way: with other settings it cannot be gone on with."""
+    try:
+        other = open_workspace(root).config.differences(config)
+    except HaustraError:  # a damaged record
+        other = []
+    if other:
+        return f"its settings were others ({other[0]}), so --overwrite redoes it, and --resume goes on with those alone"
+    return "add --resume to go on with it or --overwrite to redo it"
 
 
 def _is_in_nobodys_way(root: Path) -> bool:

@@ -1,6 +1,8 @@
 """From scene units to millimetres: by the lumen's known width, or by a file."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +44,7 @@ class Scale:
     origin: str
 
 
+MOST_APART = 1.1  # factor between two sources of one scale that both may be right
 SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
 
 
@@ -57,21 +60,32 @@ def scale_of_sensor(found: SensorScale | None) -> Scale | None:
     return None if found is None else Scale(found.mm_per_unit, "mm", str(found))
 
 
+def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
+    """The scale, whose origin says so where another source in millimetres gives clearly other lengths."""
+    for other in others:
+        if other is None or scale.unit != "mm" or other.unit != "mm":
+            continue
+        factor = other.factor / scale.factor
+        if abs(math.log(factor)) > math.log(MOST_APART):
+            doubt = f"; one of two is wrong: all lengths would be {factor:.3g} times these by the {other.origin}"
+            scale = replace(scale, origin=scale.origin + doubt)
+    return scale
+
+
 def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     """Scale of a submap whose mesh and poses are in scene units."""
     if source.file is not None:
-        return _scale_from_file(source.file, submap)
+        return checked_against(_scale_from_file(source.file, submap), source.given)
     if source.lumen_mm is None:
         return next((scale for scale in source.given if scale is not None), SCENE)
     # One median depth ahead: in a tube that is where the picture's middle ground lies.
     width = measure_lumen(mesh.vertices, mesh.faces, submap.world_from_camera, reach=1.0)
     if width is None:
         return Scale(1.0, "scene", "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here")
-    return Scale(
-        source.lumen_mm / width.diameter,
-        "mm",
-        f"median lumen diameter set to {source.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations",
+    told = (
+        f"median lumen diameter set to {source.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations"
     )
+    return checked_against(Scale(source.lumen_mm / width.diameter, "mm", told), source.given)
 
 
 def check_scale_file(path: Path) -> dict[str, float]:

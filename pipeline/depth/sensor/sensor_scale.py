@@ -85,9 +85,12 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> Non
     best = min(found, key=lambda shift: (found[shift], abs(shift)), default=0)
     if best != 0 and found[best] < BETTER * disagreement:
         when = f"{abs(best)} frame(s) {'late' if best > 0 else 'early'}"
+        advice = (
+            f"{'take' if best > 0 else 'add'} {abs(best)} {'from' if best > 0 else 'to'} the number of each depth image"
+        )
         raise HaustraError(
             f"the sensor's depth is {when}: taken so, it differs from the geometry by {100 * found[best]:.1f} % "
-            f"instead of {100 * disagreement:.1f} %; number its images anew"
+            f"instead of {100 * disagreement:.1f} %; {advice}"
         )
 
 

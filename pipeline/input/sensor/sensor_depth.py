@@ -50,9 +50,7 @@ class SensorDepth:
         path = self.files.get(frame)
         if path is None:
             return None
-        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
-            raise HaustraError(f"{path} is no 16-bit depth image")
+        raw = _read_depth(path)
         depth = raw * self.unit_mm
         sigma = self.settings.error_mm + self.settings.error_relative * depth + self.settings.error_per_mm * depth**2
         trust = _confidence(path, raw.shape)
@@ -115,6 +113,14 @@ def _cached_image(sensor: SensorDepth, frame: int) -> tuple[Array, Array] | None
     return sensor.image(frame)
 
 
+def _read_depth(path: Path) -> NDArray[np.uint16]:
+    """(h,w) as stored. HaustraError for any other image."""
+    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
+        raise HaustraError(f"{path} is no 16-bit depth image")
+    return np.asarray(raw, np.uint16)
+
+
 def _confidence(path: Path, shape: tuple[int, ...]) -> Array:
     """(h,w) of `confidence/` beside the depth folder, in [0,1]; 1 where there is none."""
     beside = path.parent.parent / "sensor_confidence" / path.name
@@ -146,8 +152,10 @@ def check_sensor(source: Path, settings: SensorSettings) -> None:
     folder = depth_folder(source, settings)
     if folder is not None:
         _unit(source, folder, settings)
-        if not list(folder.glob("[!.]*.png")):
+        images = sorted(folder.glob("[!.]*.png"))
+        if not images:
             raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
+        _read_depth(images[0])
 
 
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:

@@ -76,7 +76,10 @@ class RectifiedRig:
             down.append(np.abs(apart[:, 1]))
         x, y = np.concatenate(across), np.concatenate(down)
         if len(x) < FEWEST_MATCHES:
-            raise HaustraError(f"the two eyes show nothing in common ({len(x)} matches): is the layout right?")
+            raise HaustraError(
+                f"the two eyes show nothing in common ({len(x)} matches): is the layout right? A film of one eye is "
+                "taken without --stereo"
+            )
         if np.median(x) < 0:
             raise HaustraError(
                 f"the eyes are swapped: the left one sees things {-np.median(x):.1f} px farther left than the right one"

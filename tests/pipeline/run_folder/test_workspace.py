@@ -68,8 +68,10 @@ def test_a_refused_run_leaves_the_folder_unlocked(tmp_path):
     folder = tmp_path / "run"
     with create_workspace(folder, video, load_config(None), overwrite=False) as workspace:
         workspace.finish("frames")
-    with pytest.raises(HaustraError, match="already holds a run"):
+    with pytest.raises(HaustraError, match="already holds a run; add --resume"):
         create_workspace(folder, video, load_config(None), overwrite=False)
+    with pytest.raises(HaustraError, match=r"holds a run; its settings were others \(seed: 0, now 7\), so --overwrite"):
+        create_workspace(folder, video, load_config(None, seed=7), overwrite=False)
     with pytest.raises(HaustraError, match="other settings"):
         resume_workspace(folder, video, load_config(None, seed=7))
     RunLock(folder).release()

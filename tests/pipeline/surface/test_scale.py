@@ -5,7 +5,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.mapping.submap import Submap
-from pipeline.surface.scale import ScaleSource, find_scale
+from pipeline.surface.scale import SCENE, Scale, ScaleSource, checked_against, find_scale
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -82,3 +82,24 @@ def test_scale_files(tmp_path):
 def test_no_scale_stays_scene():
     scale = find_scale(ScaleSource(), submap_of(np.eye(4)[None]), SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]))
     assert (scale.factor, scale.unit) == (1.0, "scene")
+
+
+def test_another_source_that_contradicts_the_scale_is_named():
+    by_file, by_sensor = Scale(40.0, "mm", "scale file a.yaml"), Scale(10.0, "mm", "depth of the sensor")
+    doubt = "one of two is wrong: all lengths would be 0.25 times these by the depth of the sensor"
+    assert checked_against(by_file, [None, SCENE, by_sensor]).origin == f"scale file a.yaml; {doubt}"
+    assert checked_against(by_file, [Scale(43.0, "mm", "poses")]) == by_file
+    assert checked_against(SCENE, [by_sensor]) == SCENE
+
+
+def test_the_lumen_and_a_file_are_held_against_what_a_sensor_gave(tmp_path):
+    vertices, faces, poses = bent_tube(radius=0.8, bend=9.0)
+    mesh, submap = SurfaceMesh.from_triangles(vertices, faces), submap_of(poses)
+    sensed = Scale(3.0, "mm", "depth of the sensor")
+    (tmp_path / "s.yaml").write_text("mm_per_unit: 30.0")
+    for source in (
+        ScaleSource(given=(sensed,), lumen_mm=500.0),
+        ScaleSource(given=(sensed,), file=tmp_path / "s.yaml"),
+    ):
+        assert "by the depth of the sensor" in find_scale(source, submap, mesh).origin
+    assert find_scale(ScaleSource(given=(sensed,)), submap, mesh) == sensed
