@@ -75,7 +75,6 @@ def figures_of(film: Path, made: Run) -> dict[str, Any]:
         "missed_90_mm": float(np.percentile(across, 90)),
         "told": told.told,
         "explained_percent": 100 * told.explained,
-        "share_percent": 100 * told.share,
     }
 
 

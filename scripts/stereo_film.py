@@ -3,7 +3,8 @@
 python scripts/stereo_film.py FILM OUT --baseline 4
 
 FILM is a folder of `haustra phantom`. OUT/rgb holds its frames with those of a second eye, BASELINE mm to the right,
-beside them, under the same lamps; OUT/rig.yaml is the calibration in OpenCV's form. The truth stays in FILM. Then:
+beside them, under the direct light of the same lamps; OUT/rig.yaml is the calibration in OpenCV's form. The truth stays
+in FILM. Then:
 
 reconstruct OUT --stereo OUT/rig.yaml; haustra compare RUN FILM
 """
@@ -49,7 +50,7 @@ def main() -> None:
     config = PhantomConfig.from_dict(yaml.safe_load((wanted.film / "config.yaml").read_text()))
     phantom = Phantom(config, 1)
     script = write_script(phantom)
-    lit_from_the_left = replace(config.imaging, light_shift_mm=-wanted.baseline)
+    lit_from_the_left = replace(config.imaging, light_shift_mm=config.imaging.light_shift_mm - wanted.baseline)
     second_eye = np.eye(4)
     second_eye[0, 3] = wanted.baseline
     film = phantom.seen_through(lit_from_the_left, config.camera).film(

@@ -26,7 +26,7 @@ from pipeline.matching.sim3_match import Sim3Match
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from reconstruction.pose_graph import Edge, chi2
 
-AHEAD = 12  # keyframes with which each one's features are compared: longer tracks drift less (docs/lab/loop_closing.md)
+AHEAD = 12  # keyframes with which each one's features are compared: longer tracks drift less (docs/lab/loop_tracks.md)
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe
 LOSS_SCHEDULE = ((5.0, 12.0), (2.0, 5.0), (0.8, 2.0), (0.8, 2.0))  # loss and largest error that is kept, pixels
 ITERATIONS = 25

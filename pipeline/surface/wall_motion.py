@@ -16,7 +16,7 @@ from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
-from reconstruction.motion.held_out_motion import TOLD, HeldOutMotion, Residuals, held_out_motion
+from reconstruction.motion.held_out_motion import Residuals, held_out_motion
 
 STAGE = "motion"
 PIECE_S = 30.0
@@ -30,28 +30,26 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class WallMotion:
-    """Of a submap: whether its points tell that its wall moved; `explained`, the share of held-out residuals that a
-    motion foretells; the share of the wall that is followed which moved, and in which seconds of the film (none where
-    it is not told)."""
+    """Of a submap: whether neighbouring points miss a still map together; explained: the share of held-out residuals
+    that a motion of the wall foretells."""
 
     told: bool
     explained: float
-    share: float
-    seconds: tuple[int, ...]
 
     def sentence(self, number: int) -> str:
         """For a person."""
         return (
-            f"the wall of submap {number} moved while it was filmed: {100 * self.share:.0f} % of what is followed of "
-            f"it, at {_spans(self.seconds)}; how far cannot be told from the camera's own motion, so that path, depth "
-            "and scale are not to be trusted to millimetres"
+            f"points of submap {number} miss a still wall as their neighbours do: the wall moved while it was filmed, "
+            "or the lens, the shutter or the path is a little wrong; path, depth and scale are not to be trusted to "
+            "millimetres"
         )
 
 
 def wall_motion_stage(
     frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace, progress: Progress
 ) -> list[WallMotion | None]:
-    """Of each submap; None where too little is followed to tell."""
+    """Of each submap; None where too little is followed to tell, and where closed loops moved points off what was
+    adjusted to the pictures."""
     return load_or_make(
         workspace, STAGE, lambda: load_motion(workspace), lambda: _ask_all(frames, submaps, workspace, progress)
     )
@@ -62,11 +60,11 @@ def load_motion(workspace: Workspace) -> list[WallMotion | None]:
     if not workspace.is_done(STAGE):
         return []
     records = workspace.result(STAGE)["submaps"]
-    return [None if r is None else WallMotion(**r | {"seconds": tuple(r["seconds"])}) for r in records]
+    return [None if r is None else WallMotion(r["told"], r["explained"]) for r in records]
 
 
 def _ask_all(frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace, progress: Progress) -> None:
-    found = [measure_motion(frames, completed.submap) for completed in submaps]
+    found = [None if one.depth_scale is not None else measure_motion(frames, one.submap) for one in submaps]
     workspace.finish(STAGE, submaps=[None if one is None else asdict(one) for one in found])
     for sentence in sentences(found):
         progress.log(sentence)
@@ -79,17 +77,18 @@ def sentences(found: list[WallMotion | None]) -> list[str]:
 
 def measure_motion(frames: Frames, submap: Submap) -> WallMotion | None:
     """Of one submap; None where too little is followed to tell."""
-    seconds = frames.seconds_of_numbers(submap.frames)
-    pieces = np.array_split(np.arange(len(seconds)), max(1, round((seconds[-1] - seconds[0]) / PIECE_S)))
-    asked = (_of_piece(frames, submap, seconds, rows) for rows in pieces if len(rows))
-    found = [one for one in asked if one is not None]
-    return _together(found) if found else None
-
-
-def _of_piece(frames: Frames, submap: Submap, seconds: Array, rows: NDArray[np.int64]) -> HeldOutMotion | None:
-    mine = np.isin(submap.observations[:, 0], rows)
-    mine[mine] = _thinned(submap.observations[mine, 1])
-    return held_out_motion(residuals(frames, submap, seconds, mine))
+    seconds, (order, starts) = frames.seconds_of_numbers(submap.frames), submap.by_frame()
+    pieces = max(1, round((seconds[-1] - seconds[0]) / PIECE_S))
+    edges = np.searchsorted(seconds, np.linspace(seconds[0], seconds[-1], pieces + 1)[1:-1])
+    found = []
+    for mine in np.split(order, starts[edges]):
+        kept = mine[_thinned(submap.observations[mine, 1])]
+        if len(kept) and (one := held_out_motion(residuals(frames, submap, seconds, kept))) is not None:
+            found.append(one)
+    if not found:
+        return None
+    whole = sum(found[1:], start=found[0])
+    return WallMotion(whole.is_told, whole.explained)
 
 
 def _thinned(point: NDArray[np.int64]) -> Mask:
@@ -102,8 +101,8 @@ def _thinned(point: NDArray[np.int64]) -> Mask:
     return kept[point]
 
 
-def residuals(frames: Frames, submap: Submap, seconds: Array, mine: Mask) -> Residuals:
-    """Of the observations `mine` (M,) of a submap whose frames are at `seconds` (N,)."""
+def residuals(frames: Frames, submap: Submap, seconds: Array, mine: Mask | NDArray[np.int64]) -> Residuals:
+    """Of the observations `mine` (rows or mask) of a submap whose frames are at `seconds` (N,)."""
     camera = refined_camera(frames.camera, submap)
     row, point = submap.observations[mine].T
     plane, valid = camera.unproject(submap.pixels[mine])
@@ -117,21 +116,3 @@ def residuals(frames: Frames, submap: Submap, seconds: Array, mine: Mask) -> Res
     slope[:, :, 2] = -focal * local[:, :2] / depth[:, None] ** 2
     pixels = focal * (local[:, :2] / depth[:, None] - plane)
     return Residuals(point, world, seconds[row], pixels, slope @ rotation)
-
-
-def _together(found: list[HeldOutMotion]) -> WallMotion:
-    """Pieces of one submap: what those say that tell of motion, as a share of all."""
-    told = [one for one in found if one.is_told]
-    most = max(one.explained for one in found)
-    if not told:
-        return WallMotion(False, most, 0.0, ())
-    seconds = np.concatenate([np.floor(one.begin[one.explained_then > TOLD]).astype(int) for one in told])
-    return WallMotion(True, most, sum(one.share for one in told) / len(found), tuple(np.unique(seconds).tolist()))
-
-
-def _spans(seconds: tuple[int, ...]) -> str:
-    """Seconds in words: `1 to 4 s, 7 to 9 s`; at most four stretches."""
-    starts = [s for s in seconds if s - 1 not in seconds]
-    ends = [s + 1 for s in seconds if s + 1 not in seconds]
-    spans = [f"{a} to {b} s" for a, b in zip(starts, ends, strict=True)]
-    return ", ".join(spans[:4]) + (" and on" if len(spans) > 4 else "")

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from reconstruction.motion.offset_field import fit_offsets, make_field
 
@@ -23,9 +22,8 @@ SIGMA = 0.005  # of an offset that a map leaves, in median depths: 0.15 mm at 30
 NOISE_PX = 0.5
 LOSS_PX = 1.0  # Cauchy
 CELL = 0.05  # median depths: points so near may be one corner found twice, whose errors are the same
-TOLD = 0.02  # share of the held-out residuals that says that the wall moved; still walls are below -0.02
+TOLD = 0.02  # share of the held-out residuals; of still walls through the right lens it was below -0.01
 LEAST_POINTS, LEAST_SECONDS = 50, 1.0
-LEAST_AT_NODE = 100.0  # observations by which a node's part of the wall is judged
 
 
 @dataclass(frozen=True)
@@ -45,20 +43,24 @@ class Residuals:
 
 @dataclass(frozen=True)
 class HeldOutMotion:
-    """explained: share of the held-out squared residuals that the motion of the others foretells; negative where it
-    foretells nothing and only adds. share: of the wall that is followed, on how much it foretells something. begin,
-    explained_then (T,): second by second.
-    """
+    """before: sum of the weighted squares of the held-out residuals. gained: how much less it is with what the motion
+    of the others foretells; negative where that only adds."""
 
-    explained: float
-    share: float
-    begin: Array
-    explained_then: Array
+    before: float
+    gained: float
+
+    @property
+    def explained(self) -> float:
+        """Share of the held-out squared residuals that is foretold."""
+        return self.gained / max(self.before, 1e-12)
 
     @property
     def is_told(self) -> bool:
-        """Whether the observations say that the wall moved."""
+        """Whether neighbouring points miss a still map together: by motion of the wall, or by what looks like it."""
         return self.explained > TOLD
+
+    def __add__(self, other: HeldOutMotion) -> HeldOutMotion:
+        return HeldOutMotion(self.before + other.before, self.gained + other.gained)
 
 
 def held_out_motion(seen: Residuals) -> HeldOutMotion | None:
@@ -74,26 +76,6 @@ def held_out_motion(seen: Residuals) -> HeldOutMotion | None:
         known, asked = fold != number, fold == number
         found = fit_offsets(weights[known], seen.jacobian[known], seen.pixels[known], weight[known], SIGMA)
         foretold[asked] = np.einsum("mij,mj->mi", seen.jacobian[asked], weights[asked] @ found)
-    before = weight * (seen.pixels**2).sum(axis=1)
-    after = weight * ((seen.pixels + foretold) ** 2).sum(axis=1)
-    return _judged(seen, before, before - after, field.node_weights(seen.world))
-
-
-def _judged(seen: Residuals, before: Array, gained: Array, nodes: csr_array) -> HeldOutMotion:
-    """before, gained (M,): weighted squares of the residuals, and how much less they are with what is foretold; nodes
-    (M,N): shares of the nodes in the observations."""
-    seconds = np.floor(seen.seconds - seen.seconds.min()).astype(np.int64)
-    then = _shares(*(np.bincount(seconds, values).astype(np.float64) for values in (gained, before)))
-    held = nodes.sum(axis=0) >= LEAST_AT_NODE
-    moved = _shares(nodes.T @ gained, nodes.T @ before)[held] > TOLD
-    return HeldOutMotion(
-        explained=float(gained.sum() / max(before.sum(), 1e-12)),
-        share=float(moved.mean()) if held.any() else 0.0,
-        begin=seen.seconds.min() + np.arange(len(then)),
-        explained_then=then,
-    )
-
-
-def _shares(part: Array, whole: Array) -> Array:
-    """(K,) part over whole, 0 where there is none."""
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
+    before = weight @ (seen.pixels**2).sum(axis=1)
+    after = weight @ ((seen.pixels + foretold) ** 2).sum(axis=1)
+    return HeldOutMotion(float(before), float(before - after))

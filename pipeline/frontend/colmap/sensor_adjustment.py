@@ -29,6 +29,12 @@ def adjusted_to_sensor(
             metric = metric_submap(one.submap, camera, sensor)
             adjusted.append(one if metric is None else FoundSubmap(metric))
             advance(number)
+    left = sum(before is after for before, after in zip(found, adjusted, strict=True))
+    if left:
+        progress.log(
+            f"{left} of {len(found)} models are not adjusted by the sensor: it saw too few of their points, or frames "
+            "would have been lost"
+        )
     return adjusted
 
 
