@@ -17,6 +17,7 @@ from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
 from pipeline.mapping.submap import MIN_FRAMES, Submap
+from pipeline.mapping.submap_of_map import MIN_SEEN
 from pipeline.run_folder.workspace import Workspace
 
 MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pieces is worth another opinion
@@ -26,7 +27,6 @@ MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
-MIN_SEEN = 8  # points that a frame must see to stay where such points are taken out
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated
 
 

@@ -71,7 +71,7 @@ def _ask_all(frames: Frames, submaps: list[CompletedSubmap], workspace: Workspac
 
 
 def sentences(found: list[WallMotion | None]) -> list[str]:
-    """One for each submap whose wall moved."""
+    """One for each submap whose points miss a still wall together."""
     return [one.sentence(number) for number, one in enumerate(found) if one is not None and one.told]
 
 

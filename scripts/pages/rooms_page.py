@@ -9,6 +9,7 @@ import argparse
 import json
 import statistics
 import textwrap
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,23 +63,38 @@ def guard(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def section(title: str, text: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """A heading, what stands over the table, and the table."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    head, rule, *body = ["| " + " | ".join(map(str, line)) + " |" for line in lines]
+    return [f"\n## {title}\n", f"{text}\n", head, rule.replace(" ", ""), *body]
+
+
 def suite(rows: list[dict[str, Any]]) -> list[str]:
     """ATE and F-score of whole runs."""
-    lines = [
-        "\n## Whole runs\n",
-        "`reconstruct FILM --front-end odometry --seed 0`, then `haustra compare`; one seed. F-score at 1 mm.\n",
-        "| film | frames posed | ATE before, after (mm) | F-score before, after (%) | bytes | commit after |",
-        "|---|---|---|---|---|---|",
-    ]
-    for row in rows:
+
+    def cells(row: dict[str, Any]) -> list[str]:
         before, after = row["before"], row["after"]
-        lines.append(
-            f"| {row['film']} | {before['posed']}, {after['posed']} of {before['total']} "
-            f"| {before['ate_mm']:.4f}, {after['ate_mm']:.4f} "
-            f"| {before['f_score_percent']:.2f}, {after['f_score_percent']:.2f} "
-            f"| {'the same' if all(row['same_bytes'].values()) else 'differ'} | {row['of']} |"
-        )
-    return lines
+        return [
+            row["film"],
+            f"{before['posed']}, {after['posed']} of {before['total']}",
+            _both(row, "ate_mm", 4),
+            _both(row, "f_score_percent", 2),
+            "the same" if all(row["same_bytes"].values()) else "differ",
+            row["of"],
+        ]
+
+    return section(
+        "Whole runs",
+        "`reconstruct FILM --front-end odometry --seed 0`, then `haustra compare`; one seed. F-score at 1 mm.",
+        ("film", "frames posed", "ATE before, after (mm)", "F-score before, after (%)", "bytes", "commit after"),
+        map(cells, rows),
+    )
+
+
+def _both(row: dict[str, Any], key: str, digits: int) -> str:
+    """A figure before, and after."""
+    return ", ".join(f"{row[when][key]:.{digits}f}" for when in ("before", "after"))
 
 
 def changes_of(row: dict[str, Any]) -> list[float]:
@@ -114,28 +130,28 @@ def spread_before(row: dict[str, Any]) -> float:
 
 def seeds(rows: list[dict[str, Any]]) -> list[str]:
     """Front end alone, seed by seed."""
-    lines = [
-        "\n## The front end alone, seed by seed\n",
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        before, after, same = summary_before(row), summary(row["after"]), changes_of(row)
+        shown = [f"{of['median']:.4f} ({of['min']:.4f}-{of['max']:.4f})" for of in (before, after)]
+        most = f"{_mm(max(map(abs, same), default=0.0))} ({len(same)} seeds)"
+        number = f"{before['seeds']}, {after['seeds']}"
+        return [row["film"], row["method"], number, *shown, _mm(median_change(row)), most]
+
+    return section(
+        "The front end alone, seed by seed",
         textwrap.fill(
             "`python -m benchmarks.reconstruction mapper-seeds FILMS --methods odometry odometry-fast --seeds 10`. "
             "COLMAP's mappers, which the redesign did not touch, were not run again. The last two columns are of seeds "
             "that ran at both commits.",
             WIDTH,
-        )
-        + "\n",
-        "| film | method | seeds before, after | ATE before: median (least-most), mm | after "
-        "| change of the median (mm) | largest change of a seed (mm) |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        before, after, same = summary_before(row), summary(row["after"]), changes_of(row)
-        most = max(map(abs, same), default=0.0)
-        shown = [f"{of['median']:.4f} ({of['min']:.4f}-{of['max']:.4f})" for of in (before, after)]
-        lines.append(
-            f"| {row['film']} | {row['method']} | {before['seeds']}, {after['seeds']} | {shown[0]} | {shown[1]} "
-            f"| {_mm(median_change(row))} | {_mm(most)} ({len(same)} seeds) |"
-        )
-    return lines
+        ),
+        (
+            *("film", "method", "seeds before, after", "ATE before: median (least-most), mm", "after"),
+            *("change of the median (mm)", "largest change of a seed (mm)"),
+        ),
+        map(cells, rows),
+    )
 
 
 def _mm(change: float) -> str:
@@ -158,59 +174,52 @@ def enter(rows: list[dict[str, Any]], when: str, runs: list[dict[str, Any]]) -> 
 
 def joins(rows: list[dict[str, Any]], strangers: dict[str, Any]) -> list[str]:
     """Merging of cut films."""
-    lines = [
-        "\n## Merging of cut films\n",
-        "`python -m benchmarks.loops joins`: frames are cut out of the middle; are the two maps merged?\n",
-        "| film | frames cut out | maps left before, after | ATE of the largest before, after (mm) |",
-        "|---|---|---|---|",
-    ]
-    for row in rows:
-        before, after = row["before"], row["after"]
-        lines.append(
-            f"| {row['film']} | {row['gap']} | {before['left']}, {after['left']} "
-            f"| {before['ate_mm']:.4f}, {after['ate_mm']:.4f} |"
-        )
-    lines.append(
+    return [
+        *section(
+            "Merging of cut films",
+            "`python -m benchmarks.loops joins`: frames are cut out of the middle; are the two maps merged?",
+            ("film", "frames cut out", "maps left before, after", "ATE of the largest before, after (mm)"),
+            ((row["film"], row["gap"], _both(row, "left", 0), _both(row, "ate_mm", 4)) for row in rows),
+        ),
         f"\nOf {strangers['pairs']} pairs of parts of different films, merged: {strangers['false_before']} before, "
-        f"{strangers['false_after']} after."
-    )
-    return lines
+        f"{strangers['false_after']} after.",
+    ]
 
 
 def loops(rows: list[dict[str, Any]]) -> list[str]:
     """Loop closing on films that go out and back."""
-    lines = [
-        "\n## Loop closing\n",
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        counts = [
+            ", ".join(f"{row[when][key]} ({row[when][false]})" for when in ("before", "after"))
+            for key, false in (("links", "false_links"), ("kept", "false_kept"))
+        ]
+        figures = (("ate_mm", 3), ("end_to_start_mm", 3), ("f_score_percent", 2))
+        return [row["film"], *counts, *(_both(row, key, digits) for key, digits in figures)]
+
+    return section(
+        "Loop closing",
         "`python -m benchmarks.loops pose-graph --surface` on films of `benchmarks/loops.yaml`, 600 frames each, one "
-        "seed. False: by\nthe true poses.\n",
-        "| film | verified loops (false) before, after | accepted (false) before, after | ATE with loops (mm) "
-        "| end to start (mm) | F-score (%) |",
-        "|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        b, a = row["before"], row["after"]
-        accepted = f"{b['kept']} ({b['false_kept']}), {a['kept']} ({a['false_kept']})"
-        lines.append(
-            f"| {row['film']} | {b['links']} ({b['false_links']}), {a['links']} ({a['false_links']}) "
-            f"| {accepted} | {b['ate_mm']:.3f}, {a['ate_mm']:.3f} "
-            f"| {b['end_to_start_mm']:.3f}, {a['end_to_start_mm']:.3f} "
-            f"| {b['f_score_percent']:.2f}, {a['f_score_percent']:.2f} |"
-        )
-    return lines
+        "seed. False: by\nthe true poses.",
+        (
+            *("film", "verified loops (false) before, after", "accepted (false) before, after"),
+            *("ATE with loops (mm)", "end to start (mm)", "F-score (%)"),
+        ),
+        map(cells, rows),
+    )
 
 
 def walks(rows: list[dict[str, Any]]) -> list[str]:
     """Files that one has to open for one change, or along one way."""
-    lines = [
-        "\n## Walks\n",
-        "Files of one way through the code, or that one addition touches.\n",
-        "| walk | before | now | shown by |",
-        "|---|---|---|---|",
-    ]
-    for row in rows:
+
+    def cells(row: dict[str, Any]) -> list[object]:
         note = f" ({row['note']})" if "note" in row else ""
-        lines.append(f"| {row['walk']} | {row['before']}{note} | {row['now']} | `{row['shown_by']}` |")
-    return lines
+        return [row["walk"], f"{row['before']}{note}", row["now"], f"`{row['shown_by']}`"]
+
+    columns = ("walk", "before", "now", "shown by")
+    return section(
+        "Walks", "Files of one way through the code, or that one addition touches.", columns, map(cells, rows)
+    )
 
 
 def reading(told: dict[str, Any]) -> list[str]:
@@ -220,17 +229,12 @@ def reading(told: dict[str, Any]) -> list[str]:
         f"{right} of {len(told['rows'])} files were found at the first guess, by the names in the tree. The reader was "
         f"{told['reader']}; answers of a stranger to the project are not on record."
     )
-    lines = [
-        "\n## Where is it?\n",
-        textwrap.fill(text, WIDTH) + "\n",
-        "| question | first guess | where it is |",
-        "|---|---|---|",
-    ]
+    cells = []
     for question, guess, answer in told["rows"]:
         if not (ROOT / answer).is_file():
             raise SystemExit(f"{answer} is gone: {question}")
-        lines.append(f"| {question} | `{guess}` | {'there' if guess == answer else f'`{answer}`'} |")
-    return lines
+        cells.append((question, f"`{guess}`", "there" if guess == answer else f"`{answer}`"))
+    return section("Where is it?", textwrap.fill(text, WIDTH), ("question", "first guess", "where it is"), cells)
 
 
 def page(record: dict[str, Any]) -> str:
