@@ -60,8 +60,8 @@ def run_figures(film: Path, arguments: argparse.Namespace) -> dict[str, Any]:
         output = (arguments.keep or Path(scratch)) / f"{film.name}_{arguments.name}"
         command = [sys.executable, "-m", "pipeline", str(film / "video.mp4"), "-o", str(output), "--overwrite", "-q"]
         command += ["--camera", str(film / "camera.json"), "--seed", str(arguments.seed)]
-        poses = ["--poses", str(film / "trajectory.txt")] if arguments.true_poses else []
-        command += poses or ["--front-end", arguments.front_end]
+        given = ["--poses", str(film / "trajectory.txt")] if arguments.true_poses else []
+        command += given or ["--front-end", arguments.front_end]
         begun = time.perf_counter()
         try:
             done = subprocess.run(

@@ -94,10 +94,11 @@ def _sources(film: Path, arguments: argparse.Namespace) -> Iterator[tuple[str, A
 
 
 def _true(film: Path, frames: range) -> Iterator[View]:
-    rectifier, poses = make_rectifier(read_camera(film / "camera.json")), read_tum(film / "trajectory.txt")[1]
+    rectifier = make_rectifier(read_camera(film / "camera.json"))
+    world_from_camera = read_tum(film / "trajectory.txt")[1]
     for frame in frames:
         depth = true_depth(film, frame, rectifier)
-        yield View(frame, depth, (depth > 0).astype(np.float32), poses[frame])
+        yield View(frame, depth, (depth > 0).astype(np.float32), world_from_camera[frame])
 
 
 def _of_run(film: Path, made: Run) -> Iterator[View]:
@@ -106,14 +107,14 @@ def _of_run(film: Path, made: Run) -> Iterator[View]:
     ranges = fusion_ranges(completed, config.fusion)
     assert ranges is not None
     check = depth_filter(completed, config.consistency, config.fusion, ranges)
-    poses, truth = completed.submap.world_from_camera, read_tum(film / "trajectory.txt")[1]
-    truth_from_run = align_poses(poses, truth[completed.submap.frames])
+    truth = read_tum(film / "trajectory.txt")[1]
+    truth_from_run = align_poses(completed.submap.world_from_camera, truth[completed.submap.frames])
     scale = float(np.cbrt(np.linalg.det(truth_from_run[:3, :3])))
     for place, row in enumerate(map(int, completed.rows)):
-        depth, confidence, pose = completed.depth(row)
+        depth, confidence, world_from_camera = completed.depth(row)
         kept = check.confidence(place, confidence)
         if kept is not None:
-            moved = truth_from_run @ pose
+            moved = truth_from_run @ world_from_camera
             moved[:3, :3] /= scale
             yield View(int(completed.submap.frames[row]), depth * np.float32(scale), kept, moved)
 

@@ -49,7 +49,7 @@ completion.confidence
 reconstruction.evaluation
 reconstruction.coverage reconstruction.fusion reconstruction.motion
 reconstruction.mesh
-reconstruction.pose_graph
+reconstruction.robust_pose_graph
 haustra.phantom
 haustra.core
 """

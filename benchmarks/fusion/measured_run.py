@@ -59,7 +59,7 @@ class TrueFilm:
     """Poses of an RGB-D folder: seconds (N,), world_from_camera (N,4,4) mm, the frames' depth PNGs, mm per count."""
 
     seconds: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    world_from_camera: NDArray[np.float64]
     depths: list[Path]
     unit: float
 
@@ -101,8 +101,8 @@ class MeasuredRun:
     def _posed(self, completed: CompletedSubmap) -> PosedMap:
         """With the Sim(3) that `haustra compare` fits: poses alone, all posed frames, never the surface."""
         rows = associated(completed, self.frames, self.film)
-        poses = completed.submap.world_from_camera[list(rows)]
-        return PosedMap(completed, align_poses(poses, self.film.poses[list(rows.values())]))
+        posed = completed.submap.world_from_camera[list(rows)]
+        return PosedMap(completed, align_poses(posed, self.film.world_from_camera[list(rows.values())]))
 
     @property
     def about(self) -> Figures:
@@ -111,7 +111,7 @@ class MeasuredRun:
         settings = ranges(completed, self.config)
         return {
             "posed": len(completed.submap.frames),
-            "film": len(self.film.poses),
+            "film": len(self.film.world_from_camera),
             "keyframes": len(completed),
             "submaps": len(self.planned),
             "refinement": "moved" if self.moved else "nothing moved" if self.refinement_ran else "not run",
@@ -144,7 +144,7 @@ class WeightedFrames:
     camera: Camera
     depths: list[NDArray[np.float32]]
     weights: list[NDArray[np.float32]]
-    poses: NDArray[np.float64]
+    world_from_camera: NDArray[np.float64]
 
     @property
     def rows(self) -> NDArray[np.int64]:
@@ -154,7 +154,7 @@ class WeightedFrames:
         return len(self.depths)
 
     def depth(self, row: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-        return self.depths[row], self.weights[row], self.poses[row]
+        return self.depths[row], self.weights[row], self.world_from_camera[row]
 
 
 class FusedMap:
@@ -184,7 +184,11 @@ class FusedMap:
                 left_out += 1
             else:
                 fusion.integrate(
-                    self.images[place], self.depths[place], kept, completed.camera.matrix, frames.poses[place]
+                    self.images[place],
+                    self.depths[place],
+                    kept,
+                    completed.camera.matrix,
+                    frames.world_from_camera[place],
                 )
         mesh = drop_small_components(fusion.extract(), MIN_COMPONENT)[0]
         return errors_of(mesh.transformed(self.posed.truth_from_map), truth) | {"left_out": left_out}
@@ -214,11 +218,13 @@ def errors_of(mesh: SurfaceMesh, truth: ReferenceSurface) -> Figures:
 
 
 def read_film(folder: Path) -> TrueFilm:
-    seconds, poses = read_tum(folder / "trajectory.txt")
+    seconds, world_from_camera = read_tum(folder / "trajectory.txt")
     depths = sorted((folder / "depth").glob("*.png"))
-    if len(depths) != len(poses):
-        raise SystemExit(f"error: {folder} has {len(depths)} depth images for {len(poses)} poses")
-    return TrueFilm(seconds, poses, depths, float(json.loads((folder / "camera.json").read_text())["depth_unit_mm"]))
+    if len(depths) != len(world_from_camera):
+        raise SystemExit(f"error: {folder} has {len(depths)} depth images for {len(world_from_camera)} poses")
+    return TrueFilm(
+        seconds, world_from_camera, depths, float(json.loads((folder / "camera.json").read_text())["depth_unit_mm"])
+    )
 
 
 def associated(completed: CompletedSubmap, frames: Frames, film: TrueFilm) -> dict[int, int]:

@@ -37,12 +37,12 @@ SFM, GIVEN = "sfm", "its model as poses"
 Array = NDArray[np.float64]
 Y_UP, MIRROR = np.diag([1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
 WRONG: dict[str, Callable[[Array], Array]] = {
-    "inverted (camera_from_world)": lambda poses: np.stack([inverse(matrix) for matrix in poses]),
-    "OpenGL's axes": lambda poses: poses @ Y_UP,
-    "inverted, OpenGL's axes": lambda poses: np.stack([inverse(matrix @ Y_UP) for matrix in poses]),
-    "left-handed (Unity)": lambda poses: MIRROR @ poses @ MIRROR,
-    "three frames late": lambda poses: poses[np.maximum(np.arange(len(poses)) - 3, 0)],
-    "in reverse order": lambda poses: poses[::-1],
+    "inverted (camera_from_world)": lambda truth: np.stack([inverse(matrix) for matrix in truth]),
+    "OpenGL's axes": lambda truth: truth @ Y_UP,
+    "inverted, OpenGL's axes": lambda truth: np.stack([inverse(matrix @ Y_UP) for matrix in truth]),
+    "left-handed (Unity)": lambda truth: MIRROR @ truth @ MIRROR,
+    "three frames late": lambda truth: truth[np.maximum(np.arange(len(truth)) - 3, 0)],
+    "in reverse order": lambda truth: truth[::-1],
 }
 
 
@@ -72,8 +72,8 @@ def beside_sfm(folder: Path, seed: int) -> dict[str, dict[str, Any]]:
     with tempfile.TemporaryDirectory() as scratch:
         structured = Path(scratch) / "sfm"
         reconstruct(folder, structured, Config(camera=camera, front_end="sfm", seed=seed))
-        poses = PoseSettings(file=str(structured / "sparse/0"))
-        given = Config(camera=camera, poses=poses, seed=seed)
+        model = PoseSettings(file=str(structured / "sparse/0"))
+        given = Config(camera=camera, poses=model, seed=seed)
         reconstruct(folder, Path(scratch) / "given", given)
         return {
             name: _figures(Path(scratch) / run, folder) | {"seed": seed}
@@ -94,10 +94,10 @@ def _figures(run: Path, truth: Path) -> dict[str, Any]:
 
 def sentence_of(folder: Path, wrong: Callable[[Array], Array]) -> str | None:
     """What is said of the true poses in a wrong reading; None where they are taken."""
-    seconds, poses = read_tum(folder / "trajectory.txt")
+    seconds, truth = read_tum(folder / "trajectory.txt")
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "poses.txt"
-        write_tum(file, seconds, wrong(poses))
+        write_tum(file, seconds, wrong(truth))
         config = Config(camera=str(folder / "camera.json"), poses=PoseSettings(file=str(file)))
         with create_workspace(Path(scratch) / "run", folder, config, False) as workspace:
             frames = read_frames(Source(folder), config.camera, config.frames, workspace, SilentProgress())

@@ -53,14 +53,14 @@ def measure(arguments: argparse.Namespace) -> None:
 
 def figures_of(folder: Path) -> dict[str, Any]:
     """Of one film; a run that fails leaves its sentence."""
-    poses = PoseSettings(file=str(folder / "trajectory.txt"), mm_per_unit=1.0)
+    given = PoseSettings(file=str(folder / "trajectory.txt"), mm_per_unit=1.0)
     figures: dict[str, Any] = {"with_poses": None, "without": None, "ceiling": None, "failed": None}
     with tempfile.TemporaryDirectory() as scratch:
         try:
             run = reconstruct(
                 folder,
                 Path(scratch) / "posed",
-                _config(folder).model_copy(update={"poses": poses, "front_end": "auto"}),
+                _config(folder).model_copy(update={"poses": given, "front_end": "auto"}),
             )
             posed = compare_run(run.folder, folder)
             assert posed.surface_se3 is not None
@@ -89,9 +89,9 @@ def at_true_poses(run: Run, folder: Path) -> float:
 
 
 def _moved(completed: CompletedSubmap, truth: np.ndarray, mm_per_unit: float) -> CompletedSubmap:
-    poses = truth.copy()
-    poses[:, :3, 3] /= mm_per_unit
-    return replace(completed, submap=replace(completed.submap, world_from_camera=poses))
+    world_from_camera = truth.copy()
+    world_from_camera[:, :3, 3] /= mm_per_unit
+    return replace(completed, submap=replace(completed.submap, world_from_camera=world_from_camera))
 
 
 def _config(folder: Path) -> Config:

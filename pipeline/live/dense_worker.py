@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.threads import processors
-from pipeline.config import Config
+from pipeline.config import Config, ConsistencySettings, FusionSettings
 from pipeline.depth.completion_stage import MIN_POINTS, inside_of
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
@@ -73,12 +73,19 @@ class DenseResult:
 class DenseWork:
     """The growing surface of one camera."""
 
-    def __init__(self, seen: LiveCamera, setup: LiveSetup, completer: DepthCompleter) -> None:
-        self.config, self.completer = setup.config, completer
+    def __init__(
+        self,
+        seen: LiveCamera,
+        folder: Path,
+        fusion: FusionSettings,
+        consistency: ConsistencySettings,
+        completer: DepthCompleter,
+    ) -> None:
+        self.settings, self.consistency, self.completer = fusion, consistency, completer
         self.rectifier = make_rectifier(seen.camera)
         self.content = self.rectifier.mask(seen.content)
         self._inside = inside_of(self.content)
-        workspace = Workspace(setup.folder)
+        workspace = Workspace(folder)
         self._images, self._store = workspace, DiskKeyframes(workspace)
         for folder in (workspace.images, workspace.masks, workspace.depth, workspace.confidence):
             folder.mkdir(parents=True, exist_ok=True)
@@ -130,15 +137,14 @@ class DenseWork:
         """Fuse what the keyframes before it do not contradict; the parts that changed."""
         parts = self._closed_part() if self._keyframes >= PART_KEYFRAMES else []
         world_from_camera, matrix = keyframe.around.world_from_camera[keyframe.row], self.rectifier.camera.matrix
-        config = self.config
-        sure = np.where(confidence < config.fusion.min_confidence, np.float32(0), depth)
+        sure = np.where(confidence < self.settings.min_confidence, np.float32(0), depth)
         view = DepthView(sure, matrix, world_from_camera)
-        votes = agreement(view, list(self._views), config.consistency.tolerance)
+        votes = agreement(view, list(self._views), self.consistency.tolerance)
         self._views.append(view)
         if not sure.any() or votes.is_outvoted(MAX_CONTRADICTED):
             return parts
         if self._fusion is None:
-            size = config.fusion.voxel_size or choose_voxel_size([sure], matrix)
+            size = self.settings.voxel_size or choose_voxel_size([sure], matrix)
             self._fusion = SurfaceFusion(TsdfSettings(COARSER * size, TRUNCATION_VOXELS / COARSER))
             self._part, self._version, self._keyframes = self._part + 1, 0, 0
             self._frames = (keyframe.frame, keyframe.frame)
@@ -152,7 +158,7 @@ class DenseWork:
         from completion.confidence import error_from_confidence
 
         assert self._fusion is not None
-        most = self.config.fusion.max_error_voxels * self._fusion.settings.voxel_size / COARSER
+        most = self.settings.max_error_voxels * self._fusion.settings.voxel_size / COARSER
         return np.where(error_from_confidence(confidence, LEAST_CONFIDENCE) * depth > most, np.float32(0), confidence)
 
     def _current_part(self, faces: int | None = None) -> list[SurfacePart]:
@@ -193,20 +199,20 @@ class DenseWorker:
 
     def __call__(self, job: LiveCamera | SettledKeyframe) -> DenseResult | None:
         if isinstance(job, LiveCamera):
-            self._work = DenseWork(job, self._setup, self._completer)
+            self._work = self._new_work(job, self._setup.folder)
             return None
         assert self._work is not None
         return self._work(job)
 
     def _warm_up(self) -> None:
         with TemporaryDirectory() as folder:
-            work = DenseWork(
-                LiveCamera(small_camera(), np.full((SIDE, SIDE), 255, np.uint8)),
-                LiveSetup(self._setup.config, Path(folder)),
-                self._completer,
-            )
+            work = self._new_work(LiveCamera(small_camera(), np.full((SIDE, SIDE), 255, np.uint8)), Path(folder))
             for keyframe in small_keyframes():
                 work(keyframe)
+
+    def _new_work(self, camera: LiveCamera, folder: Path) -> DenseWork:
+        config = self._setup.config
+        return DenseWork(camera, folder, config.fusion, config.consistency, self._completer)
 
 
 def painted_png(depth: NDArray[np.float32]) -> bytes:

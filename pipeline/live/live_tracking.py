@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
-from pipeline.config import FAST_KEYFRAME_MOTION, Config
+from pipeline.config import FAST_KEYFRAME_MOTION, DepthSettings, OdometrySettings
 from pipeline.depth.keyframe_selection import is_new_view
 from pipeline.frontend.odometry.tracking import Odometry, State
 from pipeline.live.working_view import WorkingFrame, WorkingView
@@ -52,11 +52,11 @@ class LiveTracker:
     map_number: of the current map, from 0; -1 before the first. last_keyframe: picture to go back to when lost.
     """
 
-    def __init__(self, view: WorkingView, config: Config) -> None:
-        self.view, self.motion = view, config.depth.keyframe_motion
+    def __init__(self, view: WorkingView, odometry: OdometrySettings, depth: DepthSettings, seed: int) -> None:
+        self.view, self.motion = view, depth.keyframe_motion
         # As `--fast` has it: frames must be kept up with, and the run at the end is made with all keyframes.
-        motion = max(config.odometry.keyframe_motion, FAST_KEYFRAME_MOTION)
-        self.odometry = Odometry(RayTable(view.camera), config.seed, keyframe_motion=motion)
+        motion = max(odometry.keyframe_motion, FAST_KEYFRAME_MOTION)
+        self.odometry = Odometry(RayTable(view.camera), seed, keyframe_motion=motion)
         self.map_number = -1
         self.last_keyframe: WorkingFrame | None = None
         self.left: tuple[int, Submap] | None = None  # number and end of the map before, once it was left

@@ -6,6 +6,7 @@ of coverage. It has the lowest priority: a review that takes long delays the nex
 
 import os
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from haustra.core.sim3 import transform_points
+from pipeline.config import LoopClosingSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
@@ -99,10 +101,10 @@ class _Reviewed:
 class ReviewWork:
     """Reviews of one camera's maps."""
 
-    def __init__(self, seen: LiveCamera, setup: LiveSetup) -> None:
-        self.config, self.content = setup.config, seen.content
+    def __init__(self, seen: LiveCamera, folder: Path, settings: LoopClosingSettings, seed: int) -> None:
+        self.settings, self.seed, self.content = settings, seed, seen.content
         self.rectifier = make_rectifier(seen.camera)
-        self._store = DiskKeyframes(Workspace(setup.folder))
+        self._store = DiskKeyframes(Workspace(folder))
         self._known: dict[int, KeyframeFeatures] = {}  # by frame
         self._reviewed: dict[int, _Reviewed] = {}  # the latest maps, by number
         rays = RayTable(seen.camera)
@@ -129,19 +131,19 @@ class ReviewWork:
 
     def _loops_closed(self, completed: CompletedSubmap) -> tuple[SubmapFeatures, int]:
         """The map, bent by its loops, with its features; and the number of loops."""
-        config, frames = self.config, completed.submap.frames
+        frames = completed.submap.frames
         number = {int(frame): row for row, frame in enumerate(frames.tolist())}
         known = {
             number[frame]: replace(features, keyframe=number[frame])
             for frame, features in self._known.items()
             if frame in number
         }
-        seen = find_features(completed, config.loop_closing.max_keyframes, known)
+        seen = find_features(completed, self.settings.max_keyframes, known)
         self._known = {int(frames[one.keyframe]): one for one in seen.features[-MOST_REMEMBERED:]}
-        if not config.loop_closing.enabled:
+        if not self.settings.enabled:
             return seen, 0
         try:
-            loops = verify_loops(seen, seen, loop_candidates(seen, config.seed), config.seed)
+            loops = verify_loops(seen, seen, loop_candidates(seen, self.seed), self.seed)
             closed = close_loops(seen, loops)
         except FAILURES:
             return seen, 0
@@ -152,11 +154,11 @@ class ReviewWork:
         them."""
         found: list[dict[int, Array]] = []
         for number, earlier in self._reviewed.items():
-            if number == job.map_number or not self.config.loop_closing.merge_submaps:
+            if number == job.map_number or not self.settings.merge_submaps:
                 continue
             try:
-                pairs = merge_candidates(seen, earlier.seen, self.config.seed)
-                merged = merge_by_loops((seen, earlier.seen), verify_loops(seen, earlier.seen, pairs, self.config.seed))
+                pairs = merge_candidates(seen, earlier.seen, self.seed)
+                merged = merge_by_loops((seen, earlier.seen), verify_loops(seen, earlier.seen, pairs, self.seed))
             except FAILURES:
                 continue
             if merged is not None:
@@ -248,7 +250,7 @@ class ReviewWorker:
 
     def __call__(self, job: LiveCamera | ReviewJob) -> Review | None:
         if isinstance(job, LiveCamera):
-            self._work = ReviewWork(job, self._setup)
+            self._work = ReviewWork(job, self._setup.folder, self._setup.config.loop_closing, self._setup.config.seed)
             return None
         assert self._work is not None
         return self._work(job)

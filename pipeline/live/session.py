@@ -106,7 +106,7 @@ class LiveSession:
         feed.stop()
 
     def _begin(self, view: WorkingView) -> None:
-        self._tracker = LiveTracker(view, self.config)
+        self._tracker = LiveTracker(view, self.config.odometry, self.config.depth, self.config.seed)
         self._came = time.monotonic()
         seen = LiveCamera(view.camera, view.content)
         self._dense.begin(seen)

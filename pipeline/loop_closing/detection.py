@@ -21,7 +21,7 @@ from pipeline.matching.place_recognition import Pair, retrieve, retrieve_within,
 from pipeline.matching.sift import detect_sift
 from pipeline.matching.sim3_match import Sim3Match, verify_match
 from reconstruction.fusion.depth_consistency import DepthView, agreement
-from reconstruction.pose_graph import sim3_information, with_common_error
+from reconstruction.robust_pose_graph import sim3_information, with_common_error
 
 MAX_SHARED = 5  # sparse points; keyframes that share more are tied by the map already
 MAX_STEP = 8  # keyframes between compared ones; farther apart, two loops do not support each other (REACH of the graph)

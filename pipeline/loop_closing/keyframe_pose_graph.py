@@ -12,7 +12,14 @@ from haustra.core.sim3 import scale_of
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.loop_closing.detection import LoopClosure, SubmapFeatures
-from reconstruction.pose_graph import Edge, chi2, consistent_loops, interpolate_sim3, sim3_information, solve_pose_graph
+from reconstruction.robust_pose_graph import (
+    Edge,
+    chi2,
+    consistent_loops,
+    interpolate_sim3,
+    sim3_information,
+    solve_pose_graph,
+)
 
 MIN_COVISIBLE = 20  # points that two keyframes share for a factor between them; consecutive ones always have one
 PIXEL_NOISE = 0.5  # px, across

@@ -24,7 +24,7 @@ from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_fe
 from pipeline.matching.keyframe_features import KeyframeFeatures
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
-from reconstruction.pose_graph import Edge, chi2
+from reconstruction.robust_pose_graph import Edge, chi2
 
 AHEAD = 12  # keyframes with which each one's features are compared: longer tracks drift less (docs/lab/loop_tracks.md)
 MAX_OFF_PX = 6.0  # of a feature from where the map has it, in another keyframe

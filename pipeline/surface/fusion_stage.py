@@ -138,8 +138,8 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
             if isinstance(keyframe, int):
                 left_out.append(keyframe)
             else:
-                images, pose = (keyframe.rgb, keyframe.depth, keyframe.confidence), keyframe.world_from_camera
-                fusion.integrate(*images, completed.camera.matrix, pose)
+                images = keyframe.rgb, keyframe.depth, keyframe.confidence
+                fusion.integrate(*images, completed.camera.matrix, keyframe.world_from_camera)
             advance(done)
     whole = fusion.extract()
     mesh, dropped = drop_small_components(whole, MIN_COMPONENT)

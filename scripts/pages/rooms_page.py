@@ -227,7 +227,7 @@ def reading(told: dict[str, Any]) -> list[str]:
     right = sum(guess == answer for _, guess, answer in told["rows"])
     text = (
         f"{right} of {len(told['rows'])} files were found at the first guess, by the names in the tree. The reader was "
-        f"{told['reader']}; answers of a stranger to the project are not on record."
+        f"{told['reader']}. {told['after'][0].upper()}{told['after'][1:]}."
     )
     cells = []
     for question, guess, answer in told["rows"]:

@@ -63,9 +63,9 @@ class SensedFilm:
         fine, columns = self._cells()
         pixels, depth, sigma = found
         rays = np.column_stack([(pixels - self.pinhole.centre) / self.pinhole.focal, np.ones(len(pixels))])
-        poses = self.submap.world_from_camera
+        world_from_camera = self.submap.world_from_camera
         points = rays * (depth / self.mm_per_unit)[:, None]
-        local: Array = in_camera(inverse(poses[row]) @ poses[other], points).astype(np.float64)
+        local: Array = in_camera(inverse(world_from_camera[row]) @ world_from_camera[other], points).astype(np.float64)
         front = local[:, 2] > 1e-6
         place = np.floor(self.pinhole.project(local[front]) / fine).astype(np.int64)
         rows = -(-self.pinhole.height // fine)

@@ -67,6 +67,6 @@ def _binary(path: Path) -> dict[str, tuple[list[float], list[float]]]:
 def _world_from_camera(quaternion: list[float], shift: list[float]) -> Array:
     w, x, y, z = quaternion
     rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ np.array(shift)
-    return pose
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = rotation.T, -rotation.T @ np.array(shift)
+    return world_from_camera

@@ -55,7 +55,7 @@ def poses_by_frame(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
     else:
         found = _by_order(table, film)
     looked_at = set(film.index.tolist())
-    found = {frame: pose for frame, pose in found.items() if frame in looked_at}
+    found = {frame: found[frame] for frame in found if frame in looked_at}
     if len(found) < max(FEWEST, MIN_PAIRED * min(len(film.index), len(table.world_from_camera))):
         raise HaustraError(
             f"only {len(found)} of the {len(table.world_from_camera)} poses of {table.path} belong to one of the "
@@ -79,13 +79,15 @@ def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict
     by_stem = {Path(name).stem: number for number, name in enumerate(film.names or ())}
     stems = [Path(name).stem for name in names]
     if any(stem in by_stem for stem in stems):
-        return {by_stem[s]: pose for s, pose in zip(stems, table.world_from_camera, strict=True) if s in by_stem}
+        named = zip(stems, table.world_from_camera, strict=True)
+        return {by_stem[stem]: world_from_camera for stem, world_from_camera in named if stem in by_stem}
     numbers = [re.findall(r"\d+", stem) for stem in stems]
     if not all(numbers):
         raise HaustraError(f"the pictures that {table.path} names are not those of the film, and carry no numbers")
     last = [int(found[-1]) for found in numbers]
     first = 1 if max(last) == int(film.index.max()) + 1 and min(last) > 0 else 0
-    return {number - first: pose for number, pose in zip(last, table.world_from_camera, strict=True)}
+    numbered = zip(last, table.world_from_camera, strict=True)
+    return {number - first: world_from_camera for number, world_from_camera in numbered}
 
 
 def _by_time(table: PoseTable, seconds: Array, film: FilmFrames) -> dict[int, Array]:

@@ -34,14 +34,14 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
             f"{path} has a tracker's poses of its sensor: give the hand-eye transform by --hand-eye FILE"
         )
     try:
-        poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        poses[:, :3, 3] = [[float(row[name]) for name in place] for row in rows]
+        world_from_sensor = np.tile(np.eye(4), (len(rows), 1, 1))
+        world_from_sensor[:, :3, 3] = [[float(row[name]) for name in place] for row in rows]
         quaternions = np.array([[float(row[name]) for name in turn] for row in rows])
-        poses[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+        world_from_sensor[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
         seconds = None if time is None else np.array([float(row[time]) for row in rows])
     except (TypeError, ValueError) as error:
         raise HaustraError(f"{path}: a line's place, quaternion or time is no number") from error
-    return PoseTable(path, rigid(poses, str(path)) @ sensor_from_camera, seconds)
+    return PoseTable(path, rigid(world_from_sensor, str(path)) @ sensor_from_camera, seconds)
 
 
 def read_hand_eye(path: Path) -> Array:

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.config import Config
+from pipeline.config import ConsistencySettings, FusionSettings
 from pipeline.live import dense_worker
-from pipeline.live.dense_worker import DenseWork, LiveCamera, LiveSetup, painted_png
+from pipeline.live.dense_worker import DenseWork, LiveCamera, painted_png
 from pipeline.live.warm_up import SIDE, small_camera, small_keyframes
 
 WALL = 1.2  # of a plane square to the view, in the map's unit
@@ -29,7 +29,7 @@ def near_plane(rgb, depth, error):
 @pytest.fixture
 def work(tmp_path):
     seen = LiveCamera(small_camera(), np.full((SIDE, SIDE), 255, np.uint8))
-    return DenseWork(seen, LiveSetup(Config(), tmp_path), plane)
+    return DenseWork(seen, tmp_path, FusionSettings(), ConsistencySettings(), plane)
 
 
 def test_the_surface_is_where_the_depth_says(work):

@@ -17,7 +17,8 @@ from pipeline.mapping.submap_of_map import to_submap
 def make_tracker():
     whole = ContentArea(np.full((SIDE, SIDE), 255, np.uint8), (0, 0, SIDE, SIDE))
     config = Config()
-    tracker = LiveTracker(WorkingView(whole, Calibration(small_camera(), "drawn"), config.frames), config)
+    view = WorkingView(whole, Calibration(small_camera(), "drawn"), config.frames)
+    tracker = LiveTracker(view, config.odometry, config.depth, config.seed)
     tracker._map, tracker.map_number = small_map(), 0
     return tracker
 

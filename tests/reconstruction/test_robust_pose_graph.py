@@ -9,7 +9,7 @@ from scipy.linalg import logm
 from scipy.optimize import least_squares
 
 from haustra.core.sim3 import scale_of
-from reconstruction.pose_graph import (
+from reconstruction.robust_pose_graph import (
     Edge,
     chi2,
     consistent_loops,
