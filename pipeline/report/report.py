@@ -140,12 +140,17 @@ def collect_metrics(
         "camera": workspace.result("frames")["camera_origin"],
         "front_end": front_end_of(workspace),
         "mapper": structure["mapper"],
-        "warnings": [*structure["warnings"], *refinement["warnings"], *sentences(motion)],
+        "warnings": [*structure["warnings"], *refinement["warnings"], *sentences(motion), *_scale_doubts(surfaces)],
         "loops": refinement["submaps"],
         "model": workspace.record["config"]["model"],
         "submaps": records,
         "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],
     }
+
+
+def _scale_doubts(surfaces: list[Surface]) -> list[str]:
+    """Each once: submaps of one sensor share their doubt."""
+    return list(dict.fromkeys(surface.scale.doubt for surface in surfaces if surface.scale.doubt))
 
 
 def _submap_metrics(

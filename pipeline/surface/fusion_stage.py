@@ -89,6 +89,7 @@ def _record(surface: Surface) -> dict[str, Any]:
         "factor": surface.scale.factor,
         "unit": surface.scale.unit,
         "origin": surface.scale.origin,
+        "doubt": surface.scale.doubt,
         "voxel_size": surface.voxel_size,
         "dropped_share": surface.dropped_share,
         "left_out": list(surface.left_out),
@@ -101,7 +102,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
     return [
         Surface(
             read_mesh(mesh_path(workspace, number)),
-            Scale(record["factor"], record["unit"], record["origin"]),
+            Scale(record["factor"], record["unit"], record["origin"], record.get("doubt", "")),
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),
@@ -198,5 +199,5 @@ def _sentence(surface: Surface) -> str:
     without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""
     return (
         f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
-        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale.origin}{without}"
+        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale}{without}"
     )

@@ -37,11 +37,16 @@ class ScaleSource:
 
 @dataclass(frozen=True)
 class Scale:
-    """factor: output units per scene unit; unit: 'mm' or 'scene'; origin: one sentence."""
+    """factor: output units per scene unit; unit: 'mm' or 'scene'; origin: one sentence; doubt: why the millimetres are
+    not to be trusted, empty without a reason."""
 
     factor: float
     unit: str
     origin: str
+    doubt: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.origin}; {self.doubt}" if self.doubt else self.origin
 
 
 MOST_APART = 1.1  # factor between two sources of one scale that both may be right
@@ -57,18 +62,20 @@ def scale_of_poses(unit: float, mm_per_unit: float | None) -> Scale:
 
 def scale_of_sensor(found: SensorScale | None) -> Scale | None:
     """Of a submap whose depth a sensor measured; None where it saw too little."""
-    return None if found is None else Scale(found.mm_per_unit, "mm", str(found))
+    return None if found is None else Scale(found.mm_per_unit, "mm", str(found), found.doubt)
 
 
 def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
-    """The scale, whose origin says so where another source in millimetres gives clearly other lengths."""
+    """The scale, with a doubt where another source in millimetres gives clearly other lengths."""
     for other in others:
         if other is None or scale.unit != "mm" or other.unit != "mm":
             continue
         factor = other.factor / scale.factor
         if abs(math.log(factor)) > math.log(MOST_APART):
-            doubt = f"; one of two is wrong: all lengths would be {factor:.3g} times these by the {other.origin}"
-            scale = replace(scale, origin=scale.origin + doubt)
+            apart = f"one of two is wrong, all lengths would be {factor:.3g} times these by the {other.origin}"
+            scale = replace(
+                scale, doubt=f"{scale.doubt}; {apart}" if scale.doubt else f"do not trust the millimetres: {apart}"
+            )
     return scale
 
 

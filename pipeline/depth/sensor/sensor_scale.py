@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.depth.sparse_depth import reliable_points
-from pipeline.input.sensor.sensor_depth import SensorDepth
+from pipeline.input.sensor.sensor_depth import SensorDepth, check_unit, doubt_of_unit
 from pipeline.mapping.submap import Submap
 
 Array = NDArray[np.float64]
@@ -23,18 +23,18 @@ SHIFTS = (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)  # frames by which the sensor may b
 BETTER = 0.9  # a shift must lower the disagreement to this part of it
 MOST_DISAGREEMENT = 0.12  # median absolute log ratio; 3 % of noise and the map's own error leave 0.03 to 0.05
 SAME_UNIT = 0.01  # between the median and the unit of a map that was adjusted in mm; they differ by 0.1 to 0.3 %
-NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
 
 
 @dataclass(frozen=True)
 class SensorScale:
     """mm_per_unit; count: ratios that it is the median of; disagreement: median absolute log ratio within the frames;
-    drift: standard deviation of the frames' own log scales."""
+    drift: standard deviation of the frames' own log scales; doubt: of the sensor's unit, empty without a reason."""
 
     mm_per_unit: float
     count: int
     disagreement: float
     drift: float
+    doubt: str = ""
 
     def __str__(self) -> str:
         return (
@@ -67,12 +67,8 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     scale = float(np.exp(np.median(log_ratio)))
     depths = submap.depths()
     median_mm = scale * float(np.median(depths[depths > 0]))
-    if not NEAREST_MM <= median_mm <= FARTHEST_MM:
-        raise HaustraError(
-            f"by the sensor's depth the wall is {median_mm:.3g} mm away in the median, which no endoscope's view is: "
-            "check its unit (--depth-unit-mm)"
-        )
-    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)))
+    check_unit(median_mm)
+    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), doubt_of_unit(median_mm))
 
 
 def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> None:

@@ -25,6 +25,10 @@ SENSOR = "sensor"  # what an RGB-D folder's camera.json calls depth that is no t
 LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
 MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is of second order
 CACHED = 8
+LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
+NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
+# Where most views' are. It is a factor of ten: a view between them whose unit is off by ten is always outside.
+USUAL_MM = 8.0, 80.0
 
 
 @dataclass(frozen=True)
@@ -149,12 +153,36 @@ def depth_folder(source: Path, settings: SensorSettings) -> Path | None:
 def check_sensor(source: Path, settings: SensorSettings) -> None:
     """Refuse what cannot work before any work is done."""
     folder = depth_folder(source, settings)
-    if folder is not None:
-        _unit(source, folder, settings)
-        images = sorted(folder.glob("[!.]*.png"))
-        if not images:
-            raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
-        _read_depth(images[0])
+    if folder is None:
+        return
+    unit_mm, images = _unit(source, folder, settings), sorted(folder.glob("[!.]*.png"))
+    if not images:
+        raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
+    looked_at = images[:: -(-len(images) // LOOKED_AT)]
+    known = np.concatenate([raw[raw > 0] for raw in map(_read_depth, looked_at)])
+    if len(known) == 0:
+        raise HaustraError(f"the {len(looked_at)} images of {folder} that were looked at hold no depth: all are 0")
+    check_unit(unit_mm * float(np.median(known)))
+
+
+def check_unit(median_mm: float) -> None:
+    """HaustraError where no endoscope's view has that median depth, mm."""
+    if not NEAREST_MM <= median_mm <= FARTHEST_MM:
+        raise HaustraError(
+            f"by the sensor's depth the wall is {median_mm:.3g} mm away in the median, which no endoscope's view is: "
+            "check its unit (--depth-unit-mm)"
+        )
+
+
+def doubt_of_unit(median_mm: float) -> str:
+    """A sentence where few endoscopes' views have that median depth, mm; empty for a usual one."""
+    near, far = USUAL_MM
+    if near <= median_mm <= far:
+        return ""
+    return (
+        f"do not trust the millimetres yet: by the sensor's depth the wall is {median_mm:.3g} mm away in the median, "
+        f"and most endoscopes look from {near:g} to {far:g} mm; check its unit (--depth-unit-mm)"
+    )
 
 
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:

@@ -20,7 +20,7 @@ from pipeline.depth.sensor.sensor_points import sensor_points
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
-from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
+from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, doubt_of_unit, open_sensor
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.scale import ScaleSource, find_scale, scale_of_sensor
@@ -162,6 +162,28 @@ def test_a_wrong_unit_is_one_sentence(sensor, factor):
         sensor_scale(submap(), replace(sensor, unit_mm=factor * sensor.unit_mm))
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1.0, ""), (4.0, "check its unit"), (0.25, "check its unit")])
+def test_a_unit_that_few_views_have_is_doubted_aloud(sensor, factor, told):
+    scale = scale_of_sensor(sensor_scale(submap(), replace(sensor, unit_mm=factor * sensor.unit_mm)))
+    assert told in scale.doubt
+    assert bool(told) == bool(scale.doubt)
+
+
+@pytest.mark.parametrize("median_mm", np.geomspace(8.5, 79.0, 12))
+def test_a_unit_off_by_ten_is_never_silent(median_mm):
+    assert not doubt_of_unit(median_mm)
+    for wrong in (median_mm / 10, median_mm * 10):
+        assert doubt_of_unit(wrong)
+
+
+@pytest.mark.parametrize("unit_mm", [0.005, 1.0])
+def test_a_wrong_unit_is_refused_before_any_work(tmp_path, unit_mm):
+    write_sensor(tmp_path / "depth")
+    check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05))
+    with pytest.raises(HaustraError, match="which no endoscope's view is: check its unit"):
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=unit_mm))
+
+
 @pytest.mark.parametrize(
     ("shift", "told"),
     [(3, r"3 frame\(s\) late.*take 3 from the number"), (-3, r"3 frame\(s\) early.*add 3 to the number")],
@@ -206,6 +228,9 @@ def test_what_a_sensor_must_have(tmp_path):
     with pytest.raises(HaustraError, match="no depth images"):
         check_sensor(tmp_path, SensorSettings())
     check_sensor(tmp_path, SensorSettings(depth="none"))
+    cv2.imwrite(str(tmp_path / "empty/000.png"), np.zeros((4, 4), np.uint16))
+    with pytest.raises(HaustraError, match="hold no depth: all are 0"):
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty"), unit_mm=1))
 
 
 def test_a_sensor_that_sees_nothing_gives_no_scale(sensor):

@@ -86,8 +86,15 @@ def test_no_scale_stays_scene():
 
 def test_another_source_that_contradicts_the_scale_is_named():
     by_file, by_sensor = Scale(40.0, "mm", "scale file a.yaml"), Scale(10.0, "mm", "depth of the sensor")
-    doubt = "one of two is wrong: all lengths would be 0.25 times these by the depth of the sensor"
-    assert checked_against(by_file, [None, SCENE, by_sensor]).origin == f"scale file a.yaml; {doubt}"
+    doubt = (
+        "do not trust the millimetres: one of two is wrong, all lengths would be 0.25 times these by the depth of the "
+        "sensor"
+    )
+    found = checked_against(by_file, [None, SCENE, by_sensor])
+    assert (found.factor, found.origin, found.doubt) == (40.0, "scale file a.yaml", doubt)
+    assert str(found) == f"scale file a.yaml; {doubt}"
+    unit = Scale(40.0, "mm", "depth of the sensor", "the unit")
+    assert checked_against(unit, [Scale(1.0, "mm", "poses")]).doubt.startswith("the unit; one of two")
     assert checked_against(by_file, [Scale(43.0, "mm", "poses")]) == by_file
     assert checked_against(SCENE, [by_sensor]) == SCENE
 
@@ -101,5 +108,5 @@ def test_the_lumen_and_a_file_are_held_against_what_a_sensor_gave(tmp_path):
         ScaleSource(given=(sensed,), lumen_mm=500.0),
         ScaleSource(given=(sensed,), file=tmp_path / "s.yaml"),
     ):
-        assert "by the depth of the sensor" in find_scale(source, submap, mesh).origin
+        assert "by the depth of the sensor" in find_scale(source, submap, mesh).doubt
     assert find_scale(ScaleSource(given=(sensed,)), submap, mesh) == sensed
