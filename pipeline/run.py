@@ -14,6 +14,7 @@ from pipeline.depth.multiview_stage import refine_depth
 from pipeline.depth.preparation import Preparation
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
+from pipeline.frontend.lens_guess import guess_lens
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, scene_units, solve_structure
 from pipeline.input.calibration import check_choice
@@ -68,6 +69,7 @@ def reconstruct(
         later.begin(with_network=not workspace.is_done(DEPTH_STAGE))
         frames = timed("frames", read_frames)(video, config.camera, config.frames, workspace, progress)
         told = config.front_end_settings
+        frames = timed("lens", guess_lens)(frames, told, workspace, progress)
         submaps = timed("structure", solve_structure)(frames, config.front_end, told, workspace, progress)
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
         completed = complete(frames, submaps, later.completer, config.depth, workspace, progress)

@@ -1,4 +1,4 @@
-"""What a film's lens is guessed to be before it is refined: a pinhole of 100 degrees, or the mean of 18 colonoscopes.
+"""What a film's lens is guessed to be before it is refined: 100 degrees, the mean of 18 colonoscopes, or by the film.
 
     python -m benchmarks.reconstruction unknown-lens SUITE/* SCOPES/* CTCOLON --json RECORD.json
 
@@ -24,6 +24,7 @@ from benchmarks.common.runner import add_folders, add_seeds
 from haustra.core.camera import Camera, guess_camera
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
+from pipeline.frontend.lens_guess import GUESSES, scores_of_guesses
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.odometry.self_calibration import lens_shift
 from pipeline.input.endomapper_scopes import colonoscope_across
@@ -34,7 +35,11 @@ from pipeline.run_folder.workspace import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
-STARTS: dict[str, Callable[..., Camera]] = {"100 degrees": guess_camera, "mean colonoscope": colonoscope_across}
+STARTS: dict[str, Callable[..., Camera] | None] = {
+    "100 degrees": guess_camera,
+    "mean colonoscope": colonoscope_across,
+    "by the first frames": None,  # as `--camera auto`
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +59,7 @@ def measure(arguments: argparse.Namespace) -> None:
                     print_row({"film": film.name, "start": name} | figures, digits=4)
 
 
-def figures_of(film: Path, start: Callable[..., Camera], seed: int, end: float | None) -> dict[str, Any]:
+def figures_of(film: Path, start: Callable[..., Camera] | None, seed: int, end: float | None) -> dict[str, Any]:
     given = film / "camera.json"
     odometry = OdometrySettings(keyframe_motion=FAST_KEYFRAME_MOTION)
     config = Config(
@@ -70,9 +75,13 @@ def figures_of(film: Path, start: Callable[..., Camera], seed: int, end: float |
     ):
         frames = read_frames(Source(film), config.camera, config.frames, workspace, SilentProgress())
         true, size = frames.camera, (frames.camera.width, frames.camera.height)
+        told: dict[str, Any] = {}
+        if start is None:
+            told["scores"] = scores_of_guesses(frames, config.front_end_settings, workspace, SilentProgress())
+            start = GUESSES[max(told["scores"], key=lambda name: told["scores"][name])]
         hidden = replace(frames, camera=start(*size, (0, 0, *size)))
         found = track_frames(hidden, config.front_end_settings, workspace, SilentProgress())
-    about = {
+    about = told | {
         "usable": len(frames.index),
         "posed": sum(len(submap.frames) for submap in found.submaps),
         "submaps": len(found.submaps),

@@ -19,10 +19,11 @@ REFINED = "focal length and radial terms are left to the film"
 
 @dataclass(frozen=True)
 class Calibration:
-    """The camera of full source frames and one sentence on where it comes from."""
+    """The camera of full source frames, one sentence on where it comes from, and whether that is a mere guess."""
 
     camera: Camera
     origin: str
+    guessed: bool = False
 
 
 def calibrate(
@@ -36,9 +37,11 @@ def calibrate(
             return _reaching(_from_file(beside, size), beside, content)
         if cut_corners:
             camera = colonoscope_across(width, height, content)
-            return Calibration(camera, f"guessed: mean of 18 colonoscopes, whose corners are masked too; {REFINED}")
+            return Calibration(
+                camera, f"guessed: mean of 18 colonoscopes, whose corners are masked too; {REFINED}", True
+            )
         camera = guess_camera(width, height, content)
-        return Calibration(camera, f"guessed: 100 degrees across the content; {REFINED}")
+        return Calibration(camera, f"guessed: 100 degrees across the content; {REFINED}", True)
     check_choice(choice, source)
     if choice in PRESETS:
         return _from_preset(choice, size)

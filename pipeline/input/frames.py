@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from pipeline.run_folder.workspace import Workspace, report_corruption, write_js
 CONTENT_SAMPLES = 24  # frames looked at for the content area,
 CONTENT_STRIDE = 25  # of which 25 apart are 20 s: long enough for the view to move over all of it
 STAGE = "frames"
+LENS_STAGE = "lens"  # after it, where the lens is guessed: `pipeline.frontend.lens_guess`
 MIN_FRAMES = 3
 SENSED_MM = 0.01  # mm of a step of depth that the source measured
 
@@ -86,6 +88,7 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     workspace.finish(
         STAGE,
         camera_origin=calibration.origin,
+        lens_is_guessed=calibration.guessed,
         notes=source.notes,
         content_box=list(area.box),
         source_size=list(size),
@@ -202,12 +205,28 @@ def _too_few(verdicts: Counter[str]) -> str:
     return f"{tracked}, at least {MIN_FRAMES} are needed ({counted})"
 
 
+def guessed_by(workspace: Workspace) -> str | None:
+    """How the lens of finished frames was guessed, one sentence; None where it was given."""
+    told = workspace.result(STAGE)
+    return told["camera_origin"] if told.get("lens_is_guessed") else None
+
+
+def camera_origin(workspace: Workspace) -> str:
+    """Where the camera of finished frames comes from, one sentence."""
+    return str(_better_guess(workspace).get("origin", workspace.result(STAGE)["camera_origin"]))
+
+
+def _better_guess(workspace: Workspace) -> dict[str, Any]:
+    """`camera` and `origin` by the film itself, where it was asked and told."""
+    return workspace.result(LENS_STAGE) if workspace.is_done(LENS_STAGE) else {}
+
+
 def load_frames(workspace: Workspace) -> Frames:
     """The frames that an earlier call stored."""
     with report_corruption(workspace.frames):
         state = json.loads(workspace.frames.read_text())
         used = [(index, seconds) for index, seconds, verdict in state["frames"] if verdict == "used"]
-        camera = Camera.from_dict(state["camera"])
+        camera = Camera.from_dict(_better_guess(workspace).get("camera", state["camera"]))
     content = cv2.imread(str(workspace.masks / "content.png"), cv2.IMREAD_GRAYSCALE)
     if content is None:
         raise HaustraError(f"{workspace.masks} has lost its content mask; start the run anew with --overwrite")

@@ -13,7 +13,7 @@ from pipeline.depth.completion_stage import camera_path
 from pipeline.depth.depth_io import DEPTH_STEP
 from pipeline.frontend.base import COLMAP_WORKER
 from pipeline.frontend.structure_stage import camera_trust, front_end_of
-from pipeline.input.frames import Frames
+from pipeline.input.frames import Frames, camera_origin
 from pipeline.loop_closing.close_loops import model_sources
 from pipeline.report.page.page import write_page
 from pipeline.report.page.pictures import PagePictures
@@ -137,7 +137,7 @@ def collect_metrics(
             "verdicts": frames.verdicts,
             "notes": workspace.result("frames")["notes"],
         },
-        "camera": workspace.result("frames")["camera_origin"],
+        "camera": camera_origin(workspace),
         "front_end": front_end_of(workspace),
         "mapper": structure["mapper"],
         "warnings": [*structure["warnings"], *refinement["warnings"], *sentences(motion), *_scale_doubts(surfaces)],

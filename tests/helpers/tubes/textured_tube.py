@@ -38,10 +38,11 @@ def camera_at(k, step=0.8):
     return pose
 
 
-def render(pose):
+def render(pose, camera=CAMERA):
     """The tube under a lamp at the camera: exact intersection of each pixel's ray with the cylinder."""
     columns, rows = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
-    rays = np.stack([(columns - 96) / 96, (rows - 96) / 96, np.ones_like(rows)], axis=-1) @ pose[:3, :3].T
+    plane, _ = camera.unproject(np.column_stack([columns.ravel(), rows.ravel()]))
+    rays = np.column_stack([plane, np.ones(len(plane))]).reshape(SIZE, SIZE, 3) @ pose[:3, :3].T
     centre = pose[:3, 3]
     a = (rays[..., :2] ** 2).sum(-1)
     b = (rays[..., :2] * centre[:2]).sum(-1)
