@@ -18,7 +18,7 @@ from pipeline.frontend.lens_guess import guess_lens
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, scene_units, solve_structure
 from pipeline.input.calibration import check_choice
-from pipeline.input.frames import Frames, read_frames
+from pipeline.input.frames import Frames, guessed_by, read_frames
 from pipeline.input.pose_files.registry import lens_beside
 from pipeline.input.sensor.sensor_depth import check_sensor, open_sensor
 from pipeline.input.stereo.stereo_source import open_source
@@ -69,7 +69,8 @@ def reconstruct(
         later.begin(with_network=not workspace.is_done(DEPTH_STAGE))
         frames = timed("frames", read_frames)(video, config.camera, config.frames, workspace, progress)
         told = config.front_end_settings
-        frames = timed("lens", guess_lens)(frames, told, workspace, progress)
+        if guessed_by(workspace) is not None:
+            frames = timed("lens", guess_lens)(frames, told, workspace, progress)
         submaps = timed("structure", solve_structure)(frames, config.front_end, told, workspace, progress)
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
         completed = complete(frames, submaps, later.completer, config.depth, workspace, progress)

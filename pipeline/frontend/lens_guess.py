@@ -19,7 +19,7 @@ from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.input.calibration import REFINED
 from pipeline.input.endomapper_scopes import colonoscope_across
-from pipeline.input.frames import LENS_STAGE, Frames, guessed_by, load_frames
+from pipeline.input.frames import LENS_STAGE, Frames, load_frames
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.run_folder.stage import load_or_make
@@ -35,9 +35,7 @@ CLEAR_LEAD, LOWEST_SCORE = 2.0, 1500.0  # of the better over the other, at which
 
 
 def guess_lens(frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress) -> Frames:
-    """The frames with the guess that fits them better; unchanged where their lens was given."""
-    if guessed_by(workspace) is None:
-        return frames
+    """Frames whose lens nobody gave (`guessed_by`), with the guess that fits them better."""
     return load_or_make(
         workspace,
         LENS_STAGE,

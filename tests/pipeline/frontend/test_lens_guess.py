@@ -8,10 +8,9 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.frontend import lens_guess
 from pipeline.frontend.lens_guess import GUESSES, guess_lens, scores_of_guesses
 from pipeline.input.endomapper_scopes import LENSES, endomapper_camera
-from pipeline.input.frames import camera_origin, load_frames
+from pipeline.input.frames import camera_origin, guessed_by, load_frames
 from pipeline.run_folder.workspace import write_json
 from tests.helpers.tubes.textured_tube import SIZE, camera_at, render, stored
 
@@ -56,9 +55,8 @@ def test_a_beginning_that_tells_nothing_leaves_the_guess_by_shape(tmp_path):
     assert (found.camera, camera_origin(workspace)) == (frames.camera, "guessed: by shape")
 
 
-def test_a_lens_that_was_given_is_not_asked(tmp_path, monkeypatch):
-    workspace, frames = stored(tmp_path, [np.zeros((SIZE, SIZE, 3), np.uint8)] * 3)
+def test_a_lens_that_was_given_is_no_guess(tmp_path):
+    workspace, _ = stored(tmp_path, [np.zeros((SIZE, SIZE, 3), np.uint8)] * 3)
     workspace.finish("frames", camera_origin="file lens.json", lens_is_guessed=False)
-    monkeypatch.delattr(lens_guess, "scores_of_guesses")
-    assert guess_lens(frames, SETTINGS, workspace, SilentProgress()) is frames
-    assert not workspace.is_done("lens")
+    assert guessed_by(workspace) is None
+    assert camera_origin(workspace) == "file lens.json"
