@@ -1,19 +1,24 @@
-"""The committed pages of sensors, blind stretches and given poses are what their scripts print from the records."""
+"""The committed pages of sensors, blind stretches, given poses and unknown lenses are what their scripts print from the records."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from scripts.pages import blind_page, known_poses_page, sensors_page
+from scripts.pages import blind_page, known_poses_page, lens_page, sensors_page
 
 LAB = Path(__file__).parents[2] / "docs/lab"
 
 
 @pytest.mark.parametrize(
     ("script", "name"),
-    [(blind_page, "blind_stretch"), (known_poses_page, "known_poses"), (sensors_page, "sensors")],
-    ids=["blind", "poses", "sensors"],
+    [
+        (blind_page, "blind_stretch"),
+        (known_poses_page, "known_poses"),
+        (sensors_page, "sensors"),
+        (lens_page, "unknown_lens"),
+    ],
+    ids=["blind", "poses", "sensors", "lens"],
 )
 def test_the_page_is_what_its_record_says(script, name) -> None:
     printed = script.page(json.loads(script.RECORD.read_text()))
