@@ -1,4 +1,4 @@
-"""The committed pages of sensors, blind stretches, given poses and unknown lenses are what their scripts print from the records."""
+"""Committed pages of sensors, blind stretches, given poses and unknown lenses are what scripts print of the records."""
 
 import json
 from pathlib import Path
