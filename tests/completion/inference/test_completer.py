@@ -146,7 +146,8 @@ def test_attention_features_are_what_goes_in_and_comes_out(name):
         torch.testing.assert_close(network.unet.attention(before[None])[0], after)
 
 
-@pytest.mark.parametrize("recurrent", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow  # every day: the export of `networks/test_plug_in.py`
+@pytest.mark.parametrize("recurrent", [False, True])
 def test_onnx_gives_what_torch_gives_for_any_batch(tmp_path, frames, recurrent):
     import onnx
     import onnxruntime

@@ -5,6 +5,7 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 from torch import nn
@@ -101,7 +102,21 @@ def test_it_is_trained_on_sfm_points_and_exported(weights, tmp_path):
     trained = load_network(train(config, say=lambda text: None))
     assert isinstance(trained, MeanNetwork)
     assert trained.offset != 0
-    assert export_onnx(trained, tmp_path / "m.onnx", 32).stat().st_size > 0
+    assert_onnx_agrees(export_onnx(trained, tmp_path / "m.onnx", 32), trained)
+
+
+def assert_onnx_agrees(path, network):
+    rng = np.random.default_rng(1)
+    log_sparse = rng.normal(size=(3, 1, 32, 32)).astype(np.float32)
+    inputs = {"rgb": rng.random((3, 3, 32, 32), np.float32), "log_sparse": log_sparse}
+    inputs["trust"] = (rng.random(log_sparse.shape) < 0.1).astype(np.float32)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    named = {one.name for one in session.get_inputs()}
+    got = session.run(None, {name: array for name, array in inputs.items() if name in named})
+    with torch.inference_mode():
+        expected = network(*(torch.from_numpy(array) for array in inputs.values()))
+    for a, b in zip(got, expected, strict=True):
+        np.testing.assert_allclose(a, b.numpy(), atol=1e-5)
 
 
 def test_a_weight_file_of_an_older_class_name_is_its(weights, tmp_path):
