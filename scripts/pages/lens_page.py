@@ -20,7 +20,7 @@ HEAD = """# What an unknown lens is guessed to be
   fisheye of some 125 degrees across), or from 100 degrees with two radial terms?
 - **Answer:** Either, by the film: both are tried on its first frames, and the one that fits them better is taken
   (`pipeline/frontend/lens_guess.py`). On {right} of {count} films the one that was taken posed no fewer frames in no
-  more maps, with an ATE no more than a tenth above the other's; on {right_reported} of the {reported} that are reported on.
+  more maps, with an ATE no more than a tenth above the other's; of the {reported} reported on, {right_reported}.
 - **Command:** `haustra phantom SCOPES --suite --config benchmarks/scope_films.yaml`, then
   `python -m benchmarks.reconstruction unknown-lens --end 12 FILMS SCOPES/* --json {record}` at {commit} on one machine
   ({machine}); rendered by `python scripts/pages/lens_page.py > docs/lab/unknown_lens.md`.
