@@ -158,6 +158,9 @@ def open_run(folder: Path | str) -> Run:
     return Run(workspace)
 
 
+MOST_SAID = 3  # cautions with success
+
+
 def summary(metrics: dict[str, Any], mesh: Path) -> str:
     """One line for a person: frames posed, surface, coverage, and any reason not to trust it."""
     main = metrics["submaps"][0]
@@ -182,6 +185,7 @@ def _coverage(metrics: dict[str, Any]) -> str:
 
 def _caution(metrics: dict[str, Any]) -> str:
     """Said with success, so that nobody overlooks it."""
-    doubts = [*metrics["warnings"], *(submap["camera"]["trust"] for submap in metrics["submaps"])]
-    doubts = [doubt for doubt in doubts if "trust" in doubt or "does not determine" in doubt]
-    return "; CAUTION: " + "; ".join(doubts) if doubts else ""
+    of_lens = dict.fromkeys(submap["camera"]["trust"] for submap in metrics["submaps"])
+    doubts = [*metrics["warnings"], *(one for one in of_lens if "trust" in one or "does not determine" in one)]
+    more = f"; {len(doubts) - MOST_SAID} more on the report" if len(doubts) > MOST_SAID else ""
+    return "; CAUTION: " + "; ".join(doubts[:MOST_SAID]) + more if doubts else ""

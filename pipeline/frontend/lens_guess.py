@@ -1,9 +1,9 @@
 """What an unknown lens is guessed to be: the mean of 18 measured colonoscopes, or 100 degrees across the picture.
 
 Both are tried on the film's beginning. Tracking drops what does not fit the lens, and what it keeps fits less well: the
-score of a guess counts the observations that its maps keep, each by 1 - e^2 for a reprojection error of e px, as MSAC
-does (Torr and Zisserman 2000). The refinement after tracking then starts near the truth (measured:
-docs/lab/front_end.md). Where the beginning holds neither, the guess by the picture's shape stays (`calibrate`).
+score of a guess is the number of observations that its maps keep, each weighted by 1 - e^2, at least 0, where e px is
+the mean reprojection error of its point. The refinement after tracking then starts near the truth (measured:
+docs/lab/unknown_lens.md). Where no map begins, the guess by the picture's shape stays (`calibrate`).
 """
 
 from collections.abc import Callable
@@ -14,12 +14,12 @@ import numpy as np
 from haustra.core.camera import Camera, guess_camera
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
+from haustra.core.threads import single_threaded
 from pipeline.config import FAST_KEYFRAME_MOTION, FrontEndSettings
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.tracking import Odometry
-from pipeline.input.calibration import REFINED
 from pipeline.input.endomapper_scopes import colonoscope_across
-from pipeline.input.frames import LENS_STAGE, Frames, load_frames
+from pipeline.input.frames import LENS_STAGE, Frames, guessed_by, load_frames
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_of_map import to_submap
 from pipeline.run_folder.stage import load_or_make
@@ -49,11 +49,11 @@ def _choose(frames: Frames, settings: FrontEndSettings, workspace: Workspace, pr
     told: dict[str, Any] = {"scores": scores}
     best = max(scores, key=lambda name: scores[name])  # the first of two that are even
     if scores[best] > 0:
-        others = " and ".join(f"{score:.0f} of {name}" for name, score in scores.items() if name != best)
-        fits = f"which fits the first frames better (a score of {scores[best]:.0f}, {others})"
-        told["origin"] = f"guessed: {best}, {fits}; {REFINED}"
+        others = " and ".join(f"{score:.0f} with {name}" for name, score in scores.items() if name != best)
+        kept = f"the maps of the first frames keep {scores[best]:.0f} observations, weighted by their fit"
+        told["origin"] = f"guessed: {best}, with which {kept}; {others}"
         told["camera"] = GUESSES[best](*_size_and_content(frames)).to_dict()
-        progress.log(f"camera: {told['origin']}")
+    progress.log(f"camera: {told.get('origin', guessed_by(workspace))}")
     workspace.finish(LENS_STAGE, **told)
 
 
@@ -73,7 +73,7 @@ def scores_of_guesses(
         name: Odometry(RayTable(camera), settings.seed, settings.stride, motion) for name, camera in cameras.items()
     }
     scores = dict.fromkeys(trials, 0.0)
-    with progress.bar("lens", len(index)) as advance:
+    with single_threaded(), progress.bar("lens", len(index)) as advance:
         for done, frame in enumerate(index, start=1):
             rgb, mask = read(frame)
             for odometry in trials.values():

@@ -79,9 +79,14 @@ def scene_units(workspace: Workspace) -> list[float]:
     return [float(unit) for unit in workspace.result(STAGE)["units"]]
 
 
-def camera_trust(guess: Camera, submap: Submap) -> str:
+def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
     """What became of a guessed camera, and how far to trust it."""
     focal, start = submap.camera_params[0], guess.focal[0]
+    if poses_given:
+        return (
+            f"camera: focal length {start:.1f} px guessed and kept, since poses that are given do not "
+            "ask for the lens; do not trust shapes and lengths without the lens (--camera)"
+        )
     sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
     text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after adjustment"
     if focal == start:
@@ -125,7 +130,7 @@ def _solve(
     for sentence in (_sentence(kept, mapper, total), *warnings):
         progress.log(sentence)
     if not frames.camera.trusted:
-        progress.log(camera_trust(frames.camera, kept[0].submap))
+        progress.log(camera_trust(frames.camera, kept[0].submap, settings.poses.file is not None))
 
 
 @dataclass(frozen=True)

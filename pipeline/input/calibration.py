@@ -14,7 +14,6 @@ from pipeline.input.endomapper_scopes import colonoscope_across
 FARTHEST_CENTRE = 0.2
 MOST_BEYOND = 0.9  # share of the content: a lens that turns back before it is no lens of this picture
 WORTH_SAYING = 0.01
-REFINED = "focal length and radial terms are left to the film"
 
 
 @dataclass(frozen=True)
@@ -37,11 +36,9 @@ def calibrate(
             return _reaching(_from_file(beside, size), beside, content)
         if cut_corners:
             camera = colonoscope_across(width, height, content)
-            return Calibration(
-                camera, f"guessed: mean of 18 colonoscopes, whose corners are masked too; {REFINED}", True
-            )
+            return Calibration(camera, "guessed: mean of 18 colonoscopes, whose corners are masked too", True)
         camera = guess_camera(width, height, content)
-        return Calibration(camera, f"guessed: 100 degrees across the content; {REFINED}", True)
+        return Calibration(camera, "guessed: 100 degrees across the content", True)
     check_choice(choice, source)
     if choice in PRESETS:
         return _from_preset(choice, size)

@@ -94,7 +94,8 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
         source_size=list(size),
         depth_error_per_mm=source.depth_error_per_mm,
     )
-    for note in (f"camera: {calibration.origin}", *source.notes):
+    given = [] if calibration.guessed else [f"camera: {calibration.origin}"]  # of a guess, the stage after it speaks
+    for note in (*given, *source.notes):
         progress.log(note)
 
 

@@ -120,12 +120,15 @@ def collect_metrics(
     workspace: Workspace,
 ) -> dict[str, Any]:
     """Every figure of the run, with unit and count."""
-    structure = workspace.result("structure")
+    structure, poses_given = workspace.result("structure"), workspace.config.poses.file is not None
     refinement = workspace.result("refinement") if workspace.is_done("refinement") else {"submaps": [], "warnings": []}
     # What speaks for a submap that others were joined to is said of its first part.
     evidence = structure["evidence"][structure["mapper"]]
     evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
-    records = [_submap_metrics(frames, *parts) for parts in zip(submaps, surfaces, coverage, evidence, strict=False)]
+    records = [
+        _submap_metrics(frames, poses_given, *parts)
+        for parts in zip(submaps, surfaces, coverage, evidence, strict=False)
+    ]
     motion = load_motion(workspace)
     for record, found in zip(records, motion, strict=False):
         record["wall_motion"] = None if found is None else asdict(found)
@@ -149,12 +152,17 @@ def collect_metrics(
 
 
 def _scale_doubts(surfaces: list[Surface]) -> list[str]:
-    """Each once: submaps of one sensor share their doubt."""
-    return list(dict.fromkeys(surface.scale.doubt for surface in surfaces if surface.scale.doubt))
+    """That of the first submap with one; the others' have the same reason."""
+    return [surface.scale.doubt for surface in surfaces if surface.scale.doubt][:1]
 
 
 def _submap_metrics(
-    frames: Frames, completed: CompletedSubmap, surface: Surface, coverage: CoverageResult, check: dict[str, Any]
+    frames: Frames,
+    poses_given: bool,
+    completed: CompletedSubmap,
+    surface: Surface,
+    coverage: CoverageResult,
+    check: dict[str, Any],
 ) -> dict[str, Any]:
     """Figures of one submap; `check` is what the structure stage recorded of it."""
     mesh, submap = surface.mesh, completed.submap.scaled(surface.scale.factor)
@@ -178,7 +186,7 @@ def _submap_metrics(
             "model": frames.camera.model,
             "params": list(submap.camera_params),
             "sigma": list(submap.camera_sigma),
-            "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap),
+            "trust": "given" if frames.camera.trusted else camera_trust(frames.camera, submap, poses_given),
         },
         "rectified_share": completed.rectifier.kept_share,
     }

@@ -21,10 +21,15 @@ HEAD = """# What an unknown lens is guessed to be
 - **Answer:** Either, by the film: both are tried on its first frames, and the one that fits them better is taken
   (`pipeline/frontend/lens_guess.py`). On {right} of {count} films the one that was taken posed no fewer frames in no
   more maps, with an ATE no more than a tenth above the other's; of the {reported} reported on, {right_reported}.
+  With no tenth allowed it is {strict} of {count}. Where there is truth, its lens was nearer the true one on {nearer} of
+  {known} films.
 - **Command:** `haustra phantom SCOPES --suite --config benchmarks/scope_films.yaml`, then
   `python -m benchmarks.reconstruction unknown-lens --end 12 FILMS SCOPES/* --json {record}` at {commit} on one machine
   ({machine}); rendered by `python scripts/pages/lens_page.py > docs/lab/unknown_lens.md`.
-- **Films:** those marked had been looked at when the rule was made; the others are reported on. One seed each.
+- **Films:** those marked had been looked at when the rule was made; the others are reported on. One seed each. All but
+  two are rendered. Nearly all that take the mean were filmed through lenses that have a part in it, one in 18 each:
+  endoscope 3 (scope_03, a), 9 (b) and 13 (scope_13, c); no real film is held out. So the mean is shown to be a good
+  start for scopes like those of EndoMapper, and for no others.
 
 Frames posed (in so many maps), ATE RMSE of the largest after Sim(3), and off: RMS shift of what the true lens sees, as
 a share of the width. "Beyond use": more than {beyond:.0f} %, as where radial terms run away at the rim. Scores: as the
@@ -53,11 +58,11 @@ def _cell(run: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _is_no_worse(run: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Frames posed, maps and ATE, where there is truth."""
+def _is_no_worse(run: dict[str, Any], other: dict[str, Any], slack: float) -> bool:
+    """Frames posed, maps and ATE, where there is truth, up to `slack` times the other's."""
     if not other["submaps"]:
         return True
-    near = run["submaps"] and run.get("ate_mm", 0.0) <= 1.1 * other.get("ate_mm", 0.0)
+    near = run["submaps"] and run.get("ate_mm", 0.0) <= slack * other.get("ate_mm", 0.0)
     return bool(near and _posed(run) >= _posed(other) and run["submaps"] <= other["submaps"])
 
 
@@ -71,13 +76,17 @@ def page(record: dict[str, Any]) -> str:
     films: dict[str, dict[str, dict[str, Any]]] = {}
     for run in record["runs"]:
         films.setdefault(run["sequence"], {})[run["method"]] = run
-    right, rows = [], []
+    right, strict, nearer, known, rows = [], 0, 0, 0, []
     for name, by in sorted(films.items(), key=lambda item: item[0] in CHOSEN_ON):
         scores = by[FILM]["scores"]
         taken = NARROW if max(scores, key=lambda guess: scores[guess]).startswith("100") else MEAN
         other = MEAN if taken == NARROW else NARROW
-        if _is_no_worse(by[taken], by[other]):
+        if _is_no_worse(by[taken], by[other], 1.1):
             right.append(name)
+        strict += _is_no_worse(by[taken], by[other], 1.0)
+        if "lens_off" in by[taken]:
+            known += 1
+            nearer += by[taken]["lens_off"] <= by[other].get("lens_off", float("inf"))
         told = ", ".join(f"{guess}: {score:.0f}" for guess, score in scores.items())
         film = name.removesuffix(".mp4") + (" (rule made on)" if name in CHOSEN_ON else "")
         rows.append(f"| {film} | {_cell(by[NARROW])} | {_cell(by[MEAN])} | {told} | {taken} |")
@@ -85,6 +94,9 @@ def page(record: dict[str, Any]) -> str:
     head = HEAD.format(
         count=len(films),
         right=len(right),
+        strict=strict,
+        nearer=nearer,
+        known=known,
         right_reported=len(set(right) - set(CHOSEN_ON)),
         reported=len(set(films) - set(CHOSEN_ON)),
         record="RECORD.json",

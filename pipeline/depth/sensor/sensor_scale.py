@@ -67,8 +67,9 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     scale = float(np.exp(np.median(log_ratio)))
     depths = submap.depths()
     median_mm = scale * float(np.median(depths[depths > 0]))
-    check_unit(median_mm)
-    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), doubt_of_unit(median_mm))
+    check_unit(median_mm, sensor.stereo)
+    doubt = doubt_of_unit(median_mm, sensor.stereo)
+    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), doubt)
 
 
 def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> None:

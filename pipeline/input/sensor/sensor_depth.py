@@ -25,6 +25,7 @@ SENSOR = "sensor"  # what an RGB-D folder's camera.json calls depth that is no t
 LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
 MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is of second order
 CACHED = 8
+UNIT_OPTION = "depth's unit (--depth-unit-mm)"
 LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
 NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
 # Where most views' are. It is a factor of ten: a view between them whose unit is off by ten is always outside.
@@ -34,7 +35,8 @@ USUAL_MM = 8.0, 80.0
 @dataclass(frozen=True)
 class SensorDepth:
     """files: depth image by frame number. settings: unit and error. box: x, y, width, height of the content in the
-    source picture; scale: from it to the working picture; size: (width, height) of the source picture."""
+    source picture; scale: from it to the working picture; size: (width, height) of the source picture; stereo: by the
+    second eye, whose unit is the rig's baseline."""
 
     files: dict[int, Path]
     settings: SensorSettings
@@ -42,6 +44,7 @@ class SensorDepth:
     box: tuple[int, int, int, int]
     scale: float
     size: tuple[int, int]
+    stereo: bool = False
 
     @cached_property
     def spacing_px(self) -> float:
@@ -159,30 +162,38 @@ def check_sensor(source: Path, settings: SensorSettings) -> None:
     if not images:
         raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
     looked_at = images[:: -(-len(images) // LOOKED_AT)]
-    known = np.concatenate([raw[raw > 0] for raw in map(_read_depth, looked_at)])
+    known = np.concatenate([_known(path) for path in looked_at])
     if len(known) == 0:
         raise HaustraError(f"the {len(looked_at)} images of {folder} that were looked at hold no depth: all are 0")
-    check_unit(unit_mm * float(np.median(known)))
+    check_unit(unit_mm * float(np.median(known)), stereo=False)
 
 
-def check_unit(median_mm: float) -> None:
-    """HaustraError where no endoscope's view has that median depth, mm."""
+def _known(path: Path) -> Array:
+    """(K,) values of a depth image, as stored, that are depth."""
+    raw = _read_depth(path)
+    return raw[(raw > 0) & (_confidence(path, raw.shape) >= LEAST_CONFIDENCE)].astype(np.float64)
+
+
+def check_unit(median_mm: float, stereo: bool) -> None:
+    """HaustraError for a median depth, mm, that is none of an endoscope's view."""
     if not NEAREST_MM <= median_mm <= FARTHEST_MM:
+        who, what = ("second eye", "baseline in the stereo calibration") if stereo else ("sensor", UNIT_OPTION)
         raise HaustraError(
-            f"by the sensor's depth the wall is {median_mm:.3g} mm away in the median, which no endoscope's view is: "
-            "check its unit (--depth-unit-mm)"
+            f"by the {who} the wall is {median_mm:.3g} mm away in the median, and endoscopes look from "
+            f"{NEAREST_MM:g} to {FARTHEST_MM:g} mm: check the {what}"
         )
 
 
-def doubt_of_unit(median_mm: float) -> str:
-    """A sentence where few endoscopes' views have that median depth, mm; empty for a usual one."""
+def doubt_of_unit(median_mm: float, stereo: bool) -> str:
+    """A sentence where a sensor's median depth, mm, is one that few endoscopes' views have; empty for a usual one, and
+    for a second eye, whose unit nobody types."""
     near, far = USUAL_MM
-    if near <= median_mm <= far:
+    if stereo or near <= median_mm <= far:
         return ""
-    return (
-        f"do not trust the millimetres yet: by the sensor's depth the wall is {median_mm:.3g} mm away in the median, "
-        f"and most endoscopes look from {near:g} to {far:g} mm; check its unit (--depth-unit-mm)"
+    what = (
+        f"by the sensor the wall is {median_mm:.3g} mm away in the median, and most colonoscopes look from {near:g} to"
     )
+    return f"do not trust the millimetres before you have checked the {UNIT_OPTION}: {what} {far:g} mm"
 
 
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
@@ -204,6 +215,7 @@ def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
         (box[0], box[1], box[2], box[3]),
         width / box[2],
         (told["source_size"][0], told["source_size"][1]),
+        folder == workspace.sensor,
     )
 
 

@@ -82,7 +82,8 @@ class RectifiedRig:
             )
         if np.median(x) < 0:
             raise HaustraError(
-                f"the eyes are swapped: the left one sees things {-np.median(x):.1f} px farther left than the right one"
+                f"the left eye sees things {-np.median(x):.1f} px farther left than the right one: the eyes are "
+                "swapped in the film, or the calibration has the second eye's place for the first's"
             )
         off = float(np.median(y))
         if off > MOST_OFF_ROW * self.camera.height:

@@ -158,11 +158,13 @@ def test_they_join_those_of_the_map(sensor, workspace):
 
 @pytest.mark.parametrize("factor", [10.0, 0.1])
 def test_a_wrong_unit_is_one_sentence(sensor, factor):
-    with pytest.raises(HaustraError, match="which no endoscope's view is: check its unit"):
+    with pytest.raises(HaustraError, match="endoscopes look from 4 to 250 mm: check the depth's unit"):
         sensor_scale(submap(), replace(sensor, unit_mm=factor * sensor.unit_mm))
 
 
-@pytest.mark.parametrize(("factor", "told"), [(1.0, ""), (4.0, "check its unit"), (0.25, "check its unit")])
+@pytest.mark.parametrize(
+    ("factor", "told"), [(1.0, ""), (4.0, "checked the depth's unit"), (0.25, "checked the depth's unit")]
+)
 def test_a_unit_that_few_views_have_is_doubted_aloud(sensor, factor, told):
     scale = scale_of_sensor(sensor_scale(submap(), replace(sensor, unit_mm=factor * sensor.unit_mm)))
     assert told in scale.doubt
@@ -171,16 +173,16 @@ def test_a_unit_that_few_views_have_is_doubted_aloud(sensor, factor, told):
 
 @pytest.mark.parametrize("median_mm", np.geomspace(8.5, 79.0, 12))
 def test_a_unit_off_by_ten_is_never_silent(median_mm):
-    assert not doubt_of_unit(median_mm)
+    assert not doubt_of_unit(median_mm, False)
     for wrong in (median_mm / 10, median_mm * 10):
-        assert doubt_of_unit(wrong)
+        assert doubt_of_unit(wrong, False)
 
 
 @pytest.mark.parametrize("unit_mm", [0.005, 1.0])
 def test_a_wrong_unit_is_refused_before_any_work(tmp_path, unit_mm):
     write_sensor(tmp_path / "depth")
     check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05))
-    with pytest.raises(HaustraError, match="which no endoscope's view is: check its unit"):
+    with pytest.raises(HaustraError, match="endoscopes look from 4 to 250 mm: check the depth's unit"):
         check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=unit_mm))
 
 

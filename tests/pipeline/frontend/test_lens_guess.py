@@ -7,11 +7,14 @@ import pytest
 
 from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
-from pipeline.config import Config
+from pipeline import run
+from pipeline.config import Config, FrameSettings
+from pipeline.demo import VIDEO
+from pipeline.frontend import lens_guess
 from pipeline.frontend.lens_guess import GUESSES, guess_lens, scores_of_guesses
 from pipeline.input.endomapper_scopes import LENSES, endomapper_camera
 from pipeline.input.frames import camera_origin, guessed_by, load_frames
-from pipeline.run_folder.workspace import write_json
+from pipeline.run_folder.workspace import open_workspace, write_json
 from tests.helpers.tubes.textured_tube import SIZE, camera_at, render, stored
 
 MEAN, NARROW = GUESSES
@@ -42,10 +45,26 @@ def test_the_guess_that_is_nearer_fits_better(tmp_path, lens, right):
     assert scores[right] > 1.05 * min(scores.values())
     assert found.camera == GUESSES[right](SIZE, SIZE, (0, 0, SIZE, SIZE))
     assert not found.camera.trusted
-    assert camera_origin(workspace).startswith(f"guessed: {right}, which fits the first frames better")
+    assert camera_origin(workspace).startswith(f"guessed: {right}, with which the maps of the first frames keep")
     assert load_frames(workspace).camera == found.camera
     if lens is PINHOLE:  # two runs agree
         assert scores_of_guesses(frames, SETTINGS, workspace, SilentProgress()) == scores
+
+
+def test_a_run_that_was_stopped_after_it_does_not_ask_again(tmp_path, monkeypatch):
+    def stop(frames, *_):
+        raise KeyboardInterrupt(frames.camera.params)
+
+    monkeypatch.setattr(run, "solve_structure", stop)
+    config = Config(camera="auto", front_end="odometry", frames=FrameSettings(end_s=0.9))
+    with pytest.raises(KeyboardInterrupt) as first:
+        run.reconstruct(VIDEO, tmp_path / "run", config)
+    record = open_workspace(tmp_path / "run").result("lens")
+    assert record["scores"][NARROW] > record["scores"][MEAN]  # the demo's is a pinhole of 90 degrees
+    monkeypatch.delattr(lens_guess, "scores_of_guesses")
+    with pytest.raises(KeyboardInterrupt) as again:
+        run.reconstruct(VIDEO, tmp_path / "run", config, resume=True)
+    assert again.value.args == first.value.args == (tuple(record["camera"]["params"]),)
 
 
 def test_a_beginning_that_tells_nothing_leaves_the_guess_by_shape(tmp_path):

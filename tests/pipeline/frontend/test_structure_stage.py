@@ -222,3 +222,11 @@ def test_choices_that_cannot_work_are_refused_at_once():
     with pytest.raises(HaustraError, match="no keyframe_motion"):
         check_front_end("sfm", fast)
     check_front_end("auto", fast)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_guess_that_nothing_asked_is_not_called_undetermined_by_motion(given):
+    submap = SimpleNamespace(camera_params=CAMERA.params, camera_sigma=())
+    said = structure_stage.camera_trust(CAMERA, submap, given)
+    assert ("the motion does not determine it" in said) != given
+    assert ("do not trust shapes and lengths" in said) == given

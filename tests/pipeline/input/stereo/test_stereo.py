@@ -119,7 +119,7 @@ def test_two_files(tmp_path, eyes):
 
 
 def test_swapped_eyes_are_one_sentence(tmp_path, eyes):
-    with pytest.raises(HaustraError, match="the eyes are swapped"):
+    with pytest.raises(HaustraError, match="the eyes are swapped in the film, or"):
         source_of(tmp_path, [(right, left) for left, right in eyes]).check()
 
 
