@@ -73,7 +73,7 @@ class JudgedMap:
 
 def load_maps(film: Path, way: str, folder: Path) -> list[JudgedMap]:
     """As `make_maps` left them."""
-    found: list[JudgedMap] = pickle.loads(_path(film, way, folder).read_bytes())
+    found: list[JudgedMap] = pickle.loads(_path(film, way, folder).read_bytes())  # noqa: S301 - written by us
     return found
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def light_by_quarters(one: JudgedMap) -> float:
     distance = np.linalg.norm(submap.points[point] - submap.centres[row], axis=1)
     right_low = submap.pixels[order] > np.array([one.camera.width, one.camera.height]) / 2
     quarter, bright = right_low @ np.array([1, 2]), one.brightness[order]
-    for begin, end in zip(starts[:-1], starts[1:], strict=True):
+    for begin, end in pairwise(starts):
         mine = np.arange(begin, end)
         parts = [mine[quarter[mine] == number] for number in range(4)]
         known = [rank_correlation(distance[part], bright[part]) for part in parts if len(part) >= QUARTER_POINTS]
