@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    here = environment()  # before a file of ours is written
     rows = [
         row
         for role in ("choosing", "reported")
@@ -53,9 +54,9 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
         if row["role"] == "reported":
             row["probability"] = probability(row, found["coefficients"])
     if arguments.ship:
-        about = {"commit": environment()["commit"], "maps": len(choosing), "wrong": sum(r["wrong"] for r in choosing)}
+        about = {"commit": here["commit"], "maps": len(choosing), "wrong": sum(r["wrong"] for r in choosing)}
         COEFFICIENTS.write_text(json.dumps(found["coefficients"] | about, indent=2) + "\n")
-    return found | {"maps": rows}
+    return {"environment": here} | found | {"maps": rows}
 
 
 def _rows_of(film: Path, role: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
