@@ -160,9 +160,7 @@ def page(record: dict[str, Any], read: str) -> str:
     figures = FIGURES.format(
         base=100 * record["base_rate"],
         base_loss=record["base_loss"],
-        alone="\n".join(
-            f"| {name} | {loss:.3f} |" for name, loss in sorted(record["alone"].items(), key=lambda i: i[1])
-        ),
+        alone="\n".join(f"| {name} | {alone[name]:.3f} |" for name in sorted(alone, key=lambda name: alone[name])),
         chosen=", ".join(f"{name} ({loss:.3f})" for name, loss in record["chosen"]),
     )
     bins = []
