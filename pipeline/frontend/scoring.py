@@ -16,7 +16,7 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
-from pipeline.mapping.map_doubt import MapDoubt, gather_evidence, judge
+from pipeline.mapping.map_doubt import MapDoubt, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN
 from pipeline.run_folder.workspace import Workspace
@@ -125,13 +125,13 @@ def doubts_of(kept: list[Candidate], mapper: str, submaps: int, frames: Frames) 
     the probability is not known, and of those that are too short for it."""
     if mapper != MAPPER_IN_DOUBT:
         return [None] * len(kept)
-    total = len(frames.index)
-    return [
-        judge(gather_evidence(c.submap, refined_camera(frames.camera, c.submap), c.check, total, submaps))
-        if len(c.submap.frames) >= MIN_JUDGED
-        else None
-        for c in kept
-    ]
+    total, asked = len(frames.index), coefficients()["weights"]
+
+    def doubt(one: Candidate) -> MapDoubt:
+        camera = refined_camera(frames.camera, one.submap)
+        return judge(gather_evidence(one.submap, camera, one.check, total, submaps, asked=asked))
+
+    return [doubt(one) if len(one.submap.frames) >= MIN_JUDGED else None for one in kept]
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:

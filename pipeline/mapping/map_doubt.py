@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -142,8 +142,12 @@ class MapDoubt:
         )
 
 
-def gather_evidence(submap: Submap, camera: Camera, check: LightingCheck, total: int, submaps: int) -> MapEvidence:
-    """Of one of `submaps` found in `total` working frames; camera: as refined with it."""
+def gather_evidence(
+    submap: Submap, camera: Camera, check: LightingCheck, total: int, submaps: int, *, asked: Iterable[str] = FIGURES
+) -> MapEvidence:
+    """Of one of `submaps` found in `total` working frames; camera: as refined with it. asked: figures by name; parts of
+    the map are adjusted alone only where they are asked for."""
+    kinds = {name.split(",")[0] for name in asked}
     depths = submap.depths()
     unit = float(np.median(depths[depths > 0])) if (depths > 0).any() else 1.0
     one = submap.scaled(1 / unit)
@@ -156,8 +160,8 @@ def gather_evidence(submap: Submap, camera: Camera, check: LightingCheck, total:
         check.inconsistent_share,
         len(one.frames) / max(total, 1),
         submaps,
-        by_stretches(one, camera),
-        by_halves_of_the_wall(one, camera),
+        by_stretches(one, camera) if "stretches" in kinds else None,
+        by_halves_of_the_wall(one, camera) if "halves" in kinds else None,
     )
 
 
@@ -176,6 +180,6 @@ def judge(evidence: MapEvidence) -> MapDoubt:
 @cache
 def coefficients() -> dict[str, Any]:
     """`offset`, `weights` and the median `of_right_maps` of the figures by their names; written by
-    `python -m benchmarks.map_doubt`."""
+    `python -m benchmarks.map_doubt fit`."""
     found: dict[str, Any] = json.loads(COEFFICIENTS.read_text())
     return found

@@ -223,7 +223,7 @@ def test_where_there_is_a_probability_light_alone_says_nothing():
 
 def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
-    monkeypatch.setattr(scoring, "gather_evidence", lambda *_: "evidence")
+    monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
     monkeypatch.setattr(scoring, "judge", lambda evidence: f"judged by {evidence}")
     short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path())
     kept, frames = [GOOD, short], many_frames(100)
