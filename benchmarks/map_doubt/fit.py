@@ -3,7 +3,7 @@
     python -m benchmarks.map_doubt fit --choosing FILMS --reported FILMS --maps FOLDER --json map_doubt.json --ship
 
 Odometry alone tracks each film in several ways (`WAYS` of `maps.py`: seeds, keyframe motion, wrong lenses, parts), as
-does the structure stage before COLMAP is asked; every submap of `MIN_FRAMES` frames counts, also those that its lighting
+does the structure stage before COLMAP is asked; submaps of `MIN_FRAMES` frames count, also those that its lighting
 check drops. Wrong: `pipeline.mapping.map_doubt`. Figures are chosen, and weights fitted, on the films for choosing
 alone, by the loss on paths that had no part in the fit.
 `FOLDER` keeps the submaps: a stopped call goes on
