@@ -16,7 +16,8 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
-from pipeline.mapping.submap import MIN_FRAMES, Submap
+from pipeline.mapping.map_doubt import MapDoubt, coefficients, gather_evidence, judge
+from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN
 from pipeline.run_folder.workspace import Workspace
 
@@ -26,6 +27,8 @@ MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for 
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
+MAPPER_IN_DOUBT = "odometry"  # the one on whose maps `map_doubt` was fitted,
+MIN_JUDGED = 20  # and the fewest frames that they had
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated
 
@@ -115,6 +118,20 @@ def frames_in_doubt(candidates: list[Candidate], frames: Frames) -> Frames:
 def accepted(candidates: list[Candidate]) -> list[Candidate]:
     """The largest submap, and of the others those that pass the lighting check."""
     return candidates[:1] + [c for c in candidates[1:] if c.check.inconsistent_share <= MAX_INCONSISTENT]
+
+
+def doubts_of(kept: list[Candidate], mapper: str, submaps: int, frames: Frames) -> list[MapDoubt | None]:
+    """Of each one kept of the `submaps` that a mapper found; None of those of another mapper than odometry, of which
+    the probability is not known, and of those that are too short for it."""
+    if mapper != MAPPER_IN_DOUBT:
+        return [None] * len(kept)
+    total, asked = len(frames.index), coefficients()["weights"]
+
+    def doubt(one: Candidate) -> MapDoubt:
+        camera = refined_camera(frames.camera, one.submap)
+        return judge(gather_evidence(one.submap, camera, one.check, total, submaps, asked=asked))
+
+    return [doubt(one) if len(one.submap.frames) >= MIN_JUDGED else None for one in kept]
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:

@@ -24,11 +24,13 @@ from pipeline.frontend.scoring import (
     accepted,
     best_mapper,
     candidates_of,
+    doubts_of,
     frames_in_doubt,
     needs_second_opinion,
     sure_of,
 )
 from pipeline.input.frames import Frames
+from pipeline.mapping.map_doubt import MapDoubt
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption
@@ -113,7 +115,8 @@ def _solve(
             f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
     _keep(kept, workspace)
-    warnings = _warnings(kept, [other for other in (FIRST, SECOND) if other not in results])
+    doubts = doubts_of(kept, mapper, len(by_mapper[mapper]), frames)
+    warnings = _warnings(kept, doubts, [other for other in (FIRST, SECOND) if other not in results])
     warnings += _doubt_of_lens(kept[0].submap, frames.camera, settings, workspace)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     if results[name].mixed:  # loops between the submaps of two front ends are still open
@@ -122,7 +125,8 @@ def _solve(
         STAGE,
         front_end=name,
         mapper=mapper,
-        evidence={of: [c.check.to_dict() for c in found] for of, found in by_mapper.items()},
+        evidence={of: [c.check.to_dict() for c in found] for of, found in (by_mapper | {mapper: kept}).items()},
+        doubts=[None if one is None else one.to_dict() for one in doubts],
         units=[_unit(c.submap) for c in kept],
         stats=results[name].stats,
         warnings=warnings,
@@ -226,14 +230,16 @@ def _unit(submap: Submap) -> float:
     return float(np.median(positive)) if len(positive) else 1.0
 
 
-def _warnings(candidates: list[Candidate], untried: list[str]) -> list[str]:
-    """Sentences on submaps that are kept although the lighting check does not speak for them; `untried`: front ends
-    that have not been run."""
+def _warnings(candidates: list[Candidate], doubts: list[MapDoubt | None], untried: list[str]) -> list[str]:
+    """Sentences on submaps that are kept although they may be wrong, or the lighting check does not speak for them
+    where nothing else does; `untried`: front ends that have not been run."""
     found = []
     advice = f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames"
-    for number, check in enumerate(c.check for c in candidates):
+    for number, (check, doubt) in enumerate(zip((c.check for c in candidates), doubts, strict=True)):
         if check.n_checked == 0:
             found.append(f"submap {number} has too few points in each frame for the lighting check")
+        if doubt is not None:
+            found += [sentence] if (sentence := doubt.sentence(number, advice)) else []
         elif check.inconsistent_share > MAX_INCONSISTENT:
             share = 100 * check.inconsistent_share
             found.append(

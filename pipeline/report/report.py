@@ -125,10 +125,14 @@ def collect_metrics(
     # What speaks for a submap that others were joined to is said of its first part.
     evidence = structure["evidence"][structure["mapper"]]
     evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
+    doubts = structure.get("doubts", [])  # absent in runs of earlier versions
+    doubts = [doubts[record["members"][0]] for record in refinement["submaps"] if doubts] or doubts
     records = [
         _submap_metrics(frames, poses_given, *parts)
         for parts in zip(submaps, surfaces, coverage, evidence, strict=False)
     ]
+    for number, record in enumerate(records):
+        record["doubt"] = doubts[number] if doubts else None
     motion = load_motion(workspace)
     for record, found in zip(records, motion, strict=False):
         record["wall_motion"] = None if found is None else asdict(found)

@@ -124,10 +124,18 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
             f"{check['angle_deg']:.1f}° (median); nearer wall is brighter, as the endoscope's own light demands, in "
             f"{100 * (1 - check['contrary']):.0f} % {light}",
         ),
+        *_doubt_rows(submap.get("doubt")),
         ("scale", submap["scale"]),
         ("left out", _left_out(submap["contradicted_keyframes"])),
         ("calibration", submap["camera"]["trust"] + _cut(submap["rectified_share"])),
     ]
+
+
+def _doubt_rows(doubt: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Of submaps of odometry that are long enough."""
+    if doubt is None:
+        return []
+    return [("probability that it is wrong", f"{100 * doubt['probability']:.0f} %; most by: {doubt['heaviest']}")]
 
 
 def _loops(record: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import pytest
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, OdometrySettings
-from pipeline.frontend import structure_stage
+from pipeline.frontend import scoring, structure_stage
 from pipeline.frontend.base import FrontEndResult
 from pipeline.frontend.colmap import front_end as colmap
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
@@ -209,10 +209,26 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
 
 
 def test_warnings_advise_what_was_not_tried():
-    assert "compare with --front-end sfm" in structure_stage._warnings([DARK], ["sfm"])[0]
-    (sentence,) = structure_stage._warnings([DARK], [])
+    assert "compare with --front-end sfm" in structure_stage._warnings([DARK], [None], ["sfm"])[0]
+    (sentence,) = structure_stage._warnings([DARK], [None], [])
     assert "--front-end" not in sentence
     assert sentence.endswith("in 40 % of 90 frames nearer points are darker; use other frames")
+
+
+def test_where_there_is_a_probability_light_alone_says_nothing():
+    sure, likely = (SimpleNamespace(sentence=lambda *_, told=told: told) for told in (None, "is probably wrong"))
+    assert structure_stage._warnings([DARK], [sure], []) == []
+    assert structure_stage._warnings([DARK], [likely], []) == ["is probably wrong"]
+
+
+def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
+    monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
+    monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
+    monkeypatch.setattr(scoring, "judge", lambda evidence: f"judged by {evidence}")
+    short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path())
+    kept, frames = [GOOD, short], many_frames(100)
+    assert scoring.doubts_of(kept, "odometry", 2, frames) == ["judged by evidence", None]
+    assert scoring.doubts_of(kept, "global", 2, frames) == [None, None]
 
 
 def test_choices_that_cannot_work_are_refused_at_once():

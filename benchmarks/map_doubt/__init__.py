@@ -1,0 +1,1 @@
+"""Whether a submap is wrong, by what the front end leaves of it."""

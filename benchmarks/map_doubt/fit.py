@@ -1,0 +1,110 @@
+"""The probability that a submap is wrong: coefficients from films for choosing, and how it does on others.
+
+    python -m benchmarks.map_doubt fit --choosing FILMS --reported FILMS --maps FOLDER --json map_doubt.json --ship
+
+Odometry alone tracks each film in several ways (`WAYS` of `maps.py`: seeds, keyframe motion, wrong lenses, parts), as
+does the structure stage before COLMAP is asked; submaps of `MIN_FRAMES` frames count, also those that its lighting
+check drops. Wrong: `pipeline.mapping.map_doubt`. Figures are chosen, and weights fitted, on the films for choosing
+alone, by the loss on paths that had no part in the fit.
+`FOLDER` keeps the submaps: a stopped call goes on
+where it was, and `--made` takes those that are there. `--ship` writes the coefficients that the pipeline reads.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import expit
+
+from benchmarks.common.record import environment
+from benchmarks.map_doubt.fitting import chosen_figures, fitted, log_loss, probabilities_left_out
+from benchmarks.map_doubt.maps import WAYS, is_made, load_maps, make_maps
+from benchmarks.map_doubt.rows import figures_of, path_of, row_of
+from pipeline.mapping.map_doubt import COEFFICIENTS, FIGURES
+
+MIN_FRAMES = 20  # of a submap that counts, as in `benchmarks.living`
+LIGHT = ("light", "light against it")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--choosing", type=Path, nargs="+", required=True, help="RGB-D folders")
+    parser.add_argument("--reported", type=Path, nargs="+", required=True, help="RGB-D folders")
+    parser.add_argument("--maps", type=Path, required=True, help="folder for the submaps")
+    parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS, help="in which films are tracked")
+    parser.add_argument("--made", action="store_true", help="track nothing")
+    parser.add_argument("--ship", action="store_true", help=f"write {COEFFICIENTS.name}")
+
+
+def measure(arguments: argparse.Namespace) -> dict[str, Any]:
+    here = environment()  # before a file of ours is written
+    rows = [
+        row
+        for role in ("choosing", "reported")
+        for film in getattr(arguments, role)
+        for row in _rows_of(film, role, arguments)
+    ]
+    choosing = [row for row in rows if row["role"] == "choosing"]
+    found = fit_all(choosing)
+    for row, left_out in zip(choosing, found.pop("left_out"), strict=True):
+        row["probability"] = left_out
+    for row in rows:
+        if row["role"] == "reported":
+            row["probability"] = probability(row, found["coefficients"])
+    if arguments.ship:
+        about = {"commit": here["commit"], "maps": len(choosing), "wrong": sum(r["wrong"] for r in choosing)}
+        COEFFICIENTS.write_text(json.dumps(found["coefficients"] | about, indent=2) + "\n")
+    return {"environment": here} | found | {"maps": rows}
+
+
+def _rows_of(film: Path, role: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    folder = arguments.maps / role
+    if not arguments.made:
+        make_maps(film, arguments.ways, folder)
+    rows = []
+    for way in arguments.ways:
+        if is_made(film, way, folder):
+            about = {"film": film.name, "role": role, "way": way}
+            kept = folder / f"{film.name}, {way}.json"
+            if not kept.is_file():
+                kept.write_text(json.dumps([row_of(one) for one in load_maps(film, way, folder)]))
+            rows += [about | row for row in json.loads(kept.read_text()) if row["frames"] >= MIN_FRAMES]
+    return rows
+
+
+def fit_all(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Of films for choosing: `alone`, the left-out loss of each figure and of the light's two together; `chosen`, the
+    figures taken and the loss with each; `coefficients`; `left_out`, a probability for each row."""
+    wrong, group = np.array([row["wrong"] for row in rows]), [path_of(row["film"]) for row in rows]
+    told = [figures_of(row) for row in rows]
+    figures = {name: np.array([one[name] for one in told]) for name in told[0]}
+
+    def left_out(names: list[str]) -> np.ndarray:
+        return probabilities_left_out(np.stack([figures[name] for name in names], axis=1), wrong, group)
+
+    alone = {name: log_loss(left_out([name]), wrong) for name in figures}
+    alone["both of the light"] = log_loss(left_out(list(LIGHT)), wrong)
+    chosen = chosen_figures({name: figures[name] for name in FIGURES}, wrong, group)
+    names = [name for name, _ in chosen]
+    offset, weights = fitted(np.stack([figures[name] for name in names], axis=1), wrong)
+    coefficients = {
+        "offset": offset,
+        "weights": dict(zip(names, weights.tolist(), strict=True)),
+        "of_right_maps": {name: float(np.median(figures[name][~wrong])) for name in names},
+    }
+    return {
+        "base_rate": float(wrong.mean()),
+        "base_loss": log_loss(np.full(len(wrong), wrong.mean()), wrong),
+        "alone": alone,
+        "chosen": chosen,
+        "coefficients": coefficients,
+        "left_out": left_out(names).tolist(),
+    }
+
+
+def probability(row: dict[str, Any], coefficients: dict[str, Any]) -> float:
+    """By given coefficients."""
+    told = figures_of(row)
+    z = coefficients["offset"] + sum(weight * told[name] for name, weight in coefficients["weights"].items())
+    return float(expit(z))

@@ -1,0 +1,185 @@
+"""The probability that a submap of odometry is wrong, by what it says about itself, and the words that follow it.
+
+Wrong is a map whose camera centres are off by more than 5 % of the path (RMS) or whose cameras by more than 5 degrees
+(median), after the Sim(3) to the truth that fits centres and axes together (`readjustment.path_difference`). The
+coefficients are fitted to films of which the truth is known: docs/lab/map_doubt.md.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from haustra.core.camera import Camera
+from pipeline.mapping.lighting_check import LightingCheck
+from pipeline.mapping.readjustment import PathDifference, by_halves_of_the_wall, by_stretches
+from pipeline.mapping.submap import Submap
+
+COEFFICIENTS = Path(__file__).with_name("map_doubt.json")
+WRONG_SHARE, WRONG_DEG = 0.05, 5.0  # of the path, RMS; of the cameras, median
+SURE, PROBABLE = 0.05, 0.5
+UNKNOWN = PathDifference(0.05, 5.0)  # of a map too short to be adjusted in parts: nothing speaks for it
+LEAST_SHARE, LEAST_DEG = 1e-4, 1e-2
+
+
+@dataclass(frozen=True)
+class MapEvidence:
+    """Figures of a submap. reprojection_px: mean. angle_deg: median triangulation angle. track_length: mean number of
+    frames that saw a point. path: its length in median depths. spearman, inconsistent_share: as in `LightingCheck`.
+    posed_share: of the film's working frames that it holds. submaps: how many the film came apart into. stretches:
+    by how much two thirds of it alone differ from the whole; halves: the paths by two halves of the wall."""
+
+    reprojection_px: float
+    angle_deg: float
+    track_length: float
+    path: float
+    spearman: float
+    inconsistent_share: float
+    posed_share: float
+    submaps: int
+    stretches: PathDifference | None
+    halves: PathDifference | None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that grows where a map is wrong, and how a person is told of it."""
+
+    of: Callable[[MapEvidence], float]
+    told: Callable[[MapEvidence], str]
+
+
+def _share(found: PathDifference | None) -> float:
+    return math.log(max((found or UNKNOWN).share, LEAST_SHARE))
+
+
+def _angle(found: PathDifference | None) -> float:
+    return math.log(max((found or UNKNOWN).angle_deg, LEAST_DEG))
+
+
+def _told(found: PathDifference | None, what: str) -> str:
+    if found is None:
+        return f"too little of it is seen to compare {what}"
+    return f"{what} differ by {100 * found.share:.1f} % of the path and {found.angle_deg:.1f} degrees"
+
+
+def _stretches(e: MapEvidence) -> str:
+    return _told(e.stretches, "the paths by the whole and by two thirds of its frames")
+
+
+def _halves(e: MapEvidence) -> str:
+    return _told(e.halves, "the paths by two halves of the wall")
+
+
+FIGURES: dict[str, Figure] = {
+    "stretches, path": Figure(lambda e: _share(e.stretches), _stretches),
+    "stretches, angle": Figure(lambda e: _angle(e.stretches), _stretches),
+    "halves, path": Figure(lambda e: _share(e.halves), _halves),
+    "halves, angle": Figure(lambda e: _angle(e.halves), _halves),
+    "reprojection": Figure(
+        lambda e: math.log(max(e.reprojection_px, 0.01)),
+        lambda e: f"its points lie {e.reprojection_px:.2f} px beside where they were seen",
+    ),
+    "triangulation angle": Figure(
+        lambda e: -math.log(max(e.angle_deg, 0.05)),
+        lambda e: f"its points are seen from directions that differ by {e.angle_deg:.1f} degrees",
+    ),
+    "track length": Figure(
+        lambda e: -math.log(max(e.track_length, 1.0)),
+        lambda e: f"its points are followed over {e.track_length:.0f} frames",
+    ),
+    "path": Figure(
+        lambda e: -math.log(max(e.path, 0.01)),
+        lambda e: f"its camera moves by {e.path:.1f} times the distance of the wall",
+    ),
+    "light": Figure(
+        lambda e: e.spearman,
+        lambda e: f"nearer points are little brighter (rank correlation {e.spearman:.2f})",
+    ),
+    "light against it": Figure(
+        lambda e: min(e.inconsistent_share, 0.3),
+        lambda e: f"in {100 * e.inconsistent_share:.0f} % of its frames nearer points are darker",
+    ),
+    "frames posed": Figure(
+        lambda e: -e.posed_share,
+        lambda e: f"it holds {100 * e.posed_share:.0f} % of the frames",
+    ),
+    "submaps": Figure(
+        lambda e: float(min(e.submaps, 5)),
+        lambda e: f"the film came apart into {e.submaps} submaps",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class MapDoubt:
+    """probability: that the map is wrong. heaviest: the figure that speaks most against it, in words."""
+
+    probability: float
+    heaviest: str
+    evidence: MapEvidence
+
+    def to_dict(self) -> dict[str, Any]:
+        """For run.yaml and metrics.json."""
+        return {"probability": self.probability, "heaviest": self.heaviest, "evidence": asdict(self.evidence)}
+
+    def sentence(self, number: int, advice: str) -> str | None:
+        """For a person; None where there is no doubt worth a word."""
+        if self.probability < SURE:
+            return None
+        verdict = "is probably" if self.probability >= PROBABLE else "may be"
+        how_far = "is not to be trusted" if self.probability >= PROBABLE else "is to be trusted with care"
+        return (
+            f"submap {number} {verdict} wrong (probability {100 * self.probability:.0f} %) and {how_far}: "
+            f"{self.heaviest}; {advice}"
+        )
+
+
+def gather_evidence(
+    submap: Submap, camera: Camera, check: LightingCheck, total: int, submaps: int, *, asked: Iterable[str] = FIGURES
+) -> MapEvidence:
+    """Of one of `submaps` found in `total` working frames; camera: as refined with it. asked: figures by name; parts of
+    the map are adjusted alone only where they are asked for."""
+    kinds = {name.split(",")[0] for name in asked}
+    depths = submap.depths()
+    unit = float(np.median(depths[depths > 0])) if (depths > 0).any() else 1.0
+    one = submap.scaled(1 / unit)
+    return MapEvidence(
+        check.reprojection_px,
+        check.angle_deg,
+        float(one.track_lengths().mean()) if len(one.points) else 0.0,
+        float(np.linalg.norm(np.diff(one.centres, axis=0), axis=1).sum()),
+        check.spearman,
+        check.inconsistent_share,
+        len(one.frames) / max(total, 1),
+        submaps,
+        by_stretches(one, camera) if "stretches" in kinds else None,
+        by_halves_of_the_wall(one, camera) if "halves" in kinds else None,
+    )
+
+
+def judge(evidence: MapEvidence) -> MapDoubt:
+    """By the coefficients that are shipped."""
+    told = coefficients()
+    pull = {
+        name: weight * (FIGURES[name].of(evidence) - told["of_right_maps"][name])
+        for name, weight in told["weights"].items()
+    }
+    heaviest = max(pull, key=lambda name: pull[name])
+    z = told["offset"] + sum(weight * FIGURES[name].of(evidence) for name, weight in told["weights"].items())
+    return MapDoubt(1 / (1 + math.exp(-max(min(z, 30.0), -30.0))), FIGURES[heaviest].told(evidence), evidence)
+
+
+@cache
+def coefficients() -> dict[str, Any]:
+    """`offset`, `weights` and the median `of_right_maps` of the figures by their names; written by
+    `python -m benchmarks.map_doubt fit`."""
+    found: dict[str, Any] = json.loads(COEFFICIENTS.read_text())
+    return found

@@ -1,0 +1,20 @@
+"""The committed page of maps' doubt is what its script prints, and the pipeline has the record's coefficients."""
+
+import json
+from pathlib import Path
+
+from pipeline.mapping.map_doubt import coefficients
+from scripts.pages.map_doubt_page import READ, RECORD, page
+
+PAGE = Path(__file__).parents[2] / "docs/lab/map_doubt.md"
+
+
+def test_the_page_is_what_its_record_says() -> None:
+    told = "run: python scripts/pages/map_doubt_page.py > docs/lab/map_doubt.md"
+    assert page(json.loads(RECORD.read_text()), READ) == PAGE.read_text(encoding="utf-8"), told
+
+
+def test_the_pipeline_has_the_coefficients_of_the_record() -> None:
+    record = json.loads(RECORD.read_text())
+    assert record["coefficients"] == {name: coefficients()[name] for name in record["coefficients"]}
+    assert coefficients()["maps"] == sum(row["role"] == "choosing" for row in record["maps"])
