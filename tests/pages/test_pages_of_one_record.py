@@ -1,11 +1,11 @@
-"""Committed pages of sensors, blind stretches, given poses and unknown lenses are what scripts print of the records."""
+"""Committed pages are what their scripts print of their one record."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from scripts.pages import blind_page, known_poses_page, lens_page, sensors_page
+from scripts.pages import blind_page, known_poses_page, lens_page, robustness_page, sensors_page
 
 LAB = Path(__file__).parents[2] / "docs/lab"
 
@@ -17,8 +17,9 @@ LAB = Path(__file__).parents[2] / "docs/lab"
         (known_poses_page, "known_poses"),
         (sensors_page, "sensors"),
         (lens_page, "unknown_lens"),
+        (robustness_page, "robustness"),
     ],
-    ids=["blind", "poses", "sensors", "lens"],
+    ids=["blind", "poses", "sensors", "lens", "robustness"],
 )
 def test_the_page_is_what_its_record_says(script, name) -> None:
     printed = script.page(json.loads(script.RECORD.read_text()))
