@@ -20,8 +20,8 @@ HEAD = """# Damaged and strange films
 - **Wrong without a word:** {wrong} of the {whole} whole ones: another clock, or the other hand.
 - **Whole ones reconstructed:** {rightly} of {whole}.
 
-A result of a damaged film is not thereby a good one: of the results {dark} have a submap that contradicts its lamp, which the
-run says.
+A result of a damaged film is not thereby a good one: of the results {dark} have a submap that contradicts its lamp,
+which the run says.
 
 | input | drawn | reconstructed | refused with a sentence | fault or wrong |
 |---|---|---|---|---|"""
