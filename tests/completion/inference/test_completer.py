@@ -191,7 +191,7 @@ def test_the_shipped_header_says_what_was_trained():
     assert resolve_weights("mscsa").stat().st_size < 20e6
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("dtype", [torch.float32, pytest.param(torch.bfloat16, marks=pytest.mark.slow)])
 def test_fused_convolutions_are_the_same_function(dtype):
     """Each against its convolution and ReLU, with weights as trained; a copy is the same again."""
     if not can_fuse(dtype):

@@ -200,6 +200,7 @@ def test_training_draws_how_many_iterations_came_before_and_does_not_train_throu
     assert len(grids) > 10
 
 
+@pytest.mark.slow
 def test_the_iteration_that_is_judged_trains_every_parameter_whatever_came_before():
     """The earlier iterations run without gradients in the same autocast, which keeps converted weights."""
     torch.manual_seed(0)

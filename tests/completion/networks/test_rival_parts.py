@@ -137,6 +137,7 @@ def test_propagation_starts_as_the_identity_and_learns_from_there():
     assert (layer.predict.weight.grad[16:] != 0).any()
 
 
+@pytest.mark.slow
 def test_propagation_has_the_gradient_of_finite_differences():
     layer = propagation("TGASS", steps=2)
     depth, guidance, confidence = (torch.rand(1, c, 3, 4).double().requires_grad_() for c in (1, 8, 1))
@@ -202,6 +203,7 @@ def test_point_embedding_equals_the_literal_loop_image_by_image():
     np.testing.assert_allclose(got, np.concatenate(expected), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_point_embedding_has_the_gradient_of_finite_differences():
     net = randomise_norms(PointEmbedding(features=4, k=3).double())
     points = torch.randn(5, 3).double().requires_grad_()

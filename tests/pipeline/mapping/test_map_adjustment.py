@@ -72,7 +72,7 @@ def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
     assert crooked.tracks.has_point.sum() > 0.95 * true.tracks.has_point.sum(), "hardly a point is lost on the way"
 
 
-@pytest.mark.parametrize("seen", [0, 3])
+@pytest.mark.parametrize("seen", [pytest.param(0, marks=pytest.mark.slow), 3])
 def test_a_blind_keyframe_at_the_end_of_a_piece_does_not_lead(monkeypatch, seen):
     """It says nothing of how the piece moved, or nonsense: the one before does."""
     true = film(np.random.default_rng(3), 0.3)
