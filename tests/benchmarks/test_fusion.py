@@ -63,9 +63,9 @@ def write_truth(folder: Path, camera: Camera) -> None:
     (folder / "depth").mkdir(parents=True)
     depth = np.round(100 * MM * tube_depth(rays_of(camera))).astype(np.uint16)
     lines = []
-    for row, pose in enumerate(tube_submap(camera).world_from_camera):
+    for row, world_from_camera in enumerate(tube_submap(camera).world_from_camera):
         cv2.imwrite(str(folder / "depth" / f"{row:05d}.png"), depth)
-        true = TRUTH_FROM_RUN @ pose
+        true = TRUTH_FROM_RUN @ world_from_camera
         turn = Rotation.from_matrix(true[:3, :3] / MM).as_quat()
         lines.append(" ".join(f"{value:.9f}" for value in (row / 30, *true[:3, 3], *turn)))
     (folder / "trajectory.txt").write_text("\n".join(lines) + "\n")

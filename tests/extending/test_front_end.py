@@ -24,7 +24,7 @@ SETTINGS = Config().front_end_settings
 @pytest.fixture(scope="module")
 def clip():
     poses = np.stack([camera_at(k, step=2.0) for k in range(COUNT)])
-    return [render(pose) for pose in poses], poses
+    return [render(world_from_camera) for world_from_camera in poses], poses
 
 
 def true_structure(poses):
@@ -33,8 +33,8 @@ def true_structure(poses):
     angle, height = rng.uniform(0, 2 * np.pi, 1500), rng.uniform(10, 90, 1500)
     points = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), height], axis=1)
     observations, pixels = [], []
-    for row, pose in enumerate(poses):
-        local = (points - pose[:3, 3]) @ pose[:3, :3]
+    for row, world_from_camera in enumerate(poses):
+        local = (points - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
         seen = CAMERA.project(np.where(local[:, 2:] > 5, local, [0, 0, np.nan]))
         inside = np.flatnonzero(((seen > 1) & (seen < SIZE - 1)).all(axis=1) & (local[:, 2] < 60))
         observations.append(np.stack([np.full(len(inside), row), inside], axis=1))

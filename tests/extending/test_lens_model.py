@@ -95,9 +95,9 @@ def test_true_depth_becomes_the_wall(camera, tmp_path):
     (tmp_path / "depth").mkdir()
     (tmp_path / "camera.json").write_text(json.dumps(camera.to_dict() | {"depth_unit_mm": 0.01}))
     cv2.imwrite(str(tmp_path / "depth" / "00000.png"), np.full((80, 100), 4000, np.uint16))
-    pose = np.eye(4)
-    pose[0, 3] = 5.0
-    write_tum(tmp_path / "trajectory.txt", np.zeros(1), pose[None])
+    world_from_camera = np.eye(4)
+    world_from_camera[0, 3] = 5.0
+    write_tum(tmp_path / "trajectory.txt", np.zeros(1), world_from_camera[None])
     surface = read_reference_surface(tmp_path)
     np.testing.assert_allclose(surface.seen[:, 2], 40.0, atol=1e-6)
     reach = 40 * np.tan(angle_of(49.5 / 60))  # the centre of the last pixel of the middle row

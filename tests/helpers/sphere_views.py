@@ -18,11 +18,11 @@ def pixel_rays(intrinsics=INTRINSICS):
     return np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(intrinsics).T
 
 
-def sphere_depth(pose, radius=RADIUS):
+def sphere_depth(world_from_camera, radius=RADIUS):
     """z-depth (H,W) of a sphere about the origin, seen from inside."""
-    rays = pixel_rays() @ pose[:3, :3].T
-    squared, along = np.sum(rays**2, axis=-1), rays @ pose[:3, 3]
-    root = np.sqrt(along**2 - squared * (pose[:3, 3] @ pose[:3, 3] - radius**2))
+    rays = pixel_rays() @ world_from_camera[:3, :3].T
+    squared, along = np.sum(rays**2, axis=-1), rays @ world_from_camera[:3, 3]
+    root = np.sqrt(along**2 - squared * (world_from_camera[:3, 3] @ world_from_camera[:3, 3] - radius**2))
     return ((root - along) / squared).astype(np.float32)
 
 
@@ -37,6 +37,8 @@ def views(count=10, seed=0):
 
 def fuse(poses, depths, confidences=None, rgb=RED, intrinsics=INTRINSICS, **settings):
     fusion = SurfaceFusion(TsdfSettings(**{"voxel_size": VOXEL, "truncation": 5.0, **settings}))
-    for number, (pose, depth) in enumerate(zip(poses, depths, strict=True)):
-        fusion.integrate(rgb, depth, None if confidences is None else confidences[number], intrinsics, pose)
+    for number, (world_from_camera, depth) in enumerate(zip(poses, depths, strict=True)):
+        fusion.integrate(
+            rgb, depth, None if confidences is None else confidences[number], intrinsics, world_from_camera
+        )
     return fusion.extract()

@@ -87,8 +87,8 @@ def test_the_reference_may_be_a_tum_file_or_a_numbered_images_txt(run: TinyRun, 
     truth = other @ truth
     write_tum(tmp_path / "truth.tum", submap.frames / 30, truth)
     lines = []
-    for number, (frame, pose) in enumerate(zip(submap.frames, truth, strict=True)):
-        camera_from_world = np.linalg.inv(pose)
+    for number, (frame, world_from_camera) in enumerate(zip(submap.frames, truth, strict=True)):
+        camera_from_world = np.linalg.inv(world_from_camera)
         x, y, z, w = Rotation.from_matrix(camera_from_world[:3, :3]).as_quat()
         place = " ".join(map(repr, map(float, (w, x, y, z, *camera_from_world[:3, 3]))))
         lines += [f"{number + 1} {place} 1 {frame + 1:06d}.png", "1.0 2.0 -1"]

@@ -148,10 +148,10 @@ def test_seen_faces_equal_brute_force(tmp_path: Path, phantom: Phantom) -> None:
         plan_camera_path(phantom.colon, phantom.caster, small.motion, small.seed),
         make_camera(small.camera),
     )
-    for pose in poses:
+    for world_from_camera in poses:
         for row, column in np.ndindex(20, 20):
-            direction = pose[:3, :3] @ pixel_direction(camera, row, column)
-            z, triangle = first_hit(pose[:3, 3], direction, corners)
+            direction = world_from_camera[:3, :3] @ pixel_direction(camera, row, column)
+            z, triangle = first_hit(world_from_camera[:3, 3], direction, corners)
             expected[triangle] = min(expected[triangle], z)
     np.testing.assert_array_equal(seen, np.isfinite(expected))
     np.testing.assert_allclose(nearest_mm, expected, rtol=1e-5)

@@ -48,9 +48,12 @@ def looking_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross([0.1, 1.0, 0.2], forward)
     right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.stack([right, np.cross(forward, right), forward], axis=1), eye
-    return pose
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = (
+        np.stack([right, np.cross(forward, right), forward], axis=1),
+        eye,
+    )
+    return world_from_camera
 
 
 def share_an_edge(one: np.ndarray, other: np.ndarray) -> bool:
@@ -73,12 +76,12 @@ def test_depth_is_brute_force_through_opencvs_lens(lesions: Phantom, lens: str) 
         eye = colon.line.at(np.array(arc))[0]
         poses.append(looking_at(eye + 0.2 * (target - eye), target))
     compared = 0
-    for pose in poses:
-        look = view.look(pose, pose)
+    for world_from_camera in poses:
+        look = view.look(world_from_camera, world_from_camera)
         column, row = rng.integers(0, view.camera.width, 500), rng.integers(0, view.camera.height, 500)
-        directions = directions_of(view.camera, np.stack([column, row], axis=1) + 0.5) @ pose[:3, :3].T
-        wanted, triangle = first_hits(pose[:3, 3], directions, corners)
-        single = first_hit(pose[:3, 3], directions[0], corners)
+        directions = directions_of(view.camera, np.stack([column, row], axis=1) + 0.5) @ world_from_camera[:3, :3].T
+        wanted, triangle = first_hits(world_from_camera[:3, 3], directions, corners)
+        single = first_hit(world_from_camera[:3, 3], directions[0], corners)
         assert (wanted[0], triangle[0]) == (pytest.approx(single[0], rel=1e-12), single[1])
         got, which = look.wall[row, column], look.triangle[row, column]
         np.testing.assert_array_equal(got > 0, np.isfinite(wanted))
@@ -150,15 +153,15 @@ class Files:
         """Depth (H,W), infinite where nothing is hit, and triangle (H,W), by brute force."""
         row = self.rows[frame]
         corners = self.wall(frame) if moved else np.array(self.mesh.triangles, float)
-        z, triangle = first_hits(row[1:4], self.directions @ self.pose(frame)[:3, :3].T, corners)
+        z, triangle = first_hits(row[1:4], self.directions @ self.world_from_camera(frame)[:3, :3].T, corners)
         shape = self.camera.height, self.camera.width
         return z.reshape(shape), triangle.reshape(shape)
 
-    def pose(self, frame: int) -> np.ndarray:
+    def world_from_camera(self, frame: int) -> np.ndarray:
         row = self.rows[frame]
-        pose = trimesh.transformations.quaternion_matrix([row[7], *row[4:7]])
-        pose[:3, 3] = row[1:4]
-        return pose
+        world_from_camera = trimesh.transformations.quaternion_matrix([row[7], *row[4:7]])
+        world_from_camera[:3, 3] = row[1:4]
+        return world_from_camera
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +208,7 @@ def test_depth_is_missing_under_text_mask_and_tool_and_nowhere_else(eventful: Pa
     )
     assert extra[(with_tool[0] + with_tool[-1]) // 2].mean() > 0.005
     letters = cv2.imread(str(eventful / "rgb" / "00000.png"))[..., ::-1].astype(int)
-    bare = next(plain.film(files.pose(0)[None])).image.astype(int)
+    bare = next(plain.film(files.world_from_camera(0)[None])).image.astype(int)
     changed = np.abs(letters - bare).max(axis=-1) > 40
     assert changed.any()
     assert not (changed & ~missing[0]).any()

@@ -34,8 +34,10 @@ def make_shown_run(root: Path, film: str = "0", frames: int = 90, judged: bool =
     run.workspace.save()
     submap = run.completed[0].submap
     lines = [
-        tum_line(run.frames.seconds_of(int(frame)), pose[:3, 3], Rotation.from_matrix(pose[:3, :3]))
-        for frame, pose in zip(submap.frames, submap.world_from_camera, strict=True)
+        tum_line(
+            run.frames.seconds_of(int(frame)), world_from_camera[:3, 3], Rotation.from_matrix(world_from_camera[:3, :3])
+        )
+        for frame, world_from_camera in zip(submap.frames, submap.world_from_camera, strict=True)
     ]
     run.workspace.trajectory.write_text("".join(lines))
 

@@ -31,19 +31,19 @@ TEXTURE = wall_texture()
 
 def camera_at(k, step=0.8):
     """world_from_camera of frame k: along the axis, off it, with a little sway."""
-    pose = np.eye(4)
+    world_from_camera = np.eye(4)
     turn = [2 * np.sin(0.11 * k), 3 * np.sin(0.07 * k + 1), 4 * np.sin(0.05 * k)]
-    pose[:3, :3] = Rotation.from_euler("xyz", turn, degrees=True).as_matrix()
-    pose[:3, 3] = [3 * np.sin(0.09 * k), 2.5 * np.cos(0.06 * k), step * k]
-    return pose
+    world_from_camera[:3, :3] = Rotation.from_euler("xyz", turn, degrees=True).as_matrix()
+    world_from_camera[:3, 3] = [3 * np.sin(0.09 * k), 2.5 * np.cos(0.06 * k), step * k]
+    return world_from_camera
 
 
-def render(pose, camera=CAMERA):
+def render(world_from_camera, camera=CAMERA):
     """The tube under a lamp at the camera: exact intersection of each pixel's ray with the cylinder."""
     columns, rows = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
     plane, _ = camera.unproject(np.column_stack([columns.ravel(), rows.ravel()]))
-    rays = np.column_stack([plane, np.ones(len(plane))]).reshape(SIZE, SIZE, 3) @ pose[:3, :3].T
-    centre = pose[:3, 3]
+    rays = np.column_stack([plane, np.ones(len(plane))]).reshape(SIZE, SIZE, 3) @ world_from_camera[:3, :3].T
+    centre = world_from_camera[:3, 3]
     a = (rays[..., :2] ** 2).sum(-1)
     b = (rays[..., :2] * centre[:2]).sum(-1)
     length = (-b + np.sqrt(b * b - a * ((centre[:2] ** 2).sum() - RADIUS**2))) / np.maximum(a, 1e-9)

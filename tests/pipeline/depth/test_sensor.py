@@ -33,7 +33,7 @@ BUMPS = 4 * gaussian_filter(np.random.default_rng(3).normal(size=(90, 120)), 4.0
 BUMPS *= 2.0 / BUMPS.std()
 
 
-def pose(k):
+def world_from_camera(k):
     """Along the tube, beside its axis."""
     found = np.eye(4)
     found[:3, 3] = 3 * np.sin(0.4 * k), 2 * np.cos(0.3 * k), STEP_MM * k
@@ -42,7 +42,7 @@ def pose(k):
 
 def wall_depth(rays, k):
     """z-depth (N,) in mm where rays (N,3) of z = 1 meet the tube, whose radius has bumps."""
-    centre, radius = pose(k)[:3, 3], np.full(len(rays), RADIUS_MM)
+    centre, radius = world_from_camera(k)[:3, 3], np.full(len(rays), RADIUS_MM)
     for _ in range(6):
         a = (rays[:, :2] ** 2).sum(axis=1)
         b = (rays[:, :2] * centre[:2]).sum(axis=1)
@@ -67,15 +67,17 @@ def submap():
         rays = through(CAMERA, grid)
         depth = wall_depth(rays, k)
         near = depth < 90
-        for place in pose(k)[:3, 3] + rays[near] * (depth[near] * (1 + 0.01 * rng.normal(size=near.sum())))[:, None]:
+        for place in (
+            world_from_camera(k)[:3, 3] + rays[near] * (depth[near] * (1 + 0.01 * rng.normal(size=near.sum())))[:, None]
+        ):
             for j in range(max(0, k - 3), min(COUNT, k + 4)):
-                local = place - pose(j)[:3, 3]
+                local = place - world_from_camera(j)[:3, 3]
                 seen = CAMERA.project(local[None])[0] if local[2] > 5 else np.array([-1.0, -1.0])
                 if (seen > 0).all() and (seen < [100, 90]).all():
                     observations.append((j, len(points)))
                     pixels.append(seen)
             points.append(place / MM_PER_UNIT)
-    poses = np.stack([pose(k) for k in range(COUNT)])
+    poses = np.stack([world_from_camera(k) for k in range(COUNT)])
     poses[:, :3, 3] /= MM_PER_UNIT
     return Submap(
         np.arange(COUNT), poses, np.array(points), np.full(len(points), 0.3), np.array(observations), np.array(pixels),

@@ -21,7 +21,7 @@ def wall(pixels, followed):
     poses = np.tile(np.eye(4), (FRAMES, 1, 1))
     poses[:, 0, 3] = 0.5 * np.arange(FRAMES)
     observations = np.array([(row, point) for row in range(FRAMES) for point in range(len(points))])
-    seen = np.concatenate([CAMERA.project(points - pose[:3, 3]) for pose in poses])
+    seen = np.concatenate([CAMERA.project(points - world_from_camera[:3, 3]) for world_from_camera in poses])
     error = np.full(len(points), 0.3)
     return Submap(np.arange(FRAMES), poses, points, error, observations, seen, CAMERA.params, klt=followed)
 

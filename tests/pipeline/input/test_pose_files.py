@@ -107,11 +107,11 @@ def test_a_trackers_csv(tmp_path):
     camera_from_sensor = np.linalg.inv(sensor_from_camera)
     lines = ["Tools,Frame,State,Time,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"]
     for k in range(COUNT):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = TURNS[k].as_matrix(), CENTRES[k]
-        pose = pose @ camera_from_sensor
-        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        lines.append(",".join(map(str, ["1", k, "OK", SECONDS[k], w, x, y, z, *pose[:3, 3], 0.1])))
+        world_from_camera = np.eye(4)
+        world_from_camera[:3, :3], world_from_camera[:3, 3] = TURNS[k].as_matrix(), CENTRES[k]
+        world_from_sensor = world_from_camera @ camera_from_sensor
+        x, y, z, w = Rotation.from_matrix(world_from_sensor[:3, :3]).as_quat()
+        lines.append(",".join(map(str, ["1", k, "OK", SECONDS[k], w, x, y, z, *world_from_sensor[:3, 3], 0.1])))
     lines.insert(3, "1,2,Missing,0.05,,,,,,,,")
     (tmp_path / "ndi.csv").write_text("\n".join(lines) + "\n")
     np.savetxt(tmp_path / "hand_eye.txt", sensor_from_camera)

@@ -34,8 +34,8 @@ def test_a_part_moves_as_its_middle_keyframe_did_and_the_latest_stays():
         move[:3, 3] = rng.normal(size=3)
         moves.append(move)
     poses = [
-        inverse(transform_camera(move, inverse(pose)))
-        for move, pose in zip(moves, submap.world_from_camera, strict=True)
+        inverse(transform_camera(move, inverse(world_from_camera)))
+        for move, world_from_camera in zip(moves, submap.world_from_camera, strict=True)
     ]
     scale = np.array([np.cbrt(np.linalg.det(move[:3, :3])) for move in moves])
     after = replace(before, submap=replace(submap, world_from_camera=np.stack(poses)), depth_scale=scale)

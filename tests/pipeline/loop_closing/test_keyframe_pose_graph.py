@@ -46,9 +46,9 @@ def test_scale_drift_is_closed_and_everything_follows(workspace):
     assert gap(completed.submap) > 0.2
     assert gap(closed.completed.submap) < gap(completed.submap) / 5
     assert closed.completed.depth_scale[46] == pytest.approx(np.exp(-GROWTH * 23), abs=0.02)
-    depth, _, pose = closed.completed.depth(46)
+    depth, _, world_from_camera = closed.completed.depth(46)
     np.testing.assert_allclose(depth, closed.completed.depth_scale[46], atol=DEPTH_STEP)
-    np.testing.assert_array_equal(pose, closed.completed.submap.world_from_camera[46])
+    np.testing.assert_array_equal(world_from_camera, closed.completed.submap.world_from_camera[46])
 
 
 def test_moving_keeps_each_point_where_its_nearest_frame_saw_it(workspace):

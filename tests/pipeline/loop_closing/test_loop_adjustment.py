@@ -52,8 +52,8 @@ def seen() -> tuple[CompletedSubmap, list[KeyframeFeatures], Sim3Match]:
     cloud = rng.uniform([-6, -1.5, -6], [6, 1.5, 6], (1400, 3))
     names = rng.integers(0, 256, (len(cloud), 128), np.uint8)
     places, ids = [], []
-    for row, pose in enumerate(true):
-        local = (cloud - pose[:3, 3]) @ pose[:3, :3]
+    for row, world_from_camera in enumerate(true):
+        local = (cloud - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
         near = np.flatnonzero((local[:, 2] > 0.5) & (local[:, 2] < 3))
         pixels = CAMERA.project(local[near])
         inside = ((pixels > 0) & (pixels < 320)).all(axis=1)

@@ -19,7 +19,7 @@ from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, camera_at, polished, render, run
 
 TRUE = np.stack([camera_at(k) for k in range(40)])
-IMAGES = [render(pose) for pose in TRUE]
+IMAGES = [render(world_from_camera) for world_from_camera in TRUE]
 
 
 def read(frame):

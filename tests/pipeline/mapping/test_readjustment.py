@@ -29,9 +29,9 @@ def tube_map(move=None):
     angle = rng.uniform(0, 2 * np.pi, POINTS)
     points = np.stack([0.6 * np.cos(angle), 0.4 * np.sin(angle), rng.uniform(0.5, 3, POINTS)], axis=1)
     poses, observations, pixels = poses_along(), [], []
-    for row, pose in enumerate(poses):
+    for row, world_from_camera in enumerate(poses):
         seen = points if move is None else move(points, row / (FRAMES - 1))
-        local = (seen - pose[:3, 3]) @ pose[:3, :3]
+        local = (seen - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
         found = CAMERA.project(np.where(local[:, 2:] > 0.2, local, [0.0, 0.0, 1.0]))
         inside = (local[:, 2] > 0.2) & (local[:, 2] < 1.5) & (found > 0).all(axis=1) & (found < 320).all(axis=1)
         observations += [(row, point) for point in np.flatnonzero(inside)]

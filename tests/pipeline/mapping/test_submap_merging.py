@@ -20,7 +20,7 @@ from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, polished,
 @pytest.fixture(scope="module")
 def clip():
     poses = [camera_at(k) for k in range(26)]
-    return [render(pose) for pose in poses], np.stack(poses)
+    return [render(world_from_camera) for world_from_camera in poses], np.stack(poses)
 
 
 @pytest.fixture(scope="module")

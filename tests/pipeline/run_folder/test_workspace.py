@@ -218,7 +218,7 @@ def test_a_worker_that_is_late_is_stopped(tmp_path, monkeypatch):
 def test_a_keyframe_with_a_wild_pose_spoils_no_surface(distance):
     """A sphere seen by ten, and an eleventh whose pose is anywhere: three must agree on every piece of surface."""
     poses = views()
-    depths = [sphere_depth(pose) for pose in poses]
+    depths = [sphere_depth(world_from_camera) for world_from_camera in poses]
     wild = poses[0].copy()
     wild[:3, 3] += distance * np.array([1.0, 0.5, -0.3]) / np.linalg.norm([1.0, 0.5, -0.3])
     clean = fuse(poses, depths, min_observations=3)
@@ -231,7 +231,7 @@ def test_a_keyframe_with_a_wild_pose_spoils_no_surface(distance):
 
 def test_a_depth_map_of_nothing_changes_nothing():
     poses = views(6)
-    depths = [sphere_depth(pose) for pose in poses]
+    depths = [sphere_depth(world_from_camera) for world_from_camera in poses]
     nothing = np.full_like(depths[0], np.nan)
     with_it, without = fuse([*poses, poses[0]], [*depths, nothing]), fuse(poses, depths)
     np.testing.assert_array_equal(with_it.vertices, without.vertices)

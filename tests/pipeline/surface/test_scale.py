@@ -21,11 +21,11 @@ def bent_tube(radius=8.0, bend=60.0, turns=1.2):
     a, b, c, d = i * 64 + j, i * 64 + (j + 1) % 64, (i + 1) * 64 + j, (i + 1) * 64 + (j + 1) % 64
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
     poses = np.tile(np.eye(4), (40, 1, 1))
-    for pose, k in zip(poses, np.linspace(30, 130, 40).astype(int), strict=True):
+    for world_from_camera, k in zip(poses, np.linspace(30, 130, 40).astype(int), strict=True):
         tangent = np.cross(outward[k], [0, 1.0, 0])
-        pose[:3, :3] = np.stack([outward[k], np.cross(tangent, outward[k]), tangent], axis=1)
+        world_from_camera[:3, :3] = np.stack([outward[k], np.cross(tangent, outward[k]), tangent], axis=1)
         # Far off the middle: the width must not depend on where the camera is.
-        pose[:3, 3] = centre[k] + 0.5 * radius * outward[k]
+        world_from_camera[:3, 3] = centre[k] + 0.5 * radius * outward[k]
     return vertices, faces, poses
 
 

@@ -24,9 +24,9 @@ def poses():
     return found
 
 
-def depth_of_plane(rays, pose):
+def depth_of_plane(rays, world_from_camera):
     """z-depth (N,) at which rays (N,3), z = 1, of a camera meet the plane."""
-    return (PLANE_MM - pose[2, 3]) / (rays @ pose[:3, :3].T)[:, 2]
+    return (PLANE_MM - world_from_camera[2, 3]) / (rays @ world_from_camera[:3, :3].T)[:, 2]
 
 
 def c3vd_rays(width, height):
@@ -44,11 +44,11 @@ def c3vd_rays(width, height):
 def write_c3vd(folder, truth):
     folder.mkdir()
     # The renderer writes columns: reading rows gives the transpose, with the translation in the last row.
-    lines = [",".join(f"{value:.9g}" for value in pose.ravel(order="F")) for pose in truth]
+    lines = [",".join(f"{value:.9g}" for value in world_from_camera.ravel(order="F")) for world_from_camera in truth]
     (folder / "pose.txt").write_text("\n".join(lines) + "\n")
     rays, ahead = c3vd_rays(270, 216)
-    for k, pose in enumerate(truth):
-        depth = np.where(ahead, depth_of_plane(rays, pose), 0)
+    for k, world_from_camera in enumerate(truth):
+        depth = np.where(ahead, depth_of_plane(rays, world_from_camera), 0)
         raw = np.clip(np.rint(depth * 65535 / 100), 0, 65535).astype(np.uint16).reshape(216, 270)
         cv2.imwrite(str(folder / f"{k:04d}_depth.tiff"), raw)
         cv2.imwrite(str(folder / f"{k:04d}_color.png"), np.zeros((216, 270, 3), np.uint8))
@@ -67,7 +67,9 @@ def test_c3vd_s_matrices_are_transposed(tmp_path):
 
 def test_c3vd_poses_that_somebody_has_transposed_already(tmp_path):
     truth = poses()
-    (tmp_path / "pose.txt").write_text("\n".join(",".join(map(str, pose.ravel())) for pose in truth))
+    (tmp_path / "pose.txt").write_text(
+        "\n".join(",".join(map(str, world_from_camera.ravel())) for world_from_camera in truth)
+    )
     with pytest.raises(HaustraError, match="last column"):
         read_data_set_truth(tmp_path)
 
@@ -88,8 +90,8 @@ def test_simcol3d_is_left_handed_and_in_centimetres(tmp_path):
     np.savetxt(folder.parent / "SavedRotationQuaternion_S1.txt", turns)
     x, y = np.meshgrid(np.arange(475) + 0.5, np.arange(475) + 0.5)
     rays = np.column_stack([(x.ravel() - 237.5) / 227.60416, (y.ravel() - 237.5) / 227.60416, np.ones(x.size)])
-    for k, pose in enumerate(truth):
-        depth = np.clip(depth_of_plane(rays, pose), 0, 195).reshape(475, 475)
+    for k, world_from_camera in enumerate(truth):
+        depth = np.clip(depth_of_plane(rays, world_from_camera), 0, 195).reshape(475, 475)
         cv2.imwrite(str(folder / f"Depth_{k:04d}.png"), np.rint(depth / 200 * 256 * 255).astype(np.uint16))
         cv2.imwrite(str(folder / f"FrameBuffer_{k:04d}.png"), np.zeros((475, 475, 3), np.uint8))
     found = read_data_set_truth(folder)

@@ -25,33 +25,35 @@ def poses():
     return found
 
 
-def points_seen(pose):
+def points_seen(world_from_camera):
     """(2H,W,3): the left eye's points of the wall above something that is not to be read."""
     x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = np.stack([(x - K[0][2]) / K[0][0], (y - K[1][2]) / K[1][1], np.ones_like(x)], axis=-1)
     depth = np.full(x.shape, WALL_MM)
     for _ in range(30):
-        world = rays * depth[..., None] @ pose[:3, :3].T + pose[:3, 3]
-        depth *= (WALL_MM + 6 * np.sin(world[..., 0] / 5) * np.cos(world[..., 1] / 4) - pose[2, 3]) / (
-            world[..., 2] - pose[2, 3]
+        world = rays * depth[..., None] @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
+        depth *= (WALL_MM + 6 * np.sin(world[..., 0] / 5) * np.cos(world[..., 1] / 4) - world_from_camera[2, 3]) / (
+            world[..., 2] - world_from_camera[2, 3]
         )
     points = rays * depth[..., None]
     points[:3] = 0  # none there
     return np.concatenate([points, np.full_like(points, 7.0)])
 
 
-def frame_data(pose):
+def frame_data(matrix):
     lens = {"KL": K, "DL": [[0.0, 0.0, 0.0, 0.0, 0.0]], "KR": K, "DR": [[0.0] * 5], "R": np.eye(3).tolist()}
-    return json.dumps({"camera-pose": pose.tolist(), "camera-calibration": lens, "timestamp": 0})
+    return json.dumps({"camera-pose": matrix.tolist(), "camera-calibration": lens, "timestamp": 0})
 
 
 def write_scared(keyframe, stored, truth, count=COUNT):
     (keyframe / "data/frame_data").mkdir(parents=True)
     (keyframe / "data/scene_points").mkdir()
-    for k, pose in enumerate(stored):
-        (keyframe / f"data/frame_data/frame_data{k:06d}.json").write_text(frame_data(pose))
-    for k, pose in enumerate(truth[:count]):
-        (keyframe / f"data/scene_points/scene_points{k:06d}.tiff").write_bytes(tiff_of_floats(points_seen(pose)))
+    for k, world_from_camera in enumerate(stored):
+        (keyframe / f"data/frame_data/frame_data{k:06d}.json").write_text(frame_data(world_from_camera))
+    for k, world_from_camera in enumerate(truth[:count]):
+        (keyframe / f"data/scene_points/scene_points{k:06d}.tiff").write_bytes(
+            tiff_of_floats(points_seen(world_from_camera))
+        )
 
 
 @pytest.mark.parametrize("direction", [1, -1], ids=["world_from_camera", "camera_from_world"])
@@ -71,8 +73,8 @@ def test_scared_without_points_and_in_its_archive(tmp_path):
     truth = poses()
     (tmp_path / "data").mkdir()
     with tarfile.open(tmp_path / "data/frame_data.tar.gz", "w:gz") as archive:
-        for k, pose in reversed(list(enumerate(np.linalg.inv(truth)))):
-            text = frame_data(pose).encode()
+        for k, camera_from_world in reversed(list(enumerate(np.linalg.inv(truth)))):
+            text = frame_data(camera_from_world).encode()
             member = tarfile.TarInfo(f"frame_data{k:06d}.json")
             member.size = len(text)
             archive.addfile(member, io.BytesIO(text))

@@ -100,24 +100,24 @@ def test_the_seam_cannot_be_seen(wavy: Phantom) -> None:
 def axial_pose(colon: Colon, arc: float, aside: float = 0.0, turn: float = 0.0) -> np.ndarray:
     centre, axes = colon.line.at(np.array(arc))
     c, s = np.cos(turn), np.sin(turn)
-    pose = np.eye(4)
-    pose[:3, :3] = axes @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    pose[:3, 3] = centre + aside * axes[:, 0]
-    return pose
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3] = axes @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    world_from_camera[:3, 3] = centre + aside * axes[:, 0]
+    return world_from_camera
 
 
 def test_paint_sticks_to_the_wall_seen_from_anywhere(wavy: Phantom) -> None:
     """Red over green tells the paint whatever the light does; depth and pose tell the point in space."""
     x, y = np.meshgrid(np.arange(64) + 0.5, np.arange(64) + 0.5)
     fx, fy, cx, cy = wavy.camera.params
-    for pose in (
+    for world_from_camera in (
         axial_pose(wavy.colon, 20.0),
         axial_pose(wavy.colon, 32.0, 5.0, 0.5),
         axial_pose(wavy.colon, 60, -4, 2.8),
     ):
-        look = wavy.look(pose, pose)
+        look = wavy.look(world_from_camera, world_from_camera)
         rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=-1)
-        points = (look.wall[..., None] * rays) @ pose[:3, :3].T + pose[:3, 3]
+        points = (look.wall[..., None] * rays) @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
         near = (look.wall > 0) & (look.wall < 22) & (look.radiance[..., 1] > 0.01)
         assert near.sum() > 400
         paint = 0.5 * look.radiance[..., 0] / np.maximum(look.radiance[..., 1], 1e-9)
@@ -221,9 +221,9 @@ def test_a_contracting_walls_normals_are_those_of_its_triangles(colon: Colon) ->
 
 
 def test_a_contracting_wall_is_shaded_as_it_lies(colon: Colon) -> None:
-    phantom, pose = Phantom(CONFIG, threads=1), axial_pose(colon, 12.0)
+    phantom, world_from_camera = Phantom(CONFIG, threads=1), axial_pose(colon, 12.0)
     wall = contracted(phantom.colon)
-    look = phantom.look(pose, pose, wall)
+    look = phantom.look(world_from_camera, world_from_camera, wall)
     own, rest = (
         own_normals(vertices, phantom.colon.triangles)[phantom.colon.triangles].mean(axis=1)
         for vertices in (wall.vertices, phantom.colon.vertices)
@@ -235,7 +235,7 @@ def test_a_contracting_wall_is_shaded_as_it_lies(colon: Colon) -> None:
     r = np.maximum(np.linalg.norm(at, axis=-1), 1e-9)
     errors = []
     for normals in (own, rest):
-        cosine = np.maximum(-np.sum((normals[look.triangle] @ pose[:3, :3]) * at, axis=-1) / r, 0)
+        cosine = np.maximum(-np.sum((normals[look.triangle] @ world_from_camera[:3, :3]) * at, axis=-1) / r, 0)
         wanted = COLOURLESS.tissue[0] * (25 / r) ** 2 * cosine
         errors.append(np.median(np.abs(look.radiance[..., 0] - wanted)[turned] / look.radiance[..., 0][turned]))
     assert turned.sum() > 100
@@ -269,13 +269,13 @@ def test_views_keep_their_tilt_and_distance_and_the_first_good_one_is_taken(
     dense = cKDTree(np.einsum("kc,fcx->fkx", weights, corners).reshape(-1, 3))  # at most 0.15 mm apart
     for seed in range(25):
         caster.views = 0
-        pose = viewpoints.random_viewpoint(colon, caster, rays, np.random.default_rng(seed))
-        away = dense.query(pose[:3, 3])[0]
+        world_from_camera = viewpoints.random_viewpoint(colon, caster, rays, np.random.default_rng(seed))
+        away = dense.query(world_from_camera[:3, 3])[0]
         assert distances[0] - 0.02 < away < distances[1] + 0.02
-        tangent = colon.line.frames[cKDTree(colon.line.points).query(pose[:3, 3])[1]][:, 2]
-        tilt = np.degrees(np.arccos(abs(pose[:3, 2] @ tangent)))
+        tangent = colon.line.frames[cKDTree(colon.line.points).query(world_from_camera[:3, 3])[1]][:, 2]
+        tilt = np.degrees(np.arccos(abs(world_from_camera[:3, 2] @ tangent)))
         assert tilts[0] - 1.5 < tilt < tilts[1] + 1.5
-        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
+        np.testing.assert_allclose(world_from_camera[:3, :3] @ world_from_camera[:3, :3].T, np.eye(3), atol=1e-6)
         assert caster.views == 1  # in a blind gut every view sees wall everywhere
 
 
@@ -286,8 +286,8 @@ def test_views_out_of_the_open_ends_are_turned_down() -> None:
     views = []
     for seed in range(12):
         caster.views = 0
-        pose = viewpoints.random_viewpoint(colon, caster, rays, np.random.default_rng(seed))
+        world_from_camera = viewpoints.random_viewpoint(colon, caster, rays, np.random.default_rng(seed))
         views.append(caster.views)
-        missed = ~caster.cast(pose[:3, 3], rays.reshape(-1, 3) @ pose[:3, :3].T).valid
+        missed = ~caster.cast(world_from_camera[:3, 3], rays.reshape(-1, 3) @ world_from_camera[:3, :3].T).valid
         assert missed.mean() <= 0.006, seed
     assert max(views) > 1

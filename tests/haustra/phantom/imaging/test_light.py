@@ -37,9 +37,9 @@ def folded() -> Phantom:
 
 def axial_pose(phantom: Phantom) -> np.ndarray:
     centre, axes = phantom.colon.line.at(np.array(25.0))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, centre
-    return pose
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = axes, centre
+    return world_from_camera
 
 
 def radiance_at(
@@ -155,11 +155,14 @@ def shadow(folded: Phantom) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     roll, offset = 65.0, 5.0
     light = offset * np.array([np.cos(np.radians(roll)), np.sin(np.radians(roll)), 0.0])
     imaging = replace(BARE, light_offset_mm=offset, light_roll_deg=roll)
-    pose = axial_pose(folded)
-    off, on = (folded.seen_through(replace(imaging, shadows=s), FOLDED.camera).look(pose, pose) for s in (False, True))
+    world_from_camera = axial_pose(folded)
+    off, on = (
+        folded.seen_through(replace(imaging, shadows=s), FOLDED.camera).look(world_from_camera, world_from_camera)
+        for s in (False, True)
+    )
     at = np.array([off.wall[pixel] * pixel_direction(folded.camera, *pixel) for pixel in np.ndindex(SIZE, SIZE)])
-    lamp = pose[:3, :3] @ light + pose[:3, 3]
-    reach, _ = first_hits(lamp, (at - light) @ pose[:3, :3].T, corners_of(folded))
+    lamp = world_from_camera[:3, :3] @ light + world_from_camera[:3, 3]
+    reach, _ = first_hits(lamp, (at - light) @ world_from_camera[:3, :3].T, corners_of(folded))
     bright = off.radiance[..., 0] > 1e-3
     bright[:8] = bright[-8:] = bright[:, :8] = bright[:, -8:] = False  # what happens beyond the border is not known
     return on.radiance[..., 0] / np.maximum(off.radiance[..., 0], 1e-9), (reach > 0.99).reshape(SIZE, SIZE), bright
@@ -190,13 +193,13 @@ def test_the_whole_picture_is_lambert_about_the_light(folded: Phantom) -> None:
     """The rendered wall, not just `shade`: reflectance (25/r)^2 cosine, with the normals of the wall's triangles."""
     light = np.array([0.0, 5.0, 0.0])
     view = folded.seen_through(replace(BARE, light_offset_mm=5.0, light_roll_deg=90.0), FOLDED.camera)
-    pose = axial_pose(folded)
-    look = view.look(pose, pose)
+    world_from_camera = axial_pose(folded)
+    look = view.look(world_from_camera, world_from_camera)
     corners = corners_of(folded)
     ratio, wrong_side = [], []
     for row, column in np.random.default_rng(0).integers(0, SIZE, (1500, 2)):
         triangle = corners[look.triangle[row, column]]
-        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0]) @ pose[:3, :3]
+        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0]) @ world_from_camera[:3, :3]
         at = look.wall[row, column] * pixel_direction(view.camera, row, column)
         wanted = []
         for lamp in (light, -light):
@@ -270,7 +273,7 @@ def test_a_step_keeps_its_middle_and_is_sharp_to_those_who_move_along_it() -> No
 def test_motion_blur_is_the_mean_of_what_is_seen_while_the_shutter_is_open() -> None:
     colourful = replace(COLOURLESS, mottle=0.3, tree_vessels=1.0, trees_per_cm2=1.0)
     phantom = Phantom(replace(FOLDED, appearance=colourful, anatomy=replace(FOLDED.anatomy, fold_depth_mm=1.0)), 1)
-    pose, step = axial_pose(phantom), np.eye(4)
+    world_from_camera, step = axial_pose(phantom), np.eye(4)
     turn = np.radians(6.0)
     step[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
 
@@ -278,7 +281,7 @@ def test_motion_blur_is_the_mean_of_what_is_seen_while_the_shutter_is_open() -> 
         turned = np.eye(4)
         turned[:3, :3] = cv2.Rodrigues(np.array([0, part * turn, 0]))[0]
         imaging = replace(BARE, shutter=shutter)
-        at = pose @ turned
+        at = world_from_camera @ turned
         radiance = phantom.seen_through(imaging, FOLDED.camera).look(at, at @ step).radiance
         return radiance[12:-12, 12:-12].astype(float)
 

@@ -33,8 +33,8 @@ def tube_submap(frames=12, points=600, seed=0, noise_px=0.0):
     poses[:, :3, :3] = Rotation.from_euler("xy", rng.normal(0, 4, (frames, 2)), degrees=True).as_matrix()
     poses[:, :3, 3] = np.stack([rng.normal(0, 2, frames), rng.normal(0, 2, frames), np.arange(frames)], axis=1)
     observations, pixels = [], []
-    for row, pose in enumerate(poses):
-        local = (world - pose[:3, 3]) @ pose[:3, :3]
+    for row, world_from_camera in enumerate(poses):
+        local = (world - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
         uv = CAMERA.project(local)
         seen = np.flatnonzero((local[:, 2] > 3) & (uv > 0).all(1) & (uv < 320).all(1))
         observations += [(row, point) for point in seen]

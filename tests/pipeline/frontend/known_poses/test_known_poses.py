@@ -23,7 +23,7 @@ MIRROR = np.diag([1.0, -1, 1, 1])
 
 @pytest.fixture(scope="module")
 def pictures():
-    return [render(pose) for pose in POSES]
+    return [render(world_from_camera) for world_from_camera in POSES]
 
 
 def solved(tmp_path, pictures, poses, refine=False):

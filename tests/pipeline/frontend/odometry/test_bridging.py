@@ -14,7 +14,7 @@ END, BEGIN, COUNT = 50, 81, 130
 APART_MM, ACROSS_MM = 14.0, 22.0  # of the folds, and the tube's radius
 
 
-def pose(k: float) -> np.ndarray:
+def world_from_camera(k: float) -> np.ndarray:
     """Backwards through the tube, the look wandering."""
     found = np.eye(4)
     found[:3, :3] = Rotation.from_rotvec(
@@ -38,19 +38,19 @@ def cloud(frame: int, folds: float = 3.0, seed: int = 0, noise: float = 0.02) ->
     rays = np.column_stack([rng.uniform(-1, 1, (1000, 2)), np.ones(1000)])
     depth, hit = np.full(1000, 4.0), np.zeros(1000, bool)
     for _ in range(140):
-        points = in_camera(pose(frame), rays * depth[:, None])
+        points = in_camera(world_from_camera(frame), rays * depth[:, None])
         hit |= np.hypot(points[:, 0], points[:, 1]) >= radius(points, folds, seed)
         depth[~hit] += 0.4
     return (rays * (depth * (1 + noise * rng.normal(size=1000)))[:, None])[hit & (depth < 60)]
 
 
 folded = cache(cloud)
-HERE = {k: pose(k) for k in range(END + 1)}
-THERE = {k: pose(k) for k in range(BEGIN, COUNT)}
+HERE = {k: world_from_camera(k) for k in range(END + 1)}
+THERE = {k: world_from_camera(k) for k in range(BEGIN, COUNT)}
 
 
 def off(found: np.ndarray) -> tuple[float, float]:
-    error = inverse(pose(BEGIN)) @ found
+    error = inverse(world_from_camera(BEGIN)) @ found
     return float(np.linalg.norm(error[:3, 3])), float(np.degrees(angle_between(error, np.eye(4))))
 
 
@@ -75,14 +75,16 @@ def test_a_gap_that_is_too_long_and_a_blind_sensor_are_refused():
 @pytest.mark.parametrize("way", [(0, 0, 1.5, 0, 0, 0), (0, 0, 0, 0, 0, 0.06)])
 def test_what_a_smooth_tube_leaves_free_stays_with_the_guess(way):
     """Along a smooth tube and about its axis nothing speaks for a step; across it the wall does."""
-    wall = WallPatches.of(np.concatenate([in_camera(pose(k), cloud(k, 0.0, noise=0.005)) for k in range(0, 40, 4)]))
+    wall = WallPatches.of(
+        np.concatenate([in_camera(world_from_camera(k), cloud(k, 0.0, noise=0.005)) for k in range(0, 40, 4)])
+    )
     step = np.eye(4)
     step[:3, :3], step[:3, 3] = Rotation.from_rotvec(way[3:]).as_matrix(), way[:3]
     across = np.eye(4)
     across[0, 3] = 1.2
-    guess = across @ step @ pose(40)
+    guess = across @ step @ world_from_camera(40)
     found = wall.registered(cloud(40, 0.0, noise=0.005), guess)
-    assert abs(found[0, 3] - pose(40)[0, 3]) < 0.3  # brought back
+    assert abs(found[0, 3] - world_from_camera(40)[0, 3]) < 0.3  # brought back
     change = found @ inverse(guess)
     assert abs(change[2, 3]) < 0.5
     assert abs(Rotation.from_matrix(change[:3, :3]).as_rotvec()[2]) < 0.03

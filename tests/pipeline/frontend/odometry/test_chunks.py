@@ -33,7 +33,7 @@ from tests.helpers.tubes.textured_tube import CAMERA, camera_at, polished, rende
 SETTINGS = Config().front_end_settings
 COUNT = 44
 TRUE = np.stack([camera_at(k) for k in range(COUNT)])
-IMAGES = [render(pose) for pose in TRUE]
+IMAGES = [render(world_from_camera) for world_from_camera in TRUE]
 RAYS = RayTable(CAMERA)
 
 
@@ -67,10 +67,10 @@ def elsewhere(local_map, scale):
     world_from_old[:3, 3] = [5, -3, 40]
     rotation = world_from_old[:3, :3] / scale
     for keyframe in local_map.keyframes:
-        pose = keyframe.camera_from_world.copy()
-        pose[:3, :3] = pose[:3, :3] @ rotation.T
-        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ world_from_old[:3, 3]
-        keyframe.camera_from_world = pose
+        camera_from_new = keyframe.camera_from_world.copy()
+        camera_from_new[:3, :3] = camera_from_new[:3, :3] @ rotation.T
+        camera_from_new[:3, 3] = scale * camera_from_new[:3, 3] - camera_from_new[:3, :3] @ world_from_old[:3, 3]
+        keyframe.camera_from_world = camera_from_new
     local_map.tracks.points = transform_points(world_from_old, local_map.tracks.points)
     local_map.tracked_frames = [posed.scaled(scale) for posed in local_map.tracked_frames]
     return local_map

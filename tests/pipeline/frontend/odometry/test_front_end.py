@@ -20,7 +20,7 @@ from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, SIZE, camera
 def clip():
     """40 frames and their true poses."""
     poses = [camera_at(k) for k in range(40)]
-    return [render(pose) for pose in poses], np.stack(poses)
+    return [render(world_from_camera) for world_from_camera in poses], np.stack(poses)
 
 
 @pytest.fixture(scope="module")

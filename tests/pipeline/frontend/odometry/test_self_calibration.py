@@ -34,11 +34,14 @@ def filmed(centres, turns_deg, noise_px=0.2, points=300):
     wall[:, 2] = 3 + 0.5 * np.sin(2 * wall[:, 0]) + 0.4 * np.cos(3 * wall[:, 1])
     poses, observations, pixels = [], [], []
     for row, (centre, turn) in enumerate(zip(centres, turns_deg, strict=True)):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = Rotation.from_euler("xyz", turn, degrees=True).as_matrix(), centre
-        seen = TRUE.project((wall - pose[:3, 3]) @ pose[:3, :3])
+        world_from_camera = np.eye(4)
+        world_from_camera[:3, :3], world_from_camera[:3, 3] = (
+            Rotation.from_euler("xyz", turn, degrees=True).as_matrix(),
+            centre,
+        )
+        seen = TRUE.project((wall - world_from_camera[:3, 3]) @ world_from_camera[:3, :3])
         inside = np.flatnonzero(((seen > 0) & (seen < 320)).all(axis=1))
-        poses.append(pose)
+        poses.append(world_from_camera)
         observations.append(np.stack([np.full(len(inside), row), inside], axis=1))
         pixels.append(seen[inside] + rng.normal(0, noise_px, (len(inside), 2)))
     error = np.full(points, 0.3)

@@ -28,7 +28,7 @@ def right_pose(left):
 @pytest.fixture(scope="module")
 def eyes():
     lefts = [camera_at(5 * k) for k in range(COUNT)]
-    return [(render(pose), render(right_pose(pose))) for pose in lefts]
+    return [(render(world_from_camera), render(right_pose(world_from_camera))) for world_from_camera in lefts]
 
 
 def opencv_matrix(name, values):
@@ -62,7 +62,7 @@ def source_of(tmp_path, eyes, layout="side-by-side", **changed):
     return StereoSource(film, StereoSettings(calibration=str(rig), layout=layout))
 
 
-def tube_depth(source, pose, shape):
+def tube_depth(source, world_from_camera, shape):
     """z-depth (h,w) of the rectified left camera, whose axes are the left eye's turned by the rectification."""
     camera, scale = source.camera, source.camera.width / shape[1]
     shift = SHIFT.reshape(3, 1)
@@ -70,10 +70,13 @@ def tube_depth(source, pose, shape):
     new_from_left = turned[0]
     (fx, fy), (cx, cy) = camera.focal, camera.centre
     x, y = np.meshgrid((np.arange(shape[1]) + 0.5) * scale, (np.arange(shape[0]) + 0.5) * scale)
-    rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=-1) @ (pose[:3, :3] @ new_from_left.T).T
+    rays = (
+        np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=-1)
+        @ (world_from_camera[:3, :3] @ new_from_left.T).T
+    )
     a = (rays[..., :2] ** 2).sum(-1)
-    b = (rays[..., :2] * pose[:2, 3]).sum(-1)
-    return (-b + np.sqrt(b * b - a * ((pose[:2, 3] ** 2).sum() - RADIUS**2))) / np.maximum(a, 1e-9)
+    b = (rays[..., :2] * world_from_camera[:2, 3]).sum(-1)
+    return (-b + np.sqrt(b * b - a * ((world_from_camera[:2, 3] ** 2).sum() - RADIUS**2))) / np.maximum(a, 1e-9)
 
 
 @pytest.mark.parametrize("layout", ["side-by-side", "over-under"])

@@ -52,9 +52,9 @@ def test_a_part_arrives_as_it_is(page):
 def test_only_the_current_map_is_drawn_and_memory_is_bounded():
     state = LiveState()
     for frame in range(10 * MOST_PLACES):
-        pose = np.eye(4)
-        pose[2, 3] = frame
-        state.add_pose(frame, pose, 1)
+        world_from_camera = np.eye(4)
+        world_from_camera[2, 3] = frame
+        state.add_pose(frame, world_from_camera, 1)
     state.add_parts(tuple(part(number, number % 2) for number in range(MOST_PARTS + 10)))
     told = state.to_dict()
     assert len(state.parts) == MOST_PARTS

@@ -129,8 +129,8 @@ def test_the_turn_between_two_runs_is_that_of_their_paths(tmp_path: Path, seed: 
         record = {"stages": {}, "config": {}, "source": {"sha256": {"source": "same"}}}
         (tmp_path / name / "run.yaml").write_text(yaml.safe_dump(record))
         lines = [
-            tum_line(time, turn.apply(scale * centre), turn * pose)
-            for time, centre, pose in zip(times, centres, poses, strict=True)
+            tum_line(time, turn.apply(scale * centre), turn * rotation)
+            for time, centre, rotation in zip(times, centres, poses, strict=True)
         ]
         (tmp_path / name / "trajectory.tum").write_text("".join(lines))
     found = run_files.turn_between(tmp_path / "a", tmp_path / "b")
