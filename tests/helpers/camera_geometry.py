@@ -16,8 +16,8 @@ def tube(count, rng, radius=20.0):
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
 
 
-def world_from_camera(turn_deg, centre):
-    """camera_from_world of a camera at `centre`."""
+def camera_from_world_at(turn_deg, centre):
+    """Of a camera at `centre`."""
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
     world_from_camera[:3, 3] = centre

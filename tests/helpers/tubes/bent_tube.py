@@ -11,7 +11,7 @@ CAMERA = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
 COUNT, STEP_MM, RADIUS_MM, UNIT = 24, 3.0, 20.0, 7.0
 
 
-def world_from_camera(k: int) -> np.ndarray:
+def world_from_camera_at(k: int) -> np.ndarray:
     found = np.eye(4)
     found[:3, 3] = 2 * np.sin(0.5 * k), 2 * np.cos(0.4 * k), STEP_MM * k
     return found
@@ -28,11 +28,11 @@ def tube(seed: int = 0, bend: float = 0.0, unit: float = UNIT) -> tuple[LocalMap
     local_map.tracks.points[: len(points)] = points * stretch(points[:, 2:]) / unit
     local_map.tracks.has_point[: len(points)] = True
     for k in range(COUNT):
-        local = in_camera(inverse(world_from_camera(k)), points)
+        local = in_camera(inverse(world_from_camera_at(k)), points)
         seen = np.flatnonzero((local[:, 2] > 12) & (local[:, 2] < 60))
         pixels = CAMERA.project(local[seen])
         inside = ((pixels > 2) & (pixels < 318)).all(axis=1)
-        moved = world_from_camera(k)
+        moved = world_from_camera_at(k)
         moved[:3, 3] *= stretch(moved[2, 3]) / unit
         noisy = pixels[inside] + rng.normal(0, 0.2, (int(inside.sum()), 2))
         local_map.add_keyframe(k, inverse(moved), seen[inside], noisy)
@@ -44,7 +44,7 @@ def sensed(points: np.ndarray, noise: float, scale: float = 1.0):
 
     def depth_at(frame: int, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rng = np.random.default_rng([frame, len(pixels)])
-        local = in_camera(inverse(world_from_camera(frame)), points)
+        local = in_camera(inverse(world_from_camera_at(frame)), points)
         local = local[(local[:, 2] > 12) & (local[:, 2] < 60)]
         off = np.linalg.norm(CAMERA.project(local)[None] - pixels[:, None], axis=2)
         depth = scale * local[off.argmin(axis=1), 2] * (1 + noise * rng.normal(size=len(pixels)))

@@ -12,7 +12,7 @@ from pipeline.mapping.local_map import LocalMap, TrackedFrame
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.optimization.bundle_adjustment import reprojections
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
-from tests.helpers.camera_geometry import PINHOLE, on_plane, pose
+from tests.helpers.camera_geometry import PINHOLE, camera_from_world_at, on_plane
 
 RAYS = RayTable(PINHOLE)
 STEP, COUNT = 1.5, 130
@@ -22,7 +22,7 @@ TIMES = 70  # that a film of 2,000 keyframes is carried on
 def film(rng, noise_px):
     """A map along a tube as it truly is: each keyframe sees the wall from half a radius to two radii ahead."""
     centres = np.stack([[*rng.normal(0, 0.5, 2), STEP * k] for k in range(COUNT)])
-    poses = [pose(rng.normal(0, 2, 3), centre) for centre in centres]
+    poses = [camera_from_world_at(rng.normal(0, 2, 3), centre) for centre in centres]
     angle, height = rng.uniform(0, 2 * np.pi, 25 * COUNT), rng.uniform(0, STEP * COUNT + 40, 25 * COUNT)
     wall = np.stack([20 * np.cos(angle), 20 * np.sin(angle), height], axis=1)
     made = LocalMap(RAYS)
@@ -102,7 +102,7 @@ def test_what_is_carried_along_sees_the_same(scale):
     """Again and again, as in a long film: rounding must not grow from one time to the next."""
     true = film(np.random.default_rng(1), 0.0)
     local_map = copy.deepcopy(true)
-    turn = pose([0.5, -0.3, 0.2], [0.1, 0.2, -0.1])
+    turn = camera_from_world_at([0.5, -0.3, 0.2], [0.1, 0.2, -0.1])
     for _ in range(TIMES):
         last = local_map.keyframes[1]
         old, last.camera_from_world = last.camera_from_world, turn @ last.camera_from_world
@@ -119,11 +119,11 @@ def test_frames_between_keyframes_are_carried_too():
     local_map = copy.deepcopy(true)
     for number in (40, 90):  # as if seen half a step after these keyframes
         keyframe = true.keyframes[number]
-        relative = pose([0, 0, 0], [0, 0, STEP / 2])
+        relative = camera_from_world_at([0, 0, 0], [0, 0, STEP / 2])
         local_map.tracked_frames.append(TrackedFrame(1000 + number, number, relative, keyframe.ids, keyframe.pixels))
     before = [local_map.camera_from_world_of(posed) for posed in local_map.tracked_frames]
     old = local_map.keyframes[79].camera_from_world
-    local_map.keyframes[79].camera_from_world = pose([1, 2, 3], [1, 0, 0]) @ old
+    local_map.keyframes[79].camera_from_world = camera_from_world_at([1, 2, 3], [1, 0, 0]) @ old
     local_map.propagate(80, 79, old, 1.2)
     np.testing.assert_array_equal(local_map.camera_from_world_of(local_map.tracked_frames[0]), before[0])
     ids = np.setdiff1d(true.keyframes[110].ids, np.concatenate([k.ids for k in true.keyframes[:80]]))
@@ -135,7 +135,7 @@ def test_carrying_moves_nothing_that_earlier_keyframes_see():
     true = film(np.random.default_rng(2), 0.0)
     local_map = copy.deepcopy(true)
     old = local_map.keyframes[79].camera_from_world
-    local_map.keyframes[79].camera_from_world = pose([0, 0, 3], [1, 0, 0]) @ old
+    local_map.keyframes[79].camera_from_world = camera_from_world_at([0, 0, 3], [1, 0, 0]) @ old
     local_map.propagate(80, 79, old, 1.2)
     earlier = np.unique(np.concatenate([k.ids for k in true.keyframes[:80]]))
     np.testing.assert_array_equal(local_map.tracks.points[earlier], true.tracks.points[earlier])

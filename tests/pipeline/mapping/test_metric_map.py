@@ -6,7 +6,7 @@ import pytest
 from haustra.core.se3 import inverse
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.metric_map import make_metric, metric_scale
-from tests.helpers.tubes.bent_tube import COUNT, UNIT, pose, sensed, tube
+from tests.helpers.tubes.bent_tube import COUNT, UNIT, sensed, tube, world_from_camera_at
 
 
 def test_a_map_is_brought_to_millimetres():
@@ -42,7 +42,7 @@ def test_adjustment_with_depth_straightens_a_scale_that_pictures_leave_bent():
         centres = np.stack([inverse(k.camera_from_world)[:3, 3] for k in local_map.keyframes])
         steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
         lengths[name] = steps.sum(), steps[-8:].sum() / steps[:8].sum()
-    true = np.linalg.norm(np.diff([pose(k)[:3, 3] for k in range(COUNT)], axis=0), axis=1)
+    true = np.linalg.norm(np.diff([world_from_camera_at(k)[:3, 3] for k in range(COUNT)], axis=0), axis=1)
     assert lengths["depth"][0] == pytest.approx(true.sum(), rel=0.005)
     bend = true[-8:].sum() / true[:8].sum()
     assert abs(lengths["depth"][1] - bend) < 0.01

@@ -20,7 +20,7 @@ from pipeline.matching.sift_cache import SiftCache
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.matching.sim3_ransac import similarity_errors
 from pipeline.optimization.resection import reprojection_errors, robust_pose
-from tests.helpers.camera_geometry import PINHOLE, jacobians, on_plane, pose, tube
+from tests.helpers.camera_geometry import PINHOLE, camera_from_world_at, jacobians, on_plane, tube
 
 RAYS = RayTable(PINHOLE)
 
@@ -62,7 +62,7 @@ def a_map(centres, ids=None, points=None, seed=0):
     made.tracks.points[: len(world)], made.tracks.has_point[: len(world)] = world, True
     for number, centre in enumerate(centres):
         mine = np.arange(len(world)) if ids is None else np.asarray(ids[number])
-        camera_from_world = pose([0, 0, 0], centre)
+        camera_from_world = camera_from_world_at([0, 0, 0], centre)
         made.add_keyframe(number, camera_from_world, mine, 160 + 160 * on_plane(camera_from_world, world[mine])[0])
     return made
 
@@ -76,7 +76,7 @@ def test_a_window_is_held_by_those_that_share_its_points_wherever_they_are():
     assert [keyframe.frame for keyframe in held] == [0, 5]
     before = [keyframe.camera_from_world.copy() for keyframe in made.keyframes]
     for number in (3, 4):
-        made.keyframes[number].camera_from_world = pose([0.5, 0, 0], [0.1, 0, centres[number][2]])
+        made.keyframes[number].camera_from_world = camera_from_world_at([0.5, 0, 0], [0.1, 0, centres[number][2]])
     adjust_window(made, 2, 30, end=5)
     for keyframe, right in zip(made.keyframes, before, strict=True):
         np.testing.assert_allclose(keyframe.camera_from_world, right, atol=1e-3)
@@ -161,7 +161,7 @@ def matches_of_one_world(count, rng):
     features, matches = ([], []), []
     for number in range(count):
         points = tube(int(rng.integers(30, 60)), rng)
-        poses = [pose(rng.uniform(-4, 4, 3), rng.normal(0, 2, 3)) for _ in maps]
+        poses = [camera_from_world_at(rng.uniform(-4, 4, 3), rng.normal(0, 2, 3)) for _ in maps]
         for made, of, camera in zip(maps, features, poses, strict=True):
             pixels = 160 + 160 * on_plane(camera, points)[0]
             made.add_keyframe(number, camera, np.zeros(0, np.int64), np.zeros((0, 2)))

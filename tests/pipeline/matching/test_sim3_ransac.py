@@ -14,7 +14,7 @@ from pipeline.matching.sim3_ransac import (
     similarity_errors,
 )
 from pipeline.optimization.resection import reprojection_errors
-from tests.helpers.camera_geometry import jacobians, on_plane, pose, tube
+from tests.helpers.camera_geometry import camera_from_world_at, jacobians, on_plane, tube
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -27,7 +27,7 @@ def test_similarity_is_found_whatever_it_is(seed):
     similarity[:3, :3] = scale * Rotation.from_rotvec(turn).as_matrix()
     similarity[:3, 3] = shift
     moved = points @ similarity[:3, :3].T + similarity[:3, 3]
-    first_pose = pose([1, 2, 3], [0, 1, 0])
+    first_pose = camera_from_world_at([1, 2, 3], [0, 1, 0])
     second_pose = np.eye(4)
     rotation = first_pose[:3, :3] @ similarity[:3, :3].T / scale
     second_pose[:3, :3], second_pose[:3, 3] = rotation, scale * first_pose[:3, 3] - rotation @ similarity[:3, 3]
@@ -51,7 +51,10 @@ def random_sides(count, rng):
     """Two sides of points that do not belong together, some of them behind the cameras."""
     sides = []
     for _ in range(2):
-        points, camera = rng.normal(0, 20, (count, 3)), pose(rng.uniform(-30, 30, 3), rng.normal(0, 5, 3))
+        points, camera = (
+            rng.normal(0, 20, (count, 3)),
+            camera_from_world_at(rng.uniform(-30, 30, 3), rng.normal(0, 5, 3)),
+        )
         sides.append(Correspondences(points, camera, rng.normal(0, 0.5, (count, 2)), jacobians(count)))
     return sides
 

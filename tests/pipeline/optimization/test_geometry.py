@@ -13,7 +13,7 @@ from pipeline.frontend.odometry.two_view import parallax_px, score_hypothesis, s
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_poses, reprojection_errors, robust_pose
 from pipeline.optimization.triangulation import triangulate
-from tests.helpers.camera_geometry import FOCAL, PINHOLE, jacobians, on_plane, pose, sight, tube
+from tests.helpers.camera_geometry import FOCAL, PINHOLE, camera_from_world_at, jacobians, on_plane, sight, tube
 
 LENSES = [
     PINHOLE,
@@ -49,7 +49,9 @@ def test_a_ray_projects_to_the_pixel_it_was_read_from(camera):
 def made_bundle(rng, cameras=6, count=120, noise_px=0.0):
     """A true problem, and the same one started from wrong poses and points."""
     points = tube(count, rng)
-    poses = np.stack([pose(rng.normal(0, 3, 3), [*rng.normal(0, 1.5, 2), 2.0 * k]) for k in range(cameras)])
+    poses = np.stack(
+        [camera_from_world_at(rng.normal(0, 3, 3), [*rng.normal(0, 1.5, 2), 2.0 * k]) for k in range(cameras)]
+    )
     rows, columns, seen = [], [], []
     for k in range(cameras):
         places, depth = on_plane(poses[k], points)
@@ -131,7 +133,7 @@ def test_bundle_adjustment_never_raises_the_cost_and_shrugs_off_outliers():
 def test_a_pose_is_found_among_forty_percent_outliers(seed):
     rng = np.random.default_rng(seed)
     points = tube(150, rng)
-    true = pose([4, -7, 12], [1, -2, 3])
+    true = camera_from_world_at([4, -7, 12], [1, -2, 3])
     seen = on_plane(true, points)[0] + rng.normal(0, 0.4 / FOCAL, (150, 2))
     wrong = rng.choice(150, 60, replace=False)
     seen[wrong] = rng.uniform(-1, 1, (60, 2))
@@ -146,7 +148,7 @@ def test_a_pose_is_found_among_forty_percent_outliers(seed):
 def test_many_poses_refined_at_once_are_those_refined_one_by_one():
     rng = np.random.default_rng(5)
     points = tube(40, rng)
-    poses = np.stack([pose(rng.normal(0, 4, 3), [0.3 * k, 0, k]) for k in range(5)])
+    poses = np.stack([camera_from_world_at(rng.normal(0, 4, 3), [0.3 * k, 0, k]) for k in range(5)])
     seen = np.concatenate([on_plane(p, points)[0] for p in poses])
     camera = np.repeat(np.arange(5), 40)
     start = poses.copy()
@@ -161,7 +163,7 @@ def test_many_poses_refined_at_once_are_those_refined_one_by_one():
 def test_triangulation_is_exact_and_reports_angles():
     rng = np.random.default_rng(6)
     points = tube(30, rng)
-    poses = [pose([0, 0, 0], [x, 0, 0]) for x in (0.0, 1.0, 3.0)]
+    poses = [camera_from_world_at([0, 0, 0], [x, 0, 0]) for x in (0.0, 1.0, 3.0)]
     row = np.tile(np.arange(3), 30)
     point = np.repeat(np.arange(30), 3)
     stacked = np.stack(poses)[row]
@@ -191,7 +193,11 @@ def starts_right(kind, seed):
     """The lamp's brightness is 1 / distance^2; a plane has a second pose that fits two views just as well."""
     rng = np.random.default_rng(seed)
     points = scene(kind, rng)
-    poses = [pose([0, 0, 0], [0, 0, 0]), pose([1, 2, 1], [3.0, 0.6, 2.0]), pose([2, 4, 2], [6.0, 1.8, 5.0])]
+    poses = [
+        camera_from_world_at([0, 0, 0], [0, 0, 0]),
+        camera_from_world_at([1, 2, 1], [3.0, 0.6, 2.0]),
+        camera_from_world_at([2, 4, 2], [6.0, 1.8, 5.0]),
+    ]
     visible = np.all([(np.abs(on_plane(p, points)[0]) < 1).all(1) & (on_plane(p, points)[1] > 2) for p in poses], 0)
     points = points[visible]
     first, third, second = (sight(p, points, rng, 0.2) for p in poses)
@@ -209,7 +215,7 @@ def starts_right(kind, seed):
 def test_a_turning_camera_does_not_start():
     rng = np.random.default_rng(0)
     points = tube(150, rng)
-    poses = [pose(turn, [0, 0, 0]) for turn in ([0, 0, 0], [2, 3, 1], [4, 6, 2])]
+    poses = [camera_from_world_at(turn, [0, 0, 0]) for turn in ([0, 0, 0], [2, 3, 1], [4, 6, 2])]
     visible = np.all([(np.abs(on_plane(p, points)[0]) < 1).all(1) for p in poses], axis=0)
     first, third, second = (sight(p, points[visible], rng, 0.2) for p in poses)
     assert parallax_px(first, second, FOCAL) < 1.0
@@ -219,8 +225,8 @@ def test_a_turning_camera_does_not_start():
 def test_the_lamp_speaks_against_a_world_turned_inside_out():
     rng = np.random.default_rng(1)
     points = tube(120, rng)
-    true = pose([2, 3, 1], [3, 0.5, 2])
-    views = [sight(p, points) for p in (np.eye(4), true, pose([1, 1.5, 0.5], [1.5, 0.25, 1]))]
+    true = camera_from_world_at([2, 3, 1], [3, 0.5, 2])
+    views = [sight(p, points) for p in (np.eye(4), true, camera_from_world_at([1, 1.5, 0.5], [1.5, 0.25, 1]))]
     unit = true.copy()
     unit[:3, 3] /= np.linalg.norm(unit[:3, 3])
     distance = np.linalg.norm(points @ true[:3, :3].T + true[:3, 3], axis=1)

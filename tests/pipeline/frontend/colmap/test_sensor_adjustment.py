@@ -10,7 +10,7 @@ from haustra.core.sim3 import scale_of, umeyama
 from pipeline.frontend.base import FoundSubmap
 from pipeline.frontend.colmap.sensor_adjustment import adjusted_to_sensor, map_of_submap, metric_submap
 from pipeline.mapping.submap_of_map import to_submap
-from tests.helpers.tubes.bent_tube import CAMERA, COUNT, UNIT, pose, sensed, tube
+from tests.helpers.tubes.bent_tube import CAMERA, COUNT, UNIT, sensed, tube, world_from_camera_at
 
 
 def bent_model(seed=0):
@@ -23,7 +23,7 @@ def sensor_of(points, noise=0.03):
 
 
 def true_centres():
-    return np.array([pose(k)[:3, 3] for k in range(COUNT)])
+    return np.array([world_from_camera_at(k)[:3, 3] for k in range(COUNT)])
 
 
 def test_model_comes_out_in_millimetres_and_straight():
