@@ -192,12 +192,11 @@ def joins(rows: list[dict[str, Any]], strangers: dict[str, Any], seeds: list[dic
         ),
         f"\nOf {strangers['pairs']} pairs of parts of different films, merged: {strangers['false_before']} before, "
         f"{strangers['false_after']} after.",
-        "\nThe films whose ATE changed by more than 1 %, tracked with seeds 0 to 4: ATE of the largest map, mm, median\n"
-        "(least-most).\n",
-        *("| film | frames cut out | before | after |", "|---|---|---|---|"),
+        "\nThose whose ATE changed by more than 1 %, with seeds 0 to 4: ATE, mm, median (least-most).\n",
+        "| film | frames cut out | before | after |\n|---|---|---|---|",
         *(
-            f"| {row['film']} | {row['gap']} | {_seeds_shown(row['before'])} | {_seeds_shown(row['after'])} |"
-            for row in seeds
+            f"| {of['film']} | {of['gap']} | {_seeds_shown(of['before'])} | {_seeds_shown(of['after'])} |"
+            for of in seeds
         ),
     ]
 
@@ -208,8 +207,7 @@ def _is_worse(before: Iterable[float], after: Iterable[float]) -> bool:
 
 
 def _seeds_shown(of: dict[str, float]) -> str:
-    values = sorted(of.values())
-    return f"{statistics.median(values):.4f} ({values[0]:.4f}-{values[-1]:.4f})"
+    return f"{statistics.median(of.values()):.4f} ({min(of.values()):.4f}-{max(of.values()):.4f})"
 
 
 def loops(rows: list[dict[str, Any]]) -> list[str]:
