@@ -61,6 +61,7 @@ def error(local_map, true):
     return trajectory_errors(found, right).ate_rmse / (STEP * COUNT)
 
 
+@pytest.mark.slow
 def test_a_scale_that_drifted_thirtyfold_is_taken_back(monkeypatch):
     true = film(np.random.default_rng(0), 0.3)
     for name, value in {"LONG": 60, "PIECE": 30, "FIXED_KEYFRAMES": 15}.items():

@@ -182,7 +182,14 @@ def by_hand(unet, x):
 
 
 @needs_vnni
-@pytest.mark.parametrize("widths", [(8, 12), (8, 12, 16), (8, 12, 16, 20, 20)])
+@pytest.mark.parametrize(
+    "widths",
+    [
+        pytest.param((8, 12), marks=pytest.mark.slow),
+        (8, 12, 16),
+        pytest.param((8, 12, 16, 20, 20), marks=pytest.mark.slow),
+    ],
+)
 def test_the_whole_is_the_unet_with_each_value_rounded(widths):
     """As in double precision, but for frames in which a sum lies so near a half that it falls to the other side."""
     torch.manual_seed(len(widths))

@@ -183,6 +183,7 @@ def test_a_stub_in_the_overlap_hides_no_seam(stretch):
     assert whole.frames == set(range(COUNT))
 
 
+@pytest.mark.slow
 def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
     """Each frame has one depth map, and no submap is left without frames."""
     monkeypatch.setattr(chunks, "OVERLAP", 12)
