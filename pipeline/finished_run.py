@@ -28,6 +28,8 @@ from pipeline.surface.scale import unit_label
 from reconstruction.coverage.coverage import Coverage
 from reconstruction.evaluation.trajectory_io import read_tum
 
+MOST_SAID = 3  # cautions with success
+
 
 @dataclass(frozen=True)
 class RunKeyframe:
@@ -156,9 +158,6 @@ def open_run(folder: Path | str) -> Run:
     if not workspace.is_done("surface"):
         raise HaustraError(f"the run {folder} has no mesh yet; go on with it by --resume")
     return Run(workspace)
-
-
-MOST_SAID = 3  # cautions with success
 
 
 def summary(metrics: dict[str, Any], mesh: Path) -> str:

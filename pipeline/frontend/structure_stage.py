@@ -86,8 +86,8 @@ def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
     focal, start = submap.camera_params[0], guess.focal[0]
     if poses_given:
         return (
-            f"camera: focal length {start:.1f} px guessed and kept, since poses that are given do not "
-            "ask for the lens; do not trust shapes and lengths without the lens (--camera)"
+            f"camera: focal length {start:.1f} px guessed and not refined, because the poses were "
+            "given; do not trust shapes and lengths before the lens is given, too (--camera)"
         )
     sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
     text = f"camera: focal length {start:.1f} px guessed, {focal:.1f} px after adjustment"
