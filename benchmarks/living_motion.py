@@ -59,7 +59,7 @@ def measure(arguments: argparse.Namespace) -> None:
 
 def figures_of(film: Path, made: Run) -> dict[str, Any]:
     """Of the largest submap."""
-    submap = made.completed_submaps[0].submap
+    submap = made.submaps_of_front_end[0]
     truth = read_tum(film / "trajectory.txt")[1]
     unit = float(scale_of(align_poses(submap.world_from_camera, truth[submap.frames])))
     seen = residuals(made.frames, submap, submap.frames.astype(np.float64), np.ones(len(submap.observations), bool))

@@ -17,6 +17,7 @@ from haustra.core.errors import HaustraError
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import load_completed
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
+from pipeline.frontend.points_stage import load_points
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames, load_frames
 from pipeline.loop_closing.close_loops import load_refined
@@ -88,11 +89,16 @@ class Run:
     @cached_property
     def submaps_before_loops(self) -> list[CompletedSubmap]:
         """As the depth stage left them: not merged, and with their loops open."""
-        return load_completed(self.frames, load_structure(self.workspace), self.workspace)
+        return load_completed(self.frames, load_points(self.submaps_of_front_end, self.workspace), self.workspace)
 
     @cached_property
     def completed_submaps(self) -> list[CompletedSubmap]:
         return load_refined(self.submaps_before_loops, self.workspace)
+
+    @cached_property
+    def submaps_of_front_end(self) -> list[Submap]:
+        """As the front end left them, with its own points."""
+        return load_structure(self.workspace)
 
     @property
     def submaps(self) -> list[Submap]:

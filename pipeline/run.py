@@ -15,6 +15,7 @@ from pipeline.depth.preparation import Preparation
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
 from pipeline.frontend.lens_guess import guess_lens
+from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, scene_units, solve_structure
 from pipeline.input.calibration import check_choice
@@ -72,11 +73,12 @@ def reconstruct(
         if guessed_by(workspace) is not None:
             frames = timed("lens", guess_lens)(frames, told, workspace, progress)
         submaps = timed("structure", solve_structure)(frames, config.front_end, told, workspace, progress)
+        pointed = timed("points", find_points)(frames, submaps, told.odometry.keyframe_motion, workspace, progress)
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
-        completed = complete(frames, submaps, later.completer, config.depth, workspace, progress)
+        completed = complete(frames, pointed, later.completer, config.depth, workspace, progress)
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
-        timed("motion", wall_motion_stage)(frames, completed, workspace, progress)
+        timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed, lamp)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)

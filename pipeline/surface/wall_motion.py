@@ -46,12 +46,19 @@ class WallMotion:
 
 
 def wall_motion_stage(
-    frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace, progress: Progress
+    frames: Frames, completed: list[CompletedSubmap], submaps: list[Submap], workspace: Workspace, progress: Progress
 ) -> list[WallMotion | None]:
     """Of each submap; None where too little is followed to tell, and where closed loops moved points off what was
-    adjusted to the pictures."""
+    adjusted to the pictures.
+
+    submaps: as the front end left them; points found anew have lost the sightings that a moving wall puts off.
+    """
+    by_frames = {tuple(submap.frames.tolist()): submap for submap in submaps}
+    asked = [
+        None if one.depth_scale is not None else by_frames.get(tuple(one.submap.frames.tolist())) for one in completed
+    ]
     return load_or_make(
-        workspace, STAGE, lambda: load_motion(workspace), lambda: _ask_all(frames, submaps, workspace, progress)
+        workspace, STAGE, lambda: load_motion(workspace), lambda: _ask_all(frames, asked, workspace, progress)
     )
 
 
@@ -63,8 +70,8 @@ def load_motion(workspace: Workspace) -> list[WallMotion | None]:
     return [None if r is None else WallMotion(r["told"], r["explained"]) for r in records]
 
 
-def _ask_all(frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace, progress: Progress) -> None:
-    found = [None if one.depth_scale is not None else measure_motion(frames, one.submap) for one in submaps]
+def _ask_all(frames: Frames, submaps: list[Submap | None], workspace: Workspace, progress: Progress) -> None:
+    found = [None if submap is None else measure_motion(frames, submap) for submap in submaps]
     workspace.finish(STAGE, submaps=[None if one is None else asdict(one) for one in found])
     for sentence in sentences(found):
         progress.log(sentence)

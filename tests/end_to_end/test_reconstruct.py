@@ -22,6 +22,7 @@ from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
 from pipeline.depth.completion_stage import load_completed
 from pipeline.finished_run import open_run
+from pipeline.frontend.points_stage import load_points
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import load_frames
 from pipeline.run import reconstruct
@@ -59,6 +60,7 @@ def test_every_artefact_of_the_contract_is_there(finished):
     assert set(record["stages"]) == {
         "frames",
         "structure",
+        "points",
         "depth",
         "motion",
         "surface",
@@ -75,7 +77,18 @@ def test_every_artefact_of_the_contract_is_there(finished):
 def test_a_profile_names_every_stage_and_is_on_the_page(finished):
     folder, result = finished
     profile = result.metrics["profile"]
-    stages = ["frames", "structure", "depth", "loop closing", "motion", "surface", "files", "coverage", "report"]
+    stages = [
+        "frames",
+        "structure",
+        "points",
+        "depth",
+        "loop closing",
+        "motion",
+        "surface",
+        "files",
+        "coverage",
+        "report",
+    ]
     assert [one["stage"] for one in profile] == stages
     assert all(one["seconds"] >= 0 and one["cpu_seconds"] >= 0 for one in profile)
     assert "time of stage: surface" in (folder / "report.html").read_text()
@@ -219,7 +232,7 @@ def test_a_damaged_run_is_named(finished, tmp_path, name):
 
 def test_submaps_without_depth_end_empty_and_not_in_a_crash(finished, monkeypatch):
     workspace = open_workspace(finished[0])
-    part = load_completed(load_frames(workspace), load_structure(workspace), workspace)[0]
+    part = load_completed(load_frames(workspace), load_points(load_structure(workspace), workspace), workspace)[0]
     empty = replace(part, rows=part.rows[:0])
     config = tiny_config()
     settings = surface.SurfaceSettings(config.fusion, config.consistency, ScaleSource(), 0)

@@ -18,11 +18,12 @@ from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
-from pipeline.frontend.known_poses.posed_map import build_map, choose_frames
+from pipeline.frontend.known_poses.posed_map import build_map
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
+from pipeline.mapping.feature_triangulation import choose_frames
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.submap import MIN_FRAMES, Submap

@@ -1,43 +1,26 @@
-"""A map of keyframes whose poses are given: features matched between them, and the points that the poses triangulate.
+"""A map of keyframes whose poses are given: neighbours' features matched by their descriptors, and the points that the
+poses triangulate.
 
-Twice: neighbours by their descriptors alone, which gives enough points to lift features to; then, by these, each
-feature where the others' keyframes expect it (`feature_matching`), which finds several times as many and longer tracks.
+These are enough to lift features to. Matched by them where the others' keyframes expect them, features become several
+times as many points with longer tracks: here where the poses are still to be adjusted, else by the stage of points.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
-from haustra.core.se3 import Array, inverse
+from haustra.core.se3 import Array
 from pipeline.frontend.known_poses.epipolar_check import MatchedPair, inliers, unit_rays
-from pipeline.mapping.local_map import LocalMap, TrackKind
+from pipeline.mapping.feature_triangulation import empty_map, insert_features, match_again, triangulate_features
+from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.matching.descriptor_matching import match_descriptors
-from pipeline.matching.feature_matching import match_features
 from pipeline.matching.feature_tracks import FeatureTracks, join_features
 from pipeline.matching.sift import FindFeatures, rootsift
 
 NEIGHBOURS = 4  # keyframes ahead with which each is matched by descriptors
-MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that are given err less than tracked ones
-NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
-
-
-def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
-    """Rows of the keyframes: the first, and each whose view at the median depth has moved by `motion_px`.
-
-    depth: of the wall, in the unit of world_from_camera (N,4,4).
-    """
-    chosen = [0]
-    for row in range(1, len(world_from_camera)):
-        last, now = world_from_camera[chosen[-1]], world_from_camera[row]
-        turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1))
-        moved = np.linalg.norm(now[:3, 3] - last[:3, 3]) / depth
-        if focal_px * (turned + moved) >= motion_px:
-            chosen.append(row)
-    return np.array(chosen)
 
 
 def build_map(
@@ -48,43 +31,15 @@ def build_map(
     rough: bool,
     advance: ProgressCallback,
 ) -> LocalMap:
-    """Keyframes at world_from_camera (N,4,4) and their points. rough: the poses are to be adjusted, so that points stay
-    that they do not fit."""
-    seed = _with_keyframes(frames, world_from_camera, rays)
-    _insert(seed, *_neighbour_tracks(frames, world_from_camera, rays, find, advance))
-    _triangulate(seed)
-    views = [seed.sparse_view(keyframe) for keyframe in seed.keyframes]
-    matched = match_features(views, seed.incidence(), rays, find, advance)
-    cameras_from_world = [keyframe.camera_from_world for keyframe in seed.keyframes]
-    world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
-    result = _with_keyframes(frames, world_from_camera, rays)
-    _insert(result, matched.tracks(world, False, np.inf), [features.pixels for features in matched.features])
-    if not rough:
-        _triangulate(result)
-        fit_points(result)
-    return result
-
-
-def _with_keyframes(frames: Sequence[int], world_from_camera: Array, rays: RayTable) -> LocalMap:
-    empty = LocalMap(rays)
-    for frame, matrix in zip(frames, world_from_camera, strict=True):
-        empty.add_keyframe(int(frame), inverse(matrix), NO_IDS, NO_PIXELS)
-    return empty
-
-
-def _insert(local_map: LocalMap, tracks: FeatureTracks, pixels: list[Array]) -> None:
-    """Tracks of the keyframes' features; pixels: of all features of each."""
-    ids = local_map.insert_tracks(tracks.points, TrackKind.FEATURE)
-    starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))
-    for number in range(len(local_map.keyframes)):
-        mine = slice(starts[number], starts[number + 1])
-        local_map.extend(number, ids[tracks.track[mine]], pixels[number][tracks.feature[mine]])
-
-
-def _triangulate(local_map: LocalMap) -> None:
-    """All points anew, from the poses alone."""
-    local_map.tracks.has_point[:] = False
-    local_map.triangulate_new(window=len(local_map.keyframes), min_angle=MIN_ANGLE)
+    """Keyframes at world_from_camera (N,4,4) and their points. rough: the poses are to be adjusted, so that all
+    features are matched, and points stay that the poses do not fit."""
+    seed = empty_map(list(frames), world_from_camera, rays)
+    insert_features(seed, *_neighbour_tracks(frames, world_from_camera, rays, find, advance))
+    triangulate_features(seed)
+    if rough:
+        return match_again(seed, find, advance, rough)
+    fit_points(seed)
+    return seed
 
 
 def _neighbour_tracks(

@@ -97,16 +97,24 @@ class Folder:
 def test_what_is_recorded_is_read_again_and_runs_of_earlier_versions_have_none(monkeypatch):
     folder, found = Folder(), [WallMotion(True, 0.2), None, None]
     assert load_motion(folder) == []
-    order = iter(found[:2])
-    monkeypatch.setattr(wall_motion, "measure_motion", lambda frames, submap: next(order))
+    order, asked = iter(found[:2]), []
+    monkeypatch.setattr(wall_motion, "measure_motion", lambda frames, submap: asked.append(submap) or next(order))
+
+    class Submap:
+        def __init__(self, *frames):
+            self.frames = np.array(frames)
 
     class Completed:
-        submap, depth_scale = None, None
+        depth_scale = None
+
+        def __init__(self, *frames):
+            self.submap = Submap(*frames)
 
     class Moved(Completed):
         depth_scale = np.ones(3)  # by closed loops: not asked
 
-    submaps = [Completed(), Completed(), Moved()]
-    made = wall_motion.wall_motion_stage(FilmFrames(), submaps, folder, SilentProgress())
+    completed, submaps = [Completed(0, 1), Completed(2, 3), Moved(4, 5)], [Submap(0, 1), Submap(2, 3), Submap(4, 5)]
+    made = wall_motion.wall_motion_stage(FilmFrames(), completed, submaps, folder, SilentProgress())
     assert made == found == load_motion(folder)
+    assert asked == submaps[:2]  # with the front end's own points
     assert folder.result("motion")["submaps"][0] == asdict(found[0])

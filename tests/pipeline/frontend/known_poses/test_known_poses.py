@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, PoseSettings
+from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, solve_structure
 from pipeline.surface.scale import scale_of_poses
@@ -34,7 +35,8 @@ def solved(tmp_path, pictures, poses, refine=False):
     write_tum(tmp_path / "poses.txt", np.arange(COUNT) / 30, poses)
     config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt"), refine=refine))
     check_front_end(config.front_end, config.front_end_settings)
-    (submap,) = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
+    found = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
+    (submap,) = find_points(frames, found, 0.012, workspace, SilentProgress())
     unit = scene_unit(workspace)
     return submap.scaled(unit), unit
 

@@ -1,0 +1,140 @@
+"""Points that a front end leaves beside those that its poses triangulate anew, and the surface from each.
+
+    python -m benchmarks.points FILMS/* --json benchmarks/results/points.json
+
+Of the largest submap, every film once, default settings, lens given: points from which depth is completed, number and
+error. The error of a point is the median over its sightings of |log(z-depth / true depth)|, in the scale of the path's
+Sim(3); median and mean over the points, and the share that is off by more than a tenth. Then F-score at 1 mm, precision
+and recall of the mesh that is completed from them: one run, and the same run with depth and all that follows made from
+the front end's own points. A row is added as each film ends; a stopped call goes on where it was. Rendered by
+`python scripts/pages/points_page.py`.
+"""
+
+import argparse
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common.living_truth import true_depth
+from benchmarks.common.record import RunTable, print_row
+from benchmarks.common.runner import add_folders, run
+from haustra.core.errors import HaustraError
+from haustra.core.sim3 import scale_of
+from pipeline.compare import compare_run
+from pipeline.config import Config
+from pipeline.depth.rectification import Rectifier, make_rectifier
+from pipeline.depth.sparse_depth import reliable_points
+from pipeline.finished_run import Run
+from pipeline.frontend.points_stage import STAGE, keep_points
+from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.run import reconstruct
+from pipeline.run_folder.workspace import open_workspace
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses
+
+OWN, ANEW = "the front end's own", "triangulated anew"
+LATER = ("depth", "multiview", "refinement", "motion", "surface", "coverage", "report")
+FAR_OFF = 0.1
+
+Array = NDArray[np.float64]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folders(parser)
+    parser.add_argument("--front-end", default="auto")
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    table = RunTable(arguments.json)
+    for film in arguments.folders:
+        name = film.name if arguments.front_end == "auto" else f"{film.name}, {arguments.front_end}"
+        if table.has(name, 0, ANEW):
+            continue
+        try:
+            found = figures_of(film, arguments.front_end)
+        except HaustraError as error:
+            print(f"{name}: {error}")
+            continue
+        table.add(name, 0, found)
+        for method, figures in found.items():
+            print_row({"film": name, "points": method} | figures)
+
+
+def figures_of(film: Path, front_end: str) -> dict[str, dict[str, Any]]:
+    """Of both kinds of points."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folders = {ANEW: Path(scratch) / "anew", OWN: Path(scratch) / "own"}
+        config = Config(camera=str(film / "camera.json"), front_end=front_end)
+        runs = {ANEW: reconstruct(film, folders[ANEW], config)}
+        with_own_points(runs[ANEW], folders[OWN])
+        runs[OWN] = reconstruct(film, folders[OWN], config, resume=True)
+        return {method: _figures(film, made) for method, made in runs.items()}
+
+
+def with_own_points(made: Run, folder: Path) -> None:
+    """A copy of a run whose depth is still to be made, from the front end's own points."""
+    shutil.copytree(made.folder, folder)
+    for name in ("depth", "confidence"):
+        shutil.rmtree(folder / name)
+    workspace = open_workspace(folder)
+    for stage in (STAGE, *LATER):
+        workspace.record["stages"].pop(stage, None)
+    keep_points(made.submaps_of_front_end, workspace)
+
+
+def _figures(film: Path, made: Run) -> dict[str, Any]:
+    submap = made.submaps_before_loops[0].submap
+    error = point_errors(film, submap, make_rectifier(refined_camera(made.frames.camera, submap)))
+    compared = compare_run(made.folder, film)
+    assert compared.surface is not None
+    return {
+        "points": len(error),
+        "off_median_percent": float(100 * np.median(error)),
+        "off_mean_percent": float(100 * error.mean()),
+        "far_off_percent": float(100 * (error > FAR_OFF).mean()),
+        "keyframes": made.metrics["submaps"][0]["keyframes"],
+        "f_score": 100 * compared.surface.f_score,
+        "precision": 100 * compared.surface.precision,
+        "recall": 100 * compared.surface.recall,
+    }
+
+
+def point_errors(film: Path, submap: Submap, rectifier: Rectifier) -> Array:
+    """(K,) of the points that pass the filters of sparse depth and are seen where there is true depth."""
+    truth = read_tum(film / "trajectory.txt")[1][submap.frames]
+    mm = float(scale_of(align_poses(submap.world_from_camera, truth)))
+    good, _ = reliable_points(submap, submap.triangulation_angles(), submap.camera_params[0])
+    row, point = submap.observations.T
+    off, camera = np.full(len(row), np.nan), rectifier.camera
+    depths = submap.depths()
+    for number, frame in enumerate(submap.frames.tolist()):
+        mine = np.flatnonzero((row == number) & good[point] & (depths > 0))
+        pixels = camera.project(submap.points_in_camera(number, submap.points[point[mine]]))
+        x, y = np.floor(pixels).astype(int).T
+        inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+        true = true_depth(film, frame, rectifier)[y[inside], x[inside]]
+        with np.errstate(divide="ignore"):
+            off[mine[inside]] = np.abs(np.log(mm * depths[mine[inside]] / true))
+    off[~np.isfinite(off)] = np.nan
+    return _median_by(point, off, len(submap.points))
+
+
+def _median_by(point: NDArray[np.int64], off: Array, count: int) -> Array:
+    """The median of each point's finite values, of those points that have any."""
+    known = np.isfinite(off)
+    order = np.lexsort((off[known], point[known]))
+    point, off = point[known][order], off[known][order]
+    number = np.bincount(point, minlength=count)
+    starts = np.cumsum(number) - number
+    some = number > 0
+    low, high = starts[some] + (number[some] - 1) // 2, starts[some] + number[some] // 2
+    return (off[low] + off[high]) / 2
+
+
+if __name__ == "__main__":
+    run(sys.modules[__name__], "benchmarks.points")

@@ -1,0 +1,69 @@
+"""Stage 2b: the points of each submap's features found anew by its poses, which stay; depth is completed from these.
+
+The front end's own points are kept beside them: what is judged by their residuals (`map_doubt`, `wall_motion`) was
+calibrated on those, and a point that moved with the wall is an outlier here and evidence there.
+"""
+
+import shutil
+from pathlib import Path
+
+from haustra.core.progress import Progress
+from haustra.core.threads import single_threaded
+from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.input.frames import Frames
+from pipeline.mapping.colmap_io import write_arrays
+from pipeline.mapping.feature_triangulation import triangulate_again
+from pipeline.mapping.submap import Submap, read_submap
+from pipeline.matching.sift_cache import SiftCache
+from pipeline.run_folder.stage import load_or_make
+from pipeline.run_folder.workspace import Workspace, report_corruption
+
+STAGE = "points"
+DEPTH_STAGE = "depth"  # whose keyframes were chosen by the points that it found
+
+
+def find_points(
+    frames: Frames, submaps: list[Submap], keyframe_motion: float, workspace: Workspace, progress: Progress
+) -> list[Submap]:
+    """The submaps in the same order and unit. keyframe_motion: between the keyframes whose features are matched, as a
+    share of the width."""
+    if workspace.is_done(DEPTH_STAGE) and not workspace.is_done(STAGE):  # a run of a version without this stage
+        return submaps
+    motion_px = keyframe_motion * frames.camera.width
+    return load_or_make(
+        workspace,
+        STAGE,
+        lambda: load_points(submaps, workspace),
+        lambda: _find_all(frames, submaps, motion_px, workspace, progress),
+    )
+
+
+def load_points(submaps: list[Submap], workspace: Workspace) -> list[Submap]:
+    """The submaps of a finished stage; `submaps`, as structure left them, of a run without it."""
+    if not workspace.is_done(STAGE):
+        return submaps
+    folder = _folder(workspace)
+    with report_corruption(folder):
+        return [read_submap(folder / str(number)) for number in range(len(submaps))]
+
+
+def _find_all(
+    frames: Frames, submaps: list[Submap], motion_px: float, workspace: Workspace, progress: Progress
+) -> None:
+    found = []
+    with single_threaded(), SiftCache(frame_reader(workspace)) as find, progress.bar("triangulation", None) as advance:
+        for submap in submaps:
+            found.append(triangulate_again(submap, frames.camera, motion_px, find, advance))
+    keep_points(found, workspace)
+
+
+def keep_points(submaps: list[Submap], workspace: Workspace) -> None:
+    """Write the submaps as what the stage found, and finish it."""
+    shutil.rmtree(_folder(workspace), ignore_errors=True)
+    for number, submap in enumerate(submaps):
+        write_arrays(submap, _folder(workspace) / str(number))
+    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps])
+
+
+def _folder(workspace: Workspace) -> Path:
+    return workspace.log / STAGE

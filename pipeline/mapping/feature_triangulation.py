@@ -1,0 +1,209 @@
+"""Points of SIFT features that the poses alone triangulate.
+
+A bundle adjustment of many features forgives some that are matched wrongly or seen from too near together: they cost
+its poses nothing, and stay as points that are off by tens of percent. Depth that is completed from them follows them.
+Once the poses stand, each feature is matched anew where poses and points expect it, and becomes a point only if its
+rays meet, at an angle.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.progress import ProgressCallback
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, inverse
+from pipeline.mapping.local_map import FEATURES, LocalMap, TrackKind
+from pipeline.mapping.map_adjustment import fit_points
+from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.feature_matching import match_features
+from pipeline.matching.feature_tracks import FeatureTracks
+from pipeline.matching.sift import FindFeatures
+from pipeline.optimization.bundle_adjustment import reprojections
+from pipeline.optimization.triangulation import triangulate
+
+MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that stand err less than those that are being tracked
+OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/front_end.md)
+MIN_ERROR_PX = 0.4  # that is always forgiven: pictures without noise have errors of a few hundredths
+ROUNDS = 4  # of dropping what a track's other observations contradict
+NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
+
+
+def triangulate_again(
+    submap: Submap, camera: Camera, motion_px: float, find: FindFeatures, advance: ProgressCallback
+) -> Submap:
+    """The submap with the points of its features found anew; poses and points of followed corners stay.
+
+    camera: of the working frames. motion_px: between the keyframes whose features are matched, at the median depth.
+    """
+    rays = RayTable(refined_camera(camera, submap))
+    rows = choose_frames(submap.world_from_camera, float(np.median(submap.depths())), rays.focal_px, motion_px)
+    seed = _map_of(submap, rows, rays)
+    triangulate_features(seed)
+    fit_points(seed)
+    found = to_submap(match_again(seed, find, advance), submap.camera_params, refit=False)
+    return submap if found is None else _with_features_of(submap, found)
+
+
+def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
+    """Rows of the keyframes: the first, and each whose view at the median depth has moved by `motion_px`.
+
+    depth: of the wall, in the unit of world_from_camera (N,4,4).
+    """
+    chosen = [0]
+    for row in range(1, len(world_from_camera)):
+        last, now = world_from_camera[chosen[-1]], world_from_camera[row]
+        turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1))
+        moved = np.linalg.norm(now[:3, 3] - last[:3, 3]) / depth
+        if focal_px * (turned + moved) >= motion_px:
+            chosen.append(row)
+    return np.array(chosen)
+
+
+def empty_map(frames: list[int], world_from_camera: Array, rays: RayTable) -> LocalMap:
+    """Keyframes at world_from_camera (N,4,4) that see nothing yet."""
+    local_map = LocalMap(rays)
+    for frame, matrix in zip(frames, world_from_camera, strict=True):
+        local_map.add_keyframe(int(frame), inverse(matrix), NO_IDS, NO_PIXELS)
+    return local_map
+
+
+def insert_features(local_map: LocalMap, tracks: FeatureTracks, pixels: list[Array]) -> None:
+    """Tracks of the keyframes' features; pixels: of all features of each."""
+    ids = local_map.insert_tracks(tracks.points, TrackKind.FEATURE)
+    starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))
+    for number in range(len(local_map.keyframes)):
+        mine = slice(starts[number], starts[number + 1])
+        local_map.extend(number, ids[tracks.track[mine]], pixels[number][tracks.feature[mine]])
+
+
+def match_again(seed: LocalMap, find: FindFeatures, advance: ProgressCallback, rough: bool = False) -> LocalMap:
+    """A map of the seed's keyframes and their features, matched where the seed's poses and points expect them.
+
+    rough: the poses are still to be adjusted, so that points stay that they do not fit."""
+    views = [seed.sparse_view(keyframe) for keyframe in seed.keyframes]
+    matched = match_features(views, seed.incidence(), seed.rays, find, advance)
+    cameras_from_world = [keyframe.camera_from_world for keyframe in seed.keyframes]
+    world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
+    result = empty_map([k.frame for k in seed.keyframes], np.stack([inverse(c) for c in cameras_from_world]), seed.rays)
+    insert_features(result, matched.tracks(world, False, np.inf), [features.pixels for features in matched.features])
+    if not rough:
+        triangulate_features(result)
+        fit_points(result)
+    return result
+
+
+def triangulate_features(local_map: LocalMap) -> None:
+    """All points of features anew, from the poses alone; observations that the others of their track contradict are
+    dropped, and then tracks whose rays do not meet, or at less than `MIN_ANGLE`."""
+    tracks = local_map.tracks
+    features = tracks.is_kind(*FEATURES)
+    tracks.has_point[features] = False
+    rays = _rays_of(local_map, features)
+    limit = None
+    for _ in range(ROUNDS):
+        rays = rays.of_several()
+        if len(rays.track) == 0:
+            break
+        found, point = np.unique(rays.track, return_inverse=True)
+        points, angle, error = _triangulated(local_map, rays, point, len(found))
+        worst = np.maximum.reduceat(error, np.searchsorted(point, np.arange(len(found))))
+        limit = largest_error(error, np.bincount(point)[point]) if limit is None else limit
+        bad = error > np.maximum(limit, 0.5 * worst[point])
+        good = (worst <= limit) & (angle > MIN_ANGLE)
+        tracks.points[found[good]], tracks.has_point[found[good]] = points[good], True
+        if not bad.any():
+            break
+        rays = rays.where(~bad)
+    _keep(local_map, features, rays)
+
+
+def largest_error(error: Array, seen: NDArray[np.int64]) -> float:
+    """Reprojection error, px, above which an observation counts as a wrong match: `OUTLIER` times the median.
+
+    error (M,) of observations, of tracks that `seen` (M,) keyframes see; two rays alone nearly always meet.
+    """
+    several = error[(seen >= 3) & np.isfinite(error)]
+    return max(MIN_ERROR_PX, OUTLIER * float(np.median(several))) if len(several) else MIN_ERROR_PX
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """(M,) observations, sorted by `track`: number of their keyframe, and place among what that keyframe sees."""
+
+    track: NDArray[np.int64]
+    keyframe: NDArray[np.int64]
+    place: NDArray[np.int64]
+
+    def where(self, mask: NDArray[np.bool_]) -> "_Rays":
+        return _Rays(self.track[mask], self.keyframe[mask], self.place[mask])
+
+    def of_several(self) -> "_Rays":
+        """Those of tracks that two keyframes or more see."""
+        return self.where(np.bincount(self.track)[self.track] >= 2 if len(self.track) else np.zeros(0, bool))
+
+
+def _rays_of(local_map: LocalMap, among: NDArray[np.bool_]) -> _Rays:
+    counts = [len(k.ids) for k in local_map.keyframes]
+    track = np.concatenate([k.ids for k in local_map.keyframes])
+    keyframe = np.repeat(np.arange(len(counts)), counts)
+    place = np.concatenate([np.arange(count) for count in counts])
+    order = np.flatnonzero(among[track])
+    order = order[np.argsort(track[order], kind="stable")]
+    return _Rays(track[order], keyframe[order], place[order])
+
+
+def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], count: int) -> tuple[Array, Array, Array]:
+    """Points (count,3), their widest angle (count,), and the error of each observation (M,), px."""
+    starts = np.cumsum([0, *(len(k.ids) for k in local_map.keyframes)])
+    row = starts[rays.keyframe] + rays.place
+    xy = np.concatenate([k.xy for k in local_map.keyframes])[row]
+    jacobian = np.concatenate([k.jacobian for k in local_map.keyframes])[row]
+    cameras_from_world = np.stack([k.camera_from_world for k in local_map.keyframes])[rays.keyframe]
+    rotation, shift = cameras_from_world[:, :3, :3], cameras_from_world[:, :3, 3]
+    points, _, angle = triangulate(rotation, shift, point, count, xy, jacobian)
+    local = np.einsum("mij,mj->mi", rotation, points[point]) + shift
+    error = np.linalg.norm(reprojections(local, xy, jacobian), axis=1)
+    return points, angle, np.where(local[:, 2] > 1e-9, error, np.inf)
+
+
+def _keep(local_map: LocalMap, features: NDArray[np.bool_], rays: _Rays) -> None:
+    """Of what keyframes see of features, these rays of tracks that have a point."""
+    rays = rays.where(local_map.tracks.has_point[rays.track])
+    for number, keyframe in enumerate(local_map.keyframes):
+        kept = ~features[keyframe.ids]
+        kept[rays.place[rays.keyframe == number]] = True
+        keyframe.keep(kept)
+
+
+def _map_of(submap: Submap, rows: NDArray[np.int64], rays: RayTable) -> LocalMap:
+    """The submap's `rows` as keyframes, and all its points as tracks."""
+    local_map = LocalMap(rays)
+    ids = local_map.insert_tracks(submap.points, TrackKind.FEATURE)
+    local_map.tracks.kind[ids[submap.is_klt]] = TrackKind.KLT
+    order, starts = submap.by_frame()
+    point, pixels = ids[submap.observations[order, 1]], submap.pixels[order]
+    for row in rows.tolist():
+        mine = slice(starts[row], starts[row + 1])
+        local_map.add_keyframe(
+            int(submap.frames[row]), inverse(submap.world_from_camera[row]), point[mine], pixels[mine]
+        )
+    return local_map
+
+
+def _with_features_of(submap: Submap, found: Submap) -> Submap:
+    """The submap's frames and followed corners, and the features that were found in some of these frames."""
+    corners = submap.without_points(~submap.is_klt)
+    observations = found.observations + np.array([0, len(corners.points)])
+    observations[:, 0] = np.searchsorted(submap.frames, found.frames)[found.observations[:, 0]]
+    return replace(
+        corners,
+        points=np.concatenate([corners.points, found.points]),
+        error_px=np.concatenate([corners.error_px, found.error_px]),
+        observations=np.concatenate([corners.observations, observations]),
+        pixels=np.concatenate([corners.pixels, found.pixels]),
+        klt=np.concatenate([corners.is_klt, np.zeros(len(found.points), bool)]),
+    )
