@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all lint docs image-check notebook install browser bench table paper clean
+.PHONY: demo test test-all lint docs image-check notebook install browser bench table figures paper clean
 
 # README command one: install, reconstruct the embedded clip, print its error against the truth.
 demo: $(STAMP)
@@ -55,6 +55,11 @@ bench: $(STAMP)
 # on two cores; goes on where it was stopped.
 table: $(STAMP)
 	$(BIN)/python -m benchmarks.table --seeds 3
+
+# The same, and every record of docs/lab that benchmarks/records.yaml lists, with its pages: some hours; WORK and DATA are
+# folders for films and of the data sets. Goes on where it was stopped.
+figures: table
+	$(BIN)/python -m benchmarks.records --work $(WORK) --data $(DATA)
 
 # The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
 paper: $(STAMP)

@@ -21,13 +21,12 @@ def shown(of: dict[str, Any], form: str = ".4g") -> str:
 
 
 def environment(checkout: Path = ROOT) -> dict[str, Any]:
-    """Commit of a checkout (with "+" if its tree is changed elsewhere than in the
-    records and the README, which shows them), processor, number of
-    cores, Python."""
+    """Commit of a checkout (with "+" if its tree is changed elsewhere than in the records, the README and the pages of
+    docs/lab, which show them), processor, number of cores, Python."""
     git = ["git", "-C", str(checkout)]
     commit = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     changed = subprocess.run(
-        [*git, "status", "--porcelain", "--", ".", ":!benchmarks/results", ":!README.md"],
+        [*git, "status", "--porcelain", "--", ".", ":!benchmarks/results", ":!README.md", ":!docs/lab"],
         capture_output=True,
         text=True,
         check=False,

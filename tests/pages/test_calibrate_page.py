@@ -52,7 +52,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_script_finds_the_lens_and_the_run_takes_its_file(film: Path, tmp_path: Path) -> None:
     (script,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     (tmp_path / "calibrate.py").write_text(script)
-    command = [sys.executable, "calibrate.py", str(film), str(SQUARES[0] - 1), str(SQUARES[1] - 1)]
+    command = [sys.executable, "calibrate.py", str(film), str(SQUARES[0] - 1), str(SQUARES[1] - 1), "1"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "views, 0." in done.stdout
     found = json.loads((tmp_path / "camera.json").read_text())
