@@ -84,7 +84,7 @@ def with_own_points(made: Run, folder: Path) -> None:
     workspace = open_workspace(folder)
     for stage in (STAGE, *LATER):
         workspace.record["stages"].pop(stage, None)
-    keep_points(made.submaps_of_front_end, workspace)
+    keep_points(made.submaps_of_front_end, made.frames, workspace)
 
 
 def _figures(film: Path, made: Run) -> dict[str, Any]:

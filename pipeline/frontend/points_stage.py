@@ -11,7 +11,8 @@ from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
-from pipeline.mapping.colmap_io import write_arrays
+from pipeline.input.sensor.sensor_depth import open_sensor
+from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.feature_triangulation import triangulate_again
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
@@ -25,16 +26,15 @@ DEPTH_STAGE = "depth"  # whose keyframes were chosen by the points that it found
 def find_points(
     frames: Frames, submaps: list[Submap], keyframe_motion: float, workspace: Workspace, progress: Progress
 ) -> list[Submap]:
-    """The submaps in the same order and unit. keyframe_motion: between the keyframes whose features are matched, as a
-    share of the width."""
+    """The submaps in the same order and unit; one keeps its points, and a sentence says so, where its poses triangulate
+    too few. keyframe_motion: between the frames whose features are matched, as a share of the width."""
     if workspace.is_done(DEPTH_STAGE) and not workspace.is_done(STAGE):  # a run of a version without this stage
         return submaps
-    motion_px = keyframe_motion * frames.camera.width
     return load_or_make(
         workspace,
         STAGE,
         lambda: load_points(submaps, workspace),
-        lambda: _find_all(frames, submaps, motion_px, workspace, progress),
+        lambda: _find_all(frames, submaps, keyframe_motion * frames.camera.width, workspace, progress),
     )
 
 
@@ -42,7 +42,7 @@ def load_points(submaps: list[Submap], workspace: Workspace) -> list[Submap]:
     """The submaps of a finished stage; `submaps`, as structure left them, of a run without it."""
     if not workspace.is_done(STAGE):
         return submaps
-    folder = _folder(workspace)
+    folder = points_folder(workspace)
     with report_corruption(folder):
         return [read_submap(folder / str(number)) for number in range(len(submaps))]
 
@@ -50,20 +50,27 @@ def load_points(submaps: list[Submap], workspace: Workspace) -> list[Submap]:
 def _find_all(
     frames: Frames, submaps: list[Submap], motion_px: float, workspace: Workspace, progress: Progress
 ) -> None:
-    found = []
+    for folder in (workspace.depth, workspace.confidence, workspace.first_depth):
+        shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
+    sensor, found = open_sensor(workspace, frames.camera.width), []
+    depth_at = sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
     with single_threaded(), SiftCache(frame_reader(workspace)) as find, progress.bar("triangulation", None) as advance:
-        for submap in submaps:
-            found.append(triangulate_again(submap, frames.camera, motion_px, find, advance))
-    keep_points(found, workspace)
+        for number, submap in enumerate(submaps):
+            again = triangulate_again(submap, frames.camera, motion_px, find, advance, depth_at)
+            if again is None:
+                progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
+            found.append(again or submap)
+    keep_points(found, frames, workspace)
 
 
-def keep_points(submaps: list[Submap], workspace: Workspace) -> None:
+def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:
     """Write the submaps as what the stage found, and finish it."""
-    shutil.rmtree(_folder(workspace), ignore_errors=True)
+    shutil.rmtree(points_folder(workspace), ignore_errors=True)
     for number, submap in enumerate(submaps):
-        write_arrays(submap, _folder(workspace) / str(number))
+        write_model(submap, frames.camera, points_folder(workspace) / str(number))
     workspace.finish(STAGE, points=[len(submap.points) for submap in submaps])
 
 
-def _folder(workspace: Workspace) -> Path:
+def points_folder(workspace: Workspace) -> Path:
+    """Of the submaps' models, by their numbers, in scene units."""
     return workspace.log / STAGE

@@ -14,6 +14,8 @@ from scipy.spatial import QhullError
 from haustra.core.progress import Progress
 from pipeline.config import LoopClosingSettings
 from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.frontend.points_stage import STAGE as POINTS
+from pipeline.frontend.points_stage import points_folder
 from pipeline.frontend.structure_stage import closes_loops
 from pipeline.input.frames import Frames
 from pipeline.loop_closing.detection import (
@@ -100,13 +102,13 @@ def load_refined(submaps: list[CompletedSubmap], workspace: Workspace) -> list[C
 
 def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:
     """For each submap as refined: the folder of its COLMAP model, and one scene unit in the model's unit."""
-    units = workspace.result("structure")["units"]
+    before = [(workspace.models / str(k), unit) for k, unit in enumerate(workspace.result("structure")["units"])]
+    if workspace.is_done(POINTS):
+        before = [(points_folder(workspace) / str(number), 1.0) for number in range(len(before))]
     if not workspace.is_done(STAGE):
-        return [(workspace.models / str(number), unit) for number, unit in enumerate(units)]
+        return before
     return [
-        (_folder(workspace, number), 1.0)
-        if record["moved"]
-        else (workspace.models / str(record["members"][0]), units[record["members"][0]])
+        (_folder(workspace, number), 1.0) if record["moved"] else before[record["members"][0]]
         for number, record in enumerate(workspace.result(STAGE)["submaps"])
     ]
 

@@ -15,10 +15,11 @@ from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
-from pipeline.mapping.local_map import FEATURES, LocalMap, TrackKind
+from pipeline.mapping.local_map import FEATURES, DepthAt, LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import fit_points
+from pipeline.mapping.metric_map import make_metric
 from pipeline.mapping.submap import Submap, refined_camera
-from pipeline.mapping.submap_of_map import to_submap
+from pipeline.mapping.submap_of_map import MIN_SEEN, to_submap
 from pipeline.matching.feature_matching import match_features
 from pipeline.matching.feature_tracks import FeatureTracks
 from pipeline.matching.sift import FindFeatures
@@ -28,24 +29,52 @@ from pipeline.optimization.triangulation import triangulate
 MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that stand err less than those that are being tracked
 OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/front_end.md)
 MIN_ERROR_PX = 0.4  # that is always forgiven: pictures without noise have errors of a few hundredths
+MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leaves points in all of them
+CHUNK = 20_000  # points triangulated at once: some hundred megabytes
 ROUNDS = 4  # of dropping what a track's other observations contradict
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
 
 
 def triangulate_again(
-    submap: Submap, camera: Camera, motion_px: float, find: FindFeatures, advance: ProgressCallback
-) -> Submap:
-    """The submap with the points of its features found anew; poses and points of followed corners stay.
+    submap: Submap,
+    camera: Camera,
+    motion_px: float,
+    find: FindFeatures,
+    advance: ProgressCallback,
+    depth_at: DepthAt | None = None,
+) -> Submap | None:
+    """The submap with the points of its features found anew; poses and points of tracked corners stay. None where the
+    poses triangulate too few.
 
-    camera: of the working frames. motion_px: between the keyframes whose features are matched, at the median depth.
+    camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched.
+    depth_at: what a sensor measured, by which the points were adjusted too.
     """
     rays = RayTable(refined_camera(camera, submap))
-    rows = choose_frames(submap.world_from_camera, float(np.median(submap.depths())), rays.focal_px, motion_px)
-    seed = _map_of(submap, rows, rays)
+    rows, with_features = _rows(submap, rays.focal_px, motion_px)
+    seed = _map_of(submap, np.union1d(rows, with_features), rays)
+    scale = None if depth_at is None else make_metric(seed, depth_at)
     triangulate_features(seed)
     fit_points(seed)
+    chosen = set(submap.frames[rows].tolist())
+    seed.keyframes = [keyframe for keyframe in seed.keyframes if keyframe.frame in chosen]
     found = to_submap(match_again(seed, find, advance), submap.camera_params, refit=False)
-    return submap if found is None else _with_features_of(submap, found)
+    return None if found is None else _with_features_of(submap, found.scaled(1 / (scale or 1.0)))
+
+
+def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of the frames whose features are matched, and of all that see features.
+
+    Where only some frames see points, as of given poses, these are keyframes already, and all of them are taken.
+    """
+    feature = ~submap.is_klt[submap.observations[:, 1]]
+    seen, of_features = (
+        np.bincount(submap.observations[mask, 0], minlength=len(submap.frames)) for mask in (feature | True, feature)
+    )
+    rows = np.flatnonzero(seen >= MIN_SEEN)
+    if len(rows) >= MOSTLY_SEEN * len(seen):
+        depth = float(np.median(submap.depths()))
+        rows = rows[choose_frames(submap.world_from_camera[rows], depth, focal_px, motion_px)]
+    return rows, np.flatnonzero(of_features)
 
 
 def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
@@ -89,6 +118,7 @@ def match_again(seed: LocalMap, find: FindFeatures, advance: ProgressCallback, r
     cameras_from_world = [keyframe.camera_from_world for keyframe in seed.keyframes]
     world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
     result = empty_map([k.frame for k in seed.keyframes], np.stack([inverse(c) for c in cameras_from_world]), seed.rays)
+    result.depth_at = seed.depth_at
     insert_features(result, matched.tracks(world, False, np.inf), [features.pixels for features in matched.features])
     if not rough:
         triangulate_features(result)
@@ -102,22 +132,22 @@ def triangulate_features(local_map: LocalMap) -> None:
     tracks = local_map.tracks
     features = tracks.is_kind(*FEATURES)
     tracks.has_point[features] = False
-    rays = _rays_of(local_map, features)
-    limit = None
-    for _ in range(ROUNDS):
-        rays = rays.of_several()
+    rays, limit = _rays_of(local_map, features).of_several(), None
+    for number in range(ROUNDS + 1):
         if len(rays.track) == 0:
             break
         found, point = np.unique(rays.track, return_inverse=True)
         points, angle, error = _triangulated(local_map, rays, point, len(found))
-        worst = np.maximum.reduceat(error, np.searchsorted(point, np.arange(len(found))))
         limit = largest_error(error, np.bincount(point)[point]) if limit is None else limit
-        bad = error > np.maximum(limit, 0.5 * worst[point])
-        good = (worst <= limit) & (angle > MIN_ANGLE)
+        starts = np.searchsorted(point, np.arange(len(found)))
+        good = (np.maximum.reduceat(error, starts) <= limit) & (angle > MIN_ANGLE)
         tracks.points[found[good]], tracks.has_point[found[good]] = points[good], True
-        if not bad.any():
+        finite = np.where(np.isfinite(error), error, 0.0)  # a point behind a camera has no error that is one
+        worst = np.maximum.reduceat(finite, starts)
+        bad = error > np.maximum(limit, 0.5 * worst[point])
+        if number == ROUNDS or not bad.any():
             break
-        rays = rays.where(~bad)
+        rays = rays.where(~bad).of_several()
     _keep(local_map, features, rays)
 
 
@@ -162,12 +192,20 @@ def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], co
     row = starts[rays.keyframe] + rays.place
     xy = np.concatenate([k.xy for k in local_map.keyframes])[row]
     jacobian = np.concatenate([k.jacobian for k in local_map.keyframes])[row]
-    cameras_from_world = np.stack([k.camera_from_world for k in local_map.keyframes])[rays.keyframe]
-    rotation, shift = cameras_from_world[:, :3, :3], cameras_from_world[:, :3, 3]
-    points, _, angle = triangulate(rotation, shift, point, count, xy, jacobian)
-    local = np.einsum("mij,mj->mi", rotation, points[point]) + shift
-    error = np.linalg.norm(reprojections(local, xy, jacobian), axis=1)
-    return points, angle, np.where(local[:, 2] > 1e-9, error, np.inf)
+    cameras_from_world = np.stack([k.camera_from_world for k in local_map.keyframes])
+    points, angle, error = np.zeros((count, 3)), np.zeros(count), np.zeros(len(row))
+    for first in range(0, count, CHUNK):
+        last = min(first + CHUNK, count)
+        part = slice(*np.searchsorted(point, [first, last]))
+        mine = cameras_from_world[rays.keyframe[part]]
+        rotation, shift = mine[:, :3, :3], mine[:, :3, 3]
+        found, _, angle[first:last] = triangulate(
+            rotation, shift, point[part] - first, last - first, xy[part], jacobian[part]
+        )
+        local = np.einsum("mij,mj->mi", rotation, found[point[part] - first]) + shift
+        off = np.linalg.norm(reprojections(local, xy[part], jacobian[part]), axis=1)
+        points[first:last], error[part] = found, np.where(local[:, 2] > 1e-9, off, np.inf)
+    return points, angle, error
 
 
 def _keep(local_map: LocalMap, features: NDArray[np.bool_], rays: _Rays) -> None:

@@ -1,10 +1,13 @@
-"""Errors of points: medians by group beside NumPy's, and a copy of a run that takes the front end's own points."""
+"""Errors of points: medians by group beside NumPy's, and of points of a wall that is known; what a page counts."""
 
 import numpy as np
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.points import _median_by
+from benchmarks.points import LATER, _median_by, with_own_points
+from pipeline.run_folder.workspace import open_workspace
+from scripts.pages import points_page
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.floats(-5, 5) | st.just(float("nan"))), max_size=60))
@@ -14,3 +17,24 @@ def test_the_median_of_each_point_is_numpys(seen):
     known = [off[(point == k) & np.isfinite(off)] for k in range(10)]
     expected = [np.median(values) for values in known if len(values)]
     np.testing.assert_allclose(_median_by(point, off, 10), expected)
+
+
+def test_both_front_ends_of_a_film_that_was_chosen_on_are_of_that_kind():
+    assert points_page.kind("withdrawal_b, sfm") == points_page.kind("withdrawal_b") == "chosen on"
+    assert points_page.kind("flexure, sfm") == "reported"
+
+
+def test_a_copy_with_the_front_ends_own_points_makes_all_later_stages_anew(tmp_path):
+    class Made:
+        folder, frames, submaps_of_front_end = tmp_path / "run", None, []
+
+    for name in ("depth", "confidence"):
+        (Made.folder / name).mkdir(parents=True)
+        (Made.folder / name / "000000.png").write_bytes(b"of other points")
+    stages = {stage: {} for stage in ("frames", "lens", "structure", "points", *LATER)}
+    (Made.folder / "run.yaml").write_text(
+        yaml.safe_dump({"stages": stages, "config": {}, "source": {"sha256": {"source": ""}}})
+    )
+    with_own_points(Made, tmp_path / "own")
+    assert not list((tmp_path / "own").rglob("*.png"))
+    assert set(open_workspace(tmp_path / "own").record["stages"]) == {"frames", "lens", "structure", "points"}

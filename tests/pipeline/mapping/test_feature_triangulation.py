@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from haustra.core.progress import no_progress
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import in_camera, inverse
+from pipeline.mapping import feature_triangulation
 from pipeline.mapping.feature_triangulation import (
     MIN_ERROR_PX,
     choose_frames,
@@ -81,6 +82,33 @@ def test_a_wrong_match_is_dropped_and_its_track_stays(seed):
     kept = local_map.tracks.has_point[ids]
     assert kept.mean() > 0.9
     np.testing.assert_allclose(local_map.tracks.points[ids[kept]], points[kept], atol=0.05)
+
+
+@pytest.mark.parametrize("way", [-20.0, -6.0, 6.0, 20.0])
+def test_a_wrong_match_along_the_camera_s_motion_is_dropped_too(way):
+    """Features are matched within 2 % of the width, here 4 px."""
+    local_map, ids, points = synthetic_map(0.0, np.random.default_rng(1))
+    often = np.bincount(seen(local_map), minlength=len(local_map.tracks)) >= 6
+    wrong = ids[often[ids]][::4]
+    for track in wrong:
+        number = [n for n, k in enumerate(local_map.keyframes) if track in k.ids][2]
+        place = int(np.flatnonzero(local_map.keyframes[number].ids == track)[0])
+        out = local_map.keyframes[number].pixels[place] - 96
+        moved(local_map, number, place, way * out / np.linalg.norm(out))
+    triangulate_features(local_map)
+    kept = local_map.tracks.has_point[wrong]
+    assert kept.mean() > 0.6
+    off = np.linalg.norm(local_map.tracks.points[wrong[kept]] - points[np.searchsorted(ids, wrong[kept])], axis=1)
+    assert (off < 0.05).mean() > 0.9
+
+
+def test_chunks_of_tracks_give_what_one_does(monkeypatch):
+    whole, parts = (synthetic_map(0.2, np.random.default_rng(2))[0] for _ in range(2))
+    triangulate_features(whole)
+    monkeypatch.setattr(feature_triangulation, "CHUNK", 7)
+    triangulate_features(parts)
+    np.testing.assert_array_equal(whole.tracks.has_point, parts.tracks.has_point)
+    np.testing.assert_allclose(whole.tracks.points, parts.tracks.points, atol=1e-9)
 
 
 def test_rays_that_are_nearly_parallel_are_no_point():

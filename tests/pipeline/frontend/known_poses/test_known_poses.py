@@ -34,6 +34,7 @@ def solved(tmp_path, pictures, poses, refine=False):
     workspace.record["source"] = {"path": "film.mp4"}
     write_tum(tmp_path / "poses.txt", np.arange(COUNT) / 30, poses)
     config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt"), refine=refine))
+    workspace.record["config"] = config.model_dump(mode="json")
     check_front_end(config.front_end, config.front_end_settings)
     found = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
     (submap,) = find_points(frames, found, 0.012, workspace, SilentProgress())
@@ -55,6 +56,25 @@ def test_the_wall_is_where_the_poses_put_it(tmp_path, pictures):
     assert np.median(submap.error_px) < 0.4
     assert scale_of_poses(unit, 1.0).factor == unit
     assert (scale_of_poses(unit, 1.0).unit, scale_of_poses(unit, None).unit) == ("mm", "scene")
+
+
+def test_a_slow_film_has_points_in_all_its_keyframes(tmp_path):
+    """Keyframes are many frames apart, and the others see nothing."""
+    poses = np.stack([camera_at(0.12 * k) for k in range(80)])
+    workspace, frames = stored(tmp_path, [render(world_from_camera) for world_from_camera in poses])
+    listed = [[k, k / 30, "used"] for k in range(80)]
+    workspace.frames.write_text(json.dumps({"camera": frames.camera.to_dict(), "frames": listed}))
+    workspace.record["source"] = {"path": "film.mp4"}
+    write_tum(tmp_path / "poses.txt", np.arange(80) / 30, poses)
+    config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt")))
+    workspace.record["config"] = config.model_dump(mode="json")
+    (before,) = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
+    (after,) = find_points(frames, [before], 0.012, workspace, SilentProgress())
+    keyframes = np.unique(before.observations[:, 0])
+    assert 3 < len(keyframes) < 40
+    np.testing.assert_array_equal(np.unique(after.observations[:, 0]), keyframes)
+    assert after.track_lengths().mean() > before.track_lengths().mean()  # matched beyond the next four
+    assert len(after.points) != len(before.points)
 
 
 def test_rough_poses_are_refined_in_their_own_world_and_unit(tmp_path, pictures):
