@@ -23,37 +23,41 @@ from typing import Any
 import yaml
 
 from benchmarks.common.record import ROOT, environment
+from benchmarks.common.runner import run
 from haustra.core.errors import HaustraError
 
 LISTED = Path(__file__).with_suffix(".yaml")
 RESULTS, PAGES = ROOT / "benchmarks/results", ROOT / "docs/lab"
 
 
-def main(argv: list[str] | None = None) -> None:
-    """The command line; a measurement that fails is named and ends it."""
-    listed = yaml.safe_load(LISTED.read_text())
-    parser = argparse.ArgumentParser("python -m benchmarks.records", description=__doc__.split("\n")[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(listed["records"]))
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(_listed()["records"]))
     parser.add_argument("--work", type=Path, help="folder for films, runs and unfinished records")
     parser.add_argument("--data", type=Path, help="folder of the data sets")
     parser.add_argument("--list", action="store_true", help="say of which commit each record is, and end")
-    given = parser.parse_args(argv)
-    unknown = sorted(set(given.names) - set(listed["records"]))
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """All records that are named; one that fails is named and ends it."""
+    listed = _listed()
+    names = arguments.names or list(listed["records"])
+    unknown = sorted(set(names) - set(listed["records"]))
     if unknown:
-        raise SystemExit(f"error: no such record: {', '.join(unknown)}; known: {', '.join(listed['records'])}")
-    if given.list:
-        for name in given.names or listed["records"]:
+        raise HaustraError(f"no such record: {', '.join(unknown)}; known: {', '.join(listed['records'])}")
+    if arguments.list:
+        for name in names:
             print(f"{name:16} {', '.join(sorted(commits_of(RESULTS / f'{name}.json'))) or 'not measured'}")
         return
-    if given.work is None or given.data is None:
-        raise SystemExit("error: say where to work and where the data sets are: --work WORK --data DATA")
-    try:
-        measure(given.names or list(listed["records"]), listed, given.work.resolve(), given.data.resolve())
-    except HaustraError as error:
-        raise SystemExit(f"error: {error}") from error
+    if arguments.work is None or arguments.data is None:
+        raise HaustraError("say where to work and where the data sets are: --work WORK --data DATA")
+    measure_all(names, listed, arguments.work.resolve(), arguments.data.resolve())
 
 
-def measure(names: list[str], listed: Mapping[str, Any], work: Path, data: Path) -> None:
+def _listed() -> dict[str, Any]:
+    return dict(yaml.safe_load(LISTED.read_text()))
+
+
+def measure_all(names: list[str], listed: Mapping[str, Any], work: Path, data: Path) -> None:
     """One record after the other."""
     commit = environment()["commit"]
     if commit.endswith("+"):
@@ -112,4 +116,4 @@ def _run(command: str) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(sys.modules[__name__], "benchmarks.records")

@@ -7,6 +7,7 @@ import yaml
 
 from benchmarks import records
 from benchmarks.common.record import ROOT
+from benchmarks.common.runner import run
 
 LISTED = yaml.safe_load(records.LISTED.read_text())
 
@@ -37,7 +38,7 @@ def bench(tmp_path, monkeypatch):
 
     def measure(*commands):
         listed["records"]["one"]["commands"] = ["cp {data}/measured.json {record}", "echo x >> {work}/count", *commands]
-        records.measure(["one"], listed, tmp_path, tmp_path)
+        records.measure_all(["one"], listed, tmp_path, tmp_path)
 
     return tmp_path, measure
 
@@ -70,4 +71,4 @@ def test_a_changed_checkout_is_refused(bench, monkeypatch):
 def test_an_unknown_name_and_missing_folders_are_one_sentence():
     for argv, said in ((["nothing"], "no such record: nothing"), (["points"], "--work WORK --data DATA")):
         with pytest.raises(SystemExit, match=said):
-            records.main(argv)
+            run(records, "benchmarks.records", argv)

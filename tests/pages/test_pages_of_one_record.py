@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts.pages import blind_page, known_poses_page, lens_page, robustness_page, sensors_page
+from scripts.pages import blind_page, known_poses_page, lens_page, points_page, robustness_page, sensors_page
 
 LAB = Path(__file__).parents[2] / "docs/lab"
 
@@ -18,8 +18,9 @@ LAB = Path(__file__).parents[2] / "docs/lab"
         (sensors_page, "sensors"),
         (lens_page, "unknown_lens"),
         (robustness_page, "robustness"),
+        (points_page, "points"),
     ],
-    ids=["blind", "poses", "sensors", "lens", "robustness"],
+    ids=["blind", "poses", "sensors", "lens", "robustness", "points"],
 )
 def test_the_page_is_what_its_record_says(script, name) -> None:
     printed = script.page(json.loads(script.RECORD.read_text()))
