@@ -73,9 +73,11 @@ def reconstruct(
         if guessed_by(workspace) is not None:
             frames = timed("lens", guess_lens)(frames, told, workspace, progress)
         submaps = timed("structure", solve_structure)(frames, config.front_end, told, workspace, progress)
-        pointed = timed("points", find_points)(frames, submaps, told.odometry.keyframe_motion, workspace, progress)
+        retriangulated = timed("points", find_points)(
+            frames, submaps, told.odometry.keyframe_motion, workspace, progress
+        )
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
-        completed = complete(frames, pointed, later.completer, config.depth, workspace, progress)
+        completed = complete(frames, retriangulated, later.completer, config.depth, workspace, progress)
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)

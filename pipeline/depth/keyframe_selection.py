@@ -31,7 +31,8 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
 
 
 def _well_seen(count: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows that may be keyframes, by their numbers of points; where that leaves a gap, all of it that see any."""
+    """Rows that may be keyframes: those with enough points beside the frames around them; where that leaves a gap, all
+    rows of the gap that see any point; all rows if none does."""
     good = count >= WELL_SEEN * maximum_filter1d(count, 2 * AROUND + 1, mode="nearest")
     near = maximum_filter1d(good.astype(np.uint8), AROUND + 1, mode="constant")  # within half of AROUND
     usable = (good | (near == 0)) & (count > 0)

@@ -15,19 +15,17 @@ from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
-from pipeline.mapping.local_map import FEATURES, DepthAt, LocalMap, TrackKind
+from pipeline.mapping.local_map import FEATURES, DepthAt, LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.mapping.metric_map import make_metric
 from pipeline.mapping.submap import Submap, refined_camera
-from pipeline.mapping.submap_of_map import MIN_SEEN, to_submap
+from pipeline.mapping.submap_of_map import MIN_SEEN, map_of_submap, to_submap
 from pipeline.matching.feature_matching import match_features
-from pipeline.matching.feature_tracks import FeatureTracks
 from pipeline.matching.sift import FindFeatures
-from pipeline.optimization.bundle_adjustment import reprojections
-from pipeline.optimization.triangulation import triangulate
+from pipeline.optimization.triangulation import meeting_points
 
 MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that stand err less than those that are being tracked
-OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/front_end.md)
+OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/points.md)
 MIN_ERROR_PX = 0.4  # that is always forgiven: pictures without noise have errors of a few hundredths
 MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leaves points in all of them
 CHUNK = 20_000  # points triangulated at once: some hundred megabytes
@@ -51,7 +49,7 @@ def triangulate_again(
     """
     rays = RayTable(refined_camera(camera, submap))
     rows, with_features = _rows(submap, rays.focal_px, motion_px)
-    seed = _map_of(submap, np.union1d(rows, with_features), rays)
+    seed = map_of_submap(submap, rays, np.union1d(rows, with_features))
     scale = None if depth_at is None else make_metric(seed, depth_at)
     triangulate_features(seed)
     fit_points(seed)
@@ -67,14 +65,12 @@ def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np
     Where only some frames see points, as of given poses, these are keyframes already, and all of them are taken.
     """
     feature = ~submap.is_klt[submap.observations[:, 1]]
-    seen, of_features = (
-        np.bincount(submap.observations[mask, 0], minlength=len(submap.frames)) for mask in (feature | True, feature)
-    )
+    seen = np.bincount(submap.observations[:, 0], minlength=len(submap.frames))
     rows = np.flatnonzero(seen >= MIN_SEEN)
     if len(rows) >= MOSTLY_SEEN * len(seen):
         depth = float(np.median(submap.depths()))
         rows = rows[choose_frames(submap.world_from_camera[rows], depth, focal_px, motion_px)]
-    return rows, np.flatnonzero(of_features)
+    return rows, np.unique(submap.observations[feature, 0])
 
 
 def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
@@ -100,15 +96,6 @@ def empty_map(frames: list[int], world_from_camera: Array, rays: RayTable) -> Lo
     return local_map
 
 
-def insert_features(local_map: LocalMap, tracks: FeatureTracks, pixels: list[Array]) -> None:
-    """Tracks of the keyframes' features; pixels: of all features of each."""
-    ids = local_map.insert_tracks(tracks.points, TrackKind.FEATURE)
-    starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))
-    for number in range(len(local_map.keyframes)):
-        mine = slice(starts[number], starts[number + 1])
-        local_map.extend(number, ids[tracks.track[mine]], pixels[number][tracks.feature[mine]])
-
-
 def match_again(seed: LocalMap, find: FindFeatures, advance: ProgressCallback, rough: bool = False) -> LocalMap:
     """A map of the seed's keyframes and their features, matched where the seed's poses and points expect them.
 
@@ -119,7 +106,7 @@ def match_again(seed: LocalMap, find: FindFeatures, advance: ProgressCallback, r
     world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
     result = empty_map([k.frame for k in seed.keyframes], np.stack([inverse(c) for c in cameras_from_world]), seed.rays)
     result.depth_at = seed.depth_at
-    insert_features(result, matched.tracks(world, False, np.inf), [features.pixels for features in matched.features])
+    result.insert_features(matched.tracks(world, False, np.inf), matched.pixels)
     if not rough:
         triangulate_features(result)
         fit_points(result)
@@ -162,14 +149,18 @@ def largest_error(error: Array, seen: NDArray[np.int64]) -> float:
 
 @dataclass(frozen=True)
 class _Rays:
-    """(M,) observations, sorted by `track`: number of their keyframe, and place among what that keyframe sees."""
+    """(M,) observations, sorted by `track`: number of their keyframe, place among what that keyframe sees, xy (M,2) and
+    jacobian (M,2,2) as a `Keyframe` has them."""
 
     track: NDArray[np.int64]
     keyframe: NDArray[np.int64]
     place: NDArray[np.int64]
+    xy: Array
+    jacobian: Array
 
-    def where(self, mask: NDArray[np.bool_]) -> "_Rays":
-        return _Rays(self.track[mask], self.keyframe[mask], self.place[mask])
+    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "_Rays":
+        """By mask or in the order of rows."""
+        return _Rays(*(array[chosen] for array in vars(self).values()))
 
     def of_several(self) -> "_Rays":
         """Those of tracks that two keyframes or more see."""
@@ -177,34 +168,30 @@ class _Rays:
 
 
 def _rays_of(local_map: LocalMap, among: NDArray[np.bool_]) -> _Rays:
-    counts = [len(k.ids) for k in local_map.keyframes]
-    track = np.concatenate([k.ids for k in local_map.keyframes])
-    keyframe = np.repeat(np.arange(len(counts)), counts)
-    place = np.concatenate([np.arange(count) for count in counts])
-    order = np.flatnonzero(among[track])
-    order = order[np.argsort(track[order], kind="stable")]
-    return _Rays(track[order], keyframe[order], place[order])
+    keyframes, counts = local_map.keyframes, [len(k.ids) for k in local_map.keyframes]
+    track = np.concatenate([k.ids for k in keyframes])
+    every = _Rays(
+        track,
+        np.repeat(np.arange(len(counts)), counts),
+        np.concatenate([np.arange(count) for count in counts]),
+        np.concatenate([k.xy for k in keyframes]),
+        np.concatenate([k.jacobian for k in keyframes]),
+    )
+    chosen = np.flatnonzero(among[track])
+    return every.where(chosen[np.argsort(track[chosen], kind="stable")])
 
 
 def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], count: int) -> tuple[Array, Array, Array]:
     """Points (count,3), their widest angle (count,), and the error of each observation (M,), px."""
-    starts = np.cumsum([0, *(len(k.ids) for k in local_map.keyframes)])
-    row = starts[rays.keyframe] + rays.place
-    xy = np.concatenate([k.xy for k in local_map.keyframes])[row]
-    jacobian = np.concatenate([k.jacobian for k in local_map.keyframes])[row]
     cameras_from_world = np.stack([k.camera_from_world for k in local_map.keyframes])
-    points, angle, error = np.zeros((count, 3)), np.zeros(count), np.zeros(len(row))
+    points, angle, error = np.zeros((count, 3)), np.zeros(count), np.zeros(len(point))
     for first in range(0, count, CHUNK):
         last = min(first + CHUNK, count)
         part = slice(*np.searchsorted(point, [first, last]))
         mine = cameras_from_world[rays.keyframe[part]]
-        rotation, shift = mine[:, :3, :3], mine[:, :3, 3]
-        found, _, angle[first:last] = triangulate(
-            rotation, shift, point[part] - first, last - first, xy[part], jacobian[part]
+        points[first:last], error[part], angle[first:last] = meeting_points(
+            mine[:, :3, :3], mine[:, :3, 3], point[part] - first, last - first, rays.xy[part], rays.jacobian[part]
         )
-        local = np.einsum("mij,mj->mi", rotation, found[point[part] - first]) + shift
-        off = np.linalg.norm(reprojections(local, xy[part], jacobian[part]), axis=1)
-        points[first:last], error[part] = found, np.where(local[:, 2] > 1e-9, off, np.inf)
     return points, angle, error
 
 
@@ -217,23 +204,8 @@ def _keep(local_map: LocalMap, features: NDArray[np.bool_], rays: _Rays) -> None
         keyframe.keep(kept)
 
 
-def _map_of(submap: Submap, rows: NDArray[np.int64], rays: RayTable) -> LocalMap:
-    """The submap's `rows` as keyframes, and all its points as tracks."""
-    local_map = LocalMap(rays)
-    ids = local_map.insert_tracks(submap.points, TrackKind.FEATURE)
-    local_map.tracks.kind[ids[submap.is_klt]] = TrackKind.KLT
-    order, starts = submap.by_frame()
-    point, pixels = ids[submap.observations[order, 1]], submap.pixels[order]
-    for row in rows.tolist():
-        mine = slice(starts[row], starts[row + 1])
-        local_map.add_keyframe(
-            int(submap.frames[row]), inverse(submap.world_from_camera[row]), point[mine], pixels[mine]
-        )
-    return local_map
-
-
 def _with_features_of(submap: Submap, found: Submap) -> Submap:
-    """The submap's frames and followed corners, and the features that were found in some of these frames."""
+    """The submap's frames and tracked corners, and the features that were found in some of these frames."""
     corners = submap.without_points(~submap.is_klt)
     observations = found.observations + np.array([0, len(corners.points)])
     observations[:, 0] = np.searchsorted(submap.frames, found.frames)[found.observations[:, 0]]

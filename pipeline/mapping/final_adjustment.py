@@ -15,7 +15,6 @@ from haustra.core.se3 import Array, in_camera, inverse, scaled
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all, fit_points, growth
 from pipeline.matching.feature_matching import MatchedFeatures, match_features
-from pipeline.matching.feature_tracks import FeatureTracks
 from pipeline.matching.sift import FindFeatures
 
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
@@ -92,9 +91,9 @@ def _adjusted(
 ) -> bool:
     """Whether features of at most `widest` pixels hold the map, which is then adjusted to them; what they left behind,
     if they do not, is for the caller to undo."""
-    _insert(local_map, matched, matched.tracks(world, True, widest), TrackKind.WIDE_FEATURE)
+    local_map.insert_features(matched.tracks(world, True, widest), matched.pixels, TrackKind.WIDE_FEATURE)
     narrow = matched.tracks(world, False, widest)
-    ids = _insert(local_map, matched, narrow, TrackKind.FEATURE)
+    ids = local_map.insert_features(narrow, matched.pixels)
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
     if not _is_held(local_map, moving, MIN_TYPICAL_FEATURES):
         return False
@@ -107,16 +106,6 @@ def _adjusted(
     _propagate(local_map, old, _scales(local_map, old, before, sure), moving)
     fit_points(local_map)
     return True
-
-
-def _insert(local_map: LocalMap, matched: MatchedFeatures, tracks: FeatureTracks, kind: TrackKind) -> NDArray[np.int64]:
-    """Tracks of features as tracks of the map, seen by its keyframes; their numbers (T,)."""
-    ids = local_map.insert_tracks(tracks.points, kind)
-    starts = np.searchsorted(tracks.place, np.arange(len(local_map.keyframes) + 1))
-    for number, features in enumerate(matched.features):
-        mine = slice(starts[number], starts[number + 1])
-        local_map.extend(number, ids[tracks.track[mine]], features.pixels[tracks.feature[mine]])
-    return ids
 
 
 def _is_held(local_map: LocalMap, among: NDArray[np.bool_], typical: float) -> bool:

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, compose, in_camera, inverse, scaled
+from pipeline.matching.feature_tracks import FeatureTracks
 from pipeline.matching.keyframe_features import SparseView
 from pipeline.optimization.triangulation import triangulate
 
@@ -176,6 +177,18 @@ class LocalMap:
         self.tracks.points[ids], self.tracks.has_point[ids], self.tracks.kind[ids] = points, True, kind
         return ids
 
+    def insert_features(
+        self, tracks: FeatureTracks, pixels: list[Array], kind: TrackKind = TrackKind.FEATURE
+    ) -> NDArray[np.int64]:
+        """Tracks of features, seen by the keyframes, as new tracks; their numbers (T,). pixels: of each keyframe, of
+        all its features (N,2)."""
+        ids = self.insert_tracks(tracks.points, kind)
+        starts = np.searchsorted(tracks.place, np.arange(len(self.keyframes) + 1))
+        for number in range(len(self.keyframes)):
+            mine = slice(starts[number], starts[number + 1])
+            self.extend(number, ids[tracks.track[mine]], pixels[number][tracks.feature[mine]])
+        return ids
+
     def forget_features(self) -> None:
         """Take out the tracks of SIFT features, which are the last ones, and what keyframes saw of them."""
         found = np.flatnonzero(self.tracks.is_kind(*FEATURES))
@@ -219,9 +232,9 @@ class LocalMap:
         points, _ = self.visible_points(keyframe)
         return float(np.median(in_camera(keyframe.camera_from_world, points)[:, 2])) if len(points) else 1.0
 
-    def triangulate_new(self, window: int = WINDOW, min_angle: float = MIN_ANGLE) -> None:
+    def triangulate_new(self) -> None:
         """Points for the tracks that the latest keyframes see from far enough apart."""
-        recent, tracks = self.keyframes[-window:], self.tracks
+        recent, tracks = self.keyframes[-WINDOW:], self.tracks
         ids = np.concatenate([k.ids for k in recent])
         row = np.repeat(np.arange(len(recent)), [len(k.ids) for k in recent])
         take = ~tracks.has_point[ids] & ~tracks.rejected[ids]
@@ -237,7 +250,7 @@ class LocalMap:
         found, error, angle = triangulate(
             cameras_from_world[:, :3, :3], cameras_from_world[:, :3, 3], point, len(fresh), xy, jacobian
         )
-        good = (error < MAX_BIRTH_ERROR_PX) & (angle > min_angle)
+        good = (error < MAX_BIRTH_ERROR_PX) & (angle > MIN_ANGLE)
         tracks.points[fresh[good]] = found[good]
         tracks.has_point[fresh[good]] = True
 

@@ -1,8 +1,9 @@
-"""Conversion of a finished `LocalMap` to the `Submap` that every front end returns: poses, points, errors."""
+"""Conversion of a finished `LocalMap` to the `Submap` that every front end returns, and of a submap to such a map."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, compose, inverse
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX
@@ -59,6 +60,20 @@ def to_submap(
         camera_sigma,
         local_map.tracks.kind[tracks] == TrackKind.KLT,
     )
+
+
+def map_of_submap(submap: Submap, rays: RayTable, rows: NDArray[np.int64] | None = None) -> LocalMap:
+    """A map whose keyframes are the submap's frames, or those at `rows`, and its tracks all points; rays: of its
+    refined camera."""
+    local_map = LocalMap(rays)
+    ids = local_map.insert_tracks(submap.points, TrackKind.FEATURE)
+    local_map.tracks.kind[ids[submap.is_klt]] = TrackKind.KLT
+    order, starts = submap.by_frame()
+    for row in (np.arange(len(submap.frames)) if rows is None else rows).tolist():
+        mine = order[starts[row] : starts[row + 1]]
+        seen, pixels = ids[submap.observations[mine, 1]], submap.pixels[mine]
+        local_map.add_keyframe(int(submap.frames[row]), inverse(submap.world_from_camera[row]), seen, pixels)
+    return local_map
 
 
 def _gather(

@@ -38,6 +38,11 @@ class MatchedFeatures:
     pairs: list[tuple[int, int]]
     same: list[NDArray[np.int64]]
 
+    @property
+    def pixels(self) -> list[Array]:
+        """Of each keyframe, its features' (N,2)."""
+        return [features.pixels for features in self.features]
+
     def tracks(self, points: list[Array], wide: bool, widest: float) -> FeatureTracks:
         """Of matches between two features of at most `widest` pixels across, or (`wide`) of all other matches.
 

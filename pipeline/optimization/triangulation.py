@@ -12,7 +12,17 @@ REFINEMENTS = 3
 def triangulate(
     rotation: Array, translation: Array, point: NDArray[np.int64], count: int, xy: Array, jacobian: Array
 ) -> tuple[Array, Array, Array]:
-    """Points (count,3), largest reprojection error (count,) in pixels, and widest angle to the first ray, radians.
+    """Points (count,3), largest reprojection error (count,) in pixels, and widest angle to the first ray, radians: of
+    `meeting_points`."""
+    points, error, angle = meeting_points(rotation, translation, point, count, xy, jacobian)
+    return points, np.maximum.reduceat(error, np.searchsorted(point, np.arange(count))), angle
+
+
+def meeting_points(
+    rotation: Array, translation: Array, point: NDArray[np.int64], count: int, xy: Array, jacobian: Array
+) -> tuple[Array, Array, Array]:
+    """Points (count,3), reprojection error of each observation (M,) in pixels, and widest angle to the first ray
+    (count,), radians.
 
     rotation (M,3,3) and translation (M,3) are of the camera of each observation; `point` ascends and names every point
     at least once. An error is infinite where a point comes out behind a camera.
@@ -33,7 +43,7 @@ def triangulate(
     error = np.where(front, np.linalg.norm(off, axis=1), np.inf)
     cosine = np.einsum("mi,mi->m", rays, rays[starts][point])
     angle = np.arccos(np.clip(np.minimum.reduceat(cosine, starts), -1, 1))
-    return points, np.maximum.reduceat(error, starts), angle
+    return points, error, angle
 
 
 def _refined(

@@ -53,13 +53,20 @@ def wall_motion_stage(
 
     submaps: as the front end left them; points found anew have lost the sightings that a moving wall puts off.
     """
+    return load_or_make(
+        workspace,
+        STAGE,
+        lambda: load_motion(workspace),
+        lambda: _ask_all(frames, _unmoved(completed, submaps), workspace, progress),
+    )
+
+
+def _unmoved(completed: list[CompletedSubmap], submaps: list[Submap]) -> list[Submap | None]:
+    """Of each completed submap the one that the front end left; None of those that closed loops moved."""
     by_frames = {tuple(submap.frames.tolist()): submap for submap in submaps}
-    asked = [
+    return [
         None if one.depth_scale is not None else by_frames.get(tuple(one.submap.frames.tolist())) for one in completed
     ]
-    return load_or_make(
-        workspace, STAGE, lambda: load_motion(workspace), lambda: _ask_all(frames, asked, workspace, progress)
-    )
 
 
 def load_motion(workspace: Workspace) -> list[WallMotion | None]:

@@ -7,14 +7,12 @@ the scale along the whole path (`depth_residuals`), as it does in odometry.
 from haustra.core.camera import Camera
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
-from haustra.core.se3 import inverse
 from pipeline.frontend.base import FoundSubmap
 from pipeline.input.sensor.sensor_depth import SensorDepth
-from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import adjust_all
 from pipeline.mapping.metric_map import make_metric
 from pipeline.mapping.submap import Submap, refined_camera
-from pipeline.mapping.submap_of_map import to_submap
+from pipeline.mapping.submap_of_map import map_of_submap, to_submap
 
 LEAST_KEPT = 0.9  # of a model's frames; an adjustment that loses more has not fitted
 
@@ -45,19 +43,7 @@ def metric_submap(submap: Submap, camera: Camera, sensor: SensorDepth) -> Submap
     if make_metric(local_map, sensor.for_adjustment) is None:
         return None
     adjust_all(local_map)
-    metric = to_submap(local_map, submap.camera_params, submap.camera_sigma, TrackKind.FEATURE, refit=False)
+    metric = to_submap(local_map, submap.camera_params, submap.camera_sigma, refit=False)
     if metric is None or len(metric.frames) < LEAST_KEPT * len(submap.frames):
         return None
     return metric
-
-
-def map_of_submap(submap: Submap, rays: RayTable) -> LocalMap:
-    """A map whose keyframes are all frames of the submap; rays: of its refined camera."""
-    local_map = LocalMap(rays)
-    ids = local_map.insert_tracks(submap.points, TrackKind.FEATURE)
-    order, starts = submap.by_frame()
-    for row, frame in enumerate(submap.frames.tolist()):
-        mine = order[starts[row] : starts[row + 1]]
-        seen, pixels = ids[submap.observations[mine, 1]], submap.pixels[mine]
-        local_map.add_keyframe(frame, inverse(submap.world_from_camera[row]), seen, pixels)
-    return local_map

@@ -13,7 +13,7 @@ from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array
 from pipeline.frontend.known_poses.epipolar_check import MatchedPair, inliers, unit_rays
-from pipeline.mapping.feature_triangulation import empty_map, insert_features, match_again, triangulate_features
+from pipeline.mapping.feature_triangulation import empty_map, match_again, triangulate_features
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.matching.descriptor_matching import match_descriptors
@@ -34,7 +34,7 @@ def build_map(
     """Keyframes at world_from_camera (N,4,4) and their points. rough: the poses are to be adjusted, so that all
     features are matched, and points stay that the poses do not fit."""
     seed = empty_map(list(frames), world_from_camera, rays)
-    insert_features(seed, *_neighbour_tracks(frames, world_from_camera, rays, find, advance))
+    seed.insert_features(*_neighbour_tracks(frames, world_from_camera, rays, find, advance))
     triangulate_features(seed)
     if rough:
         return match_again(seed, find, advance, rough)

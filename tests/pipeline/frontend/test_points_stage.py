@@ -46,6 +46,14 @@ def test_a_run_whose_depth_was_made_without_the_stage_keeps_its_points(solved):
     assert not workspace.is_done("points")
 
 
+def test_depth_that_a_stopped_run_made_of_other_points_is_made_anew(solved):
+    workspace, frames, submaps = solved
+    workspace.depth.mkdir()
+    (workspace.depth / "000000.png").write_bytes(b"of other points")
+    find_points(frames, submaps, 0.012, workspace, SilentProgress())
+    assert not workspace.depth.exists()
+
+
 def test_a_damaged_file_is_named(solved):
     workspace, frames, submaps = solved
     find_points(frames, submaps, 0.012, workspace, SilentProgress())

@@ -8,6 +8,7 @@ import pytest
 from haustra.core.errors import ReconstructionError
 from haustra.core.progress import SilentProgress
 from pipeline.config import LoopClosingSettings
+from pipeline.frontend.points_stage import points_folder
 from pipeline.input.frames import Frames
 from pipeline.loop_closing import close_loops as stage
 from pipeline.loop_closing.close_loops import close_loops_stage, load_refined, model_sources
@@ -61,6 +62,12 @@ def test_the_stage_writes_what_it_did_and_resumes_from_it(workspace, frames, see
     folder, unit = model_sources(workspace)[0]
     assert unit == 1.0
     assert (folder / "images.txt").exists()
+
+
+def test_sparse_models_are_those_with_the_points_that_depth_was_completed_from(workspace):
+    assert model_sources(workspace) == [(workspace.models / "0", 2.0)]
+    workspace.finish("points", points=[100])
+    assert model_sources(workspace) == [(points_folder(workspace) / "0", 1.0)]
 
 
 def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch):

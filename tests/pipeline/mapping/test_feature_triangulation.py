@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from haustra.core.progress import no_progress
 from haustra.core.ray_table import RayTable
@@ -192,6 +193,24 @@ def test_wrong_points_of_features_are_mended(found, film):
     mended = again(spoilt, film)
     assert (off_the_wall(spoilt) > 0.1).mean() > 2 * (off_the_wall(mended) > 0.1).mean()
     assert np.median(off_the_wall(mended)) == pytest.approx(np.median(off_the_wall(found)), rel=0.3)
+
+
+def test_a_sensor_s_depth_holds_the_points_in_the_submap_s_own_unit(odometry, found, film):
+    """Millimetres are three of its units here; what is measured is the wall as the map has it."""
+    row_of = {int(frame): row for row, frame in enumerate(odometry.frames)}
+
+    def depth_at(frame, pixels):
+        row = row_of[frame]
+        mine = found.observations[:, 0] == row
+        seen_at, depth = found.pixels[mine], found.depths()[mine]
+        distance, nearest = cKDTree(seen_at).query(pixels)
+        return np.where(distance < 1, 3 * depth[nearest], 0.0), np.full(len(pixels), 0.05)
+
+    with SiftCache(lambda frame: (film[frame], MASK)) as find:
+        held = triangulate_again(odometry, CAMERA, 2.0, find, no_progress, depth_at)
+    np.testing.assert_array_equal(held.world_from_camera, odometry.world_from_camera)
+    assert np.median(held.depths()) == pytest.approx(np.median(found.depths()), rel=0.02)
+    assert np.median(off_the_wall(held)) < 0.02
 
 
 def test_two_runs_agree(odometry, found, film):

@@ -8,8 +8,8 @@ import pytest
 from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of, umeyama
 from pipeline.frontend.base import FoundSubmap
-from pipeline.frontend.colmap.sensor_adjustment import adjusted_to_sensor, map_of_submap, metric_submap
-from pipeline.mapping.submap_of_map import to_submap
+from pipeline.frontend.colmap.sensor_adjustment import adjusted_to_sensor, metric_submap
+from pipeline.mapping.submap_of_map import map_of_submap, to_submap
 from tests.helpers.tubes.bent_tube import CAMERA, COUNT, UNIT, sensed, tube, world_from_camera_at
 
 
