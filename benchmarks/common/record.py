@@ -1,6 +1,7 @@
 """What every benchmark prints and writes down: commit, machine, and each figure's runs with median and spread."""
 
 import json
+import os
 import platform
 import statistics
 import subprocess
@@ -22,7 +23,10 @@ def shown(of: dict[str, Any], form: str = ".4g") -> str:
 
 def environment(checkout: Path = ROOT) -> dict[str, Any]:
     """Commit of a checkout (with "+" if its tree is changed elsewhere than in the records, the README and the pages of
-    docs/lab, which show them), processor, number of cores, Python."""
+    docs/lab, which show them), processor, number of cores, Python.
+
+    A copy without its history takes the commit from the variable HAUSTRA_COMMIT, which whoever copies it sets.
+    """
     git = ["git", "-C", str(checkout)]
     commit = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     changed = subprocess.run(
@@ -33,7 +37,7 @@ def environment(checkout: Path = ROOT) -> dict[str, Any]:
     ).stdout
     model = [line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")]
     return {
-        "commit": commit + ("+" if changed.strip() else ""),
+        "commit": commit + ("+" if changed.strip() else "") or os.environ.get("HAUSTRA_COMMIT", ""),
         "processor": model[0] if model else platform.processor(),
         "cores": len(model),
         "python": platform.python_version(),

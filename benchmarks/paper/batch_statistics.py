@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from completion.data.sampling_training import sample_uniform
-from completion.data.shards import Shard
+from completion.data.shards import Batch, Shard
 
 BATCH = 10
 EVERY = 16  # so many judged frames apart are the frames that are looked at
@@ -25,15 +25,16 @@ def companion_effect(network: nn.Module, folder: Path, unit_mm: float, points: i
     if not norms:
         return None
     shard = Shard.open(folder)
-    rgb, depth, _ = _all_frames(shard)
-    sparse = sample_uniform(depth, points, torch.Generator().manual_seed(0))
+    frames = shard.batch(np.arange(len(shard.images))).to(next(network.parameters()).device)
+    depth = frames.depth
+    sparse = sample_uniform(depth, points, torch.Generator().manual_seed(0)) / unit_mm
     rng = np.random.default_rng(0)
-    chosen = np.arange(0, len(rgb), EVERY)
+    chosen = np.arange(0, len(depth), EVERY)
     for norm in norms:
         norm.train()
         norm.momentum = 0.0
     with torch.inference_mode():
-        found = torch.stack([_completed(network, rgb, sparse, chosen, rng, unit_mm) for _ in range(DRAWS)])
+        found = torch.stack([unit_mm * _completed(network, frames, sparse, chosen, rng) for _ in range(DRAWS)])
     network.eval()
     truth = depth[chosen]
     known = truth > 0
@@ -42,18 +43,14 @@ def companion_effect(network: nn.Module, folder: Path, unit_mm: float, points: i
     return {"abs_rel": float(error), "companions": float(spread)}
 
 
-def _all_frames(shard: Shard) -> tuple[Tensor, Tensor, Tensor | None]:
-    batch = shard.batch(np.arange(len(shard.images)))
-    return batch.rgb, batch.depth, batch.lens
-
-
 def _completed(
-    network: nn.Module, rgb: Tensor, sparse: Tensor, chosen: np.ndarray, rng: np.random.Generator, unit_mm: float
+    network: nn.Module, frames: Batch, sparse: Tensor, chosen: np.ndarray, rng: np.random.Generator
 ) -> Tensor:
-    """Depth (K,1,H,W) mm of the chosen frames, each in a batch with others at random."""
+    """Depth (K,1,H,W) of the chosen frames, each in a batch with others at random."""
     depths = []
     for frame in chosen:
-        others = rng.choice(np.delete(np.arange(len(rgb)), frame), BATCH - 1, replace=False)
+        others = rng.choice(np.delete(np.arange(len(sparse)), frame), BATCH - 1, replace=False)
         batch = [int(frame), *others.tolist()]
-        depths.append(network(rgb[batch], sparse[batch] / unit_mm, None)[:1].float() * unit_mm)
+        lens = None if frames.lens is None else frames.lens[batch]
+        depths.append(network(frames.rgb[batch], sparse[batch], lens)[:1].float())
     return torch.cat(depths)

@@ -44,6 +44,16 @@ READINGS = {
 }
 UNTRAINED = {"linear": "linear", "nearest": "nearest", "shipped": "mscsa"}  # label: name for `load_predictor`
 RIVALS = ("std18", "std50", "gaenet", "nlspn")
+OURS = ("mscsa-plain", "mscsa-early-fusion", "mscsa+residual", "mscsa-plain+residual")
+# Table I: until the held-out error stops falling (`completion.training.plateau`), at most so many steps.
+CONVERGED: dict[str, Any] = {"schedule": "plateau"}
+MOST_STEPS = 8000
+# The paper's ten epochs of 15,660 frames in batches of 10, which end at the full rate or, as here, at a tenth of it.
+PAPER_STEPS = 15_660
+PAPER_LENGTH = (*BODIES["early fusion"], "mscsa-plain", "unet-plain", "mscsa", "unet")
+POINT_COUNTS = (10, 100, 1000, 10_000)  # of Figure 5
+SAMPLERS = ("uniform", "features")
+FIGURE_5 = "mscsa-early-fusion"
 DECAY_AT = 0.7  # of the run: a tenth of the rate from there on, since a run that ends at the full rate is judged at
 # a random moment
 
@@ -57,17 +67,26 @@ class Run:
     seed: int = 0
     steps: int = STEPS
     change: str = ""  # of `CHANGES`
+    size: str = "small"  # of completion.networks.registry
+    points: int = POINTS
+    sampler: str = "uniform"
+    converged: bool = False  # `steps` are the most that it takes
 
     @property
     def name(self) -> str:
         """Stem of its record and of its weights."""
-        parts = ["_".join(self.scenes), self.model, *self.change.split(), str(self.steps), str(self.seed)]
+        extra = [self.size] if self.size != "small" else []
+        extra += [f"{self.points}-{self.sampler}"] if (self.points, self.sampler) != (POINTS, "uniform") else []
+        extra += ["converged"] if self.converged else []
+        parts = ["_".join(self.scenes), self.model, *self.change.split(), *extra, str(self.steps), str(self.seed)]
         return "-".join(parts).replace("+", "-")
 
     @property
     def settings(self) -> dict[str, Any]:
         """Of training, beside the paper's preset."""
-        return {"decay_at": DECAY_AT} | CHANGES.get(self.change, {})
+        ending = CONVERGED if self.converged else {"decay_at": DECAY_AT}
+        about = {"size": self.size, "points": self.points, "sampler": self.sampler, "seed": self.seed}
+        return about | ending | {"steps": self.steps} | CHANGES.get(self.change, {})
 
 
 @dataclass(frozen=True)
@@ -102,16 +121,32 @@ def tables() -> dict[str, Table]:
     intestine = list(ablation("small_intestine", range(SEEDS)))
     changes = [Run(("colon",), "mscsa-early-fusion", seed, change=change) for seed in range(2) for change in CHANGES]
     changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
-    four = tuple(SCENES)
-    joint = [
-        Run(four, m, s) for s in range(2) for m in (*RIVALS, "mscsa-plain", "mscsa-early-fusion", "mscsa+residual")
-    ]
     return {
         "2": Table("Table II, the ablation", [*unique(colon), *intestine]),
         "untrained": Table("interpolation, and the model that `reconstruct` ships", floors),
         "protocol": Table("choices of training that the paper leaves open", changes),
-        "1": Table("Table I, all networks on four scenes", [*(Run(four, label) for label in UNTRAINED), *joint]),
+        "1": Table("Table I, all networks on four scenes", list(table_1())),
+        "figure 5": Table("numbers of uniform and of feature points, each trained on", unique([*figure_5()])),
+        "length": Table(
+            "the paper's number of steps", [Run(("colon",), model, 0, PAPER_STEPS) for model in PAPER_LENGTH]
+        ),
     }
+
+
+def table_1() -> Iterator[Run]:
+    """One network for four scenes, until it has converged: at equal computation, and rivals at equal parameters."""
+    four = tuple(SCENES)
+    yield from (Run(four, label) for label in UNTRAINED)
+    for seed in range(2):
+        yield from (Run(four, model, seed, MOST_STEPS, converged=True) for model in (*OURS, *RIVALS))
+        for model in RIVALS:
+            yield Run(four, model, seed, MOST_STEPS, size="same-parameters", converged=True)
+
+
+def figure_5() -> Iterator[Run]:
+    """The full early-fusion network on the colon, trained and judged with each number of points of each sampler."""
+    for seed, points, sampler in product(range(2), POINT_COUNTS, SAMPLERS):
+        yield Run(("colon",), FIGURE_5, seed, points=points, sampler=sampler)
 
 
 def unique(runs: list[Run]) -> list[Run]:

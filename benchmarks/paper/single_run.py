@@ -12,7 +12,7 @@ from torch import nn
 
 from benchmarks.paper.batch_statistics import companion_effect
 from benchmarks.paper.frames import judged_frames, render
-from benchmarks.paper.plan import POINTS, UNTRAINED, Run
+from benchmarks.paper.plan import UNTRAINED, Run
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.checkpoint import read_metadata
@@ -31,26 +31,26 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
         shards=tuple(training for training, _ in folders.values()),
         out=work / "runs" / f"{run.name}.safetensors",
         model="unet" if run.model in UNTRAINED else run.model,
-        size="small",
-        steps=run.steps,
-        points=POINTS,
-        seed=run.seed,
         threads=1,
         **run.settings,
     )
-    start, steps = time.process_time(), run.steps - steps_done(config)
+    start, wall, before = time.process_time(), time.monotonic(), steps_done(config)
     weights = UNTRAINED.get(run.model) or trained(config, run)
-    seconds = None if run.model in UNTRAINED or not steps else (time.process_time() - start) / steps
+    steps = steps_done(config)
+    spent = {"processor_seconds_a_step": time.process_time() - start, "seconds_a_step": time.monotonic() - wall}
+    new = 0 if run.model in UNTRAINED else steps - before
     predictor = load_predictor(weights)
-    scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
-    about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change, "points": POINTS}
-    about |= {"settings": json.loads(config.model_dump_json(exclude={"shards", "out", "init", "threads"}))}
     network = predictor.network
+    scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
+    about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change}
+    about |= {"size": run.size, "points": run.points, "sampler": run.sampler, "converged": run.converged}
+    about |= {"steps_done": steps, "device": str(next(network.parameters()).device.type) if network else "cpu"}
+    about |= {"settings": json.loads(config.model_dump_json(exclude={"shards", "out", "init", "threads"}))}
     return {
         "environment": environment,
         **about,
         "parameters": sum(p.numel() for p in network.parameters()) if network else 0,
-        "processor_seconds_a_step": seconds,
+        **{name: value / new if new else None for name, value in spent.items()},
         "frames_digest": {scene: digest(both) for scene, both in folders.items()},
         "scenes": scenes,
     }
@@ -72,7 +72,7 @@ def trained(config: TrainConfig, run: Run) -> Path:
 def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str, Any]:
     """Errors of every frame, lengths in mm and the rest as fractions, with the mesh that it shows."""
     frames = judged_frames(folder, config.max_depth_mm)
-    results = evaluate_frames(frames, predictor, Protocol(points=config.points))
+    results = evaluate_frames(frames, predictor, Protocol(points=config.points, sampler=config.sampler))
     msc = getattr(predictor.network, "msc", None) if hasattr(predictor.network, "config") else None
     msc = msc if isinstance(msc, nn.Module) and not hasattr(predictor.network, "iterate") else None
     columns: dict[str, list[Any]] = {"mesh": [], **{name: [] for name in FIGURES}, "missing": [], "msc_abs_rel": []}
@@ -91,8 +91,9 @@ def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str,
 def msc_error(msc: nn.Module, result: FrameResult, unit_mm: float) -> float:
     """Mean relative error of the depth that MSC hands to the network, taken as a depth."""
     sparse = torch.from_numpy(np.ascontiguousarray(result.sparse, dtype=np.float32))[None, None] / unit_mm
+    sparse = sparse.to(next(msc.parameters()).device)
     with torch.inference_mode():
-        depth = msc(sparse, (sparse > 0).float())[0][0, 0].numpy() * unit_mm
+        depth = msc(sparse, (sparse > 0).float())[0][0, 0].cpu().numpy() * unit_mm
     known = result.truth > 0
     return float(np.mean(np.abs(depth - result.truth)[known] / result.truth[known]))
 

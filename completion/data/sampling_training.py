@@ -6,11 +6,13 @@ All work on a batch on any device, draw from a given `torch.Generator` of the CP
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
+from completion.data.sampling_benchmark import features
 from haustra.core.errors import CompletionError
 
 FARTHEST = 20.0  # |log(depth / median)| of a point: far beyond any outlier, and what follows from it stays finite
@@ -53,12 +55,15 @@ def corner_peaks(rgb: Tensor) -> Tensor:
     return (response == F.max_pool2d(response, 5, 1, 2)) & (response > 1e-7)
 
 
-def sample_features(rgb: Tensor, depth: Tensor, points: int, generator: torch.Generator) -> Tensor:
-    """FS-SD: corners first, strongest first; where they run out, uniform pixels, so that the count is exact."""
-    response = corner_response(rgb)
-    ranked = torch.where(corner_peaks(rgb), 2 + response, _uniform_score(depth, generator))
-    picked = _pick(ranked.masked_fill(depth <= 0, float("-inf")), torch.full((len(depth),), points))
-    return torch.where(picked, depth, torch.zeros_like(depth))
+def sample_keypoints(rgb: Tensor, depth: Tensor, points: int, generator: torch.Generator) -> Tensor:
+    """FS-SD as in evaluation (`sampling_benchmark.features`): SIFT keypoints, strongest first; then uniform pixels."""
+    seeds = torch.randint(2**31, (len(rgb),), generator=generator).tolist()
+    images = (255 * rgb).round().to(torch.uint8).permute(0, 2, 3, 1).cpu().numpy()
+    sparse = [
+        features(np.ascontiguousarray(image), truth, points, np.random.default_rng(seed)).depth
+        for image, truth, seed in zip(images, depth[:, 0].float().cpu().numpy(), seeds, strict=True)
+    ]
+    return torch.from_numpy(np.stack(sparse))[:, None].to(depth.device)
 
 
 @dataclass(frozen=True)

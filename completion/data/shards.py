@@ -44,12 +44,12 @@ class Shard:
         validation = np.isin(self.colon, held_out)
         return np.flatnonzero(~validation), np.flatnonzero(validation)
 
-    def batch(self, index: NDArray[np.int64]) -> "Batch":
-        """Frames of sorted indices."""
+    def batch(self, index: NDArray[np.int64], device: torch.device | None = None) -> "Batch":
+        """Frames of sorted indices; on a device they are turned into floats there."""
         order = np.sort(index)
-        rgb = torch.from_numpy(self.images[order]).permute(0, 3, 1, 2).float() / 255
-        depth = torch.from_numpy(self.depths[order].astype(np.float32))[:, None]
-        return Batch(rgb, depth, None if self.lenses is None else torch.from_numpy(self.lenses[order]))
+        rgb = torch.from_numpy(self.images[order]).to(device).permute(0, 3, 1, 2).float() / 255
+        depth = torch.from_numpy(self.depths[order]).to(device).float()[:, None]
+        return Batch(rgb, depth, None if self.lenses is None else torch.from_numpy(self.lenses[order]).to(device))
 
 
 @dataclass(frozen=True)

@@ -243,12 +243,17 @@ def normalise_exposure(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def choose_device(device: str) -> torch.device:
-    """The device of "auto" (CUDA where there is one), "cpu" or "cuda"; CompletionError without CUDA."""
-    if device == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    """The device of "auto" (CUDA where there is one), "cpu" or "cuda"; CompletionError without CUDA.
+
+    From then on CUDA computes float32 convolutions in float32, as a CPU does: torch rounds their inputs to TF32, with
+    11 bits, which normalised convolution divides.
+    """
     if device == "cuda" and not torch.cuda.is_available():
         raise CompletionError("no CUDA device is available here; use --device cpu")
-    return torch.device(device)
+    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    if chosen == "cuda":
+        torch.backends.cudnn.allow_tf32 = False
+    return torch.device(chosen)
 
 
 def _check_shapes(rgb: NDArray, sparse: NDArray, error: NDArray | None) -> None:

@@ -20,6 +20,8 @@ class FrozenBatchNorm2d(nn.BatchNorm2d):
     no longer changes them. It is then a fixed affine map of each channel with a learnt gain and offset.
     """
 
+    waits_for_gpu = True  # for the number of batches
+
     def forward(self, x: Tensor) -> Tensor:
         assert self.num_batches_tracked is not None
         if self.training and int(self.num_batches_tracked) < FREEZE_AFTER:

@@ -8,7 +8,7 @@ a unit instead, and `reconstruct` can use it.
 """
 
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from torch import nn
 
@@ -21,7 +21,7 @@ from completion.networks.rivals.nlspn import NLSPN, NLSPNConfig
 from completion.networks.rivals.sparse_to_dense import SparseToDense, SparseToDenseConfig
 from haustra.core.errors import CompletionError
 
-Size = Literal["paper", "small"]
+Size = Literal["paper", "small", "same-parameters"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Entry:
     config: type[Any]
     fixed: dict[str, Any] = field(default_factory=dict)  # options that the name stands for
     small: dict[str, Any] = field(default_factory=dict)  # options of the size "small"
+    same_parameters: dict[str, Any] | None = None  # of the size "same-parameters"; None: those of "small"
     needs_intrinsics: bool = False
     old_headers: tuple[str, ...] = ()  # names of the class in older weight files
     old_options: dict[str, str] = field(default_factory=dict)  # older weight files' names of options: today's
@@ -44,6 +45,14 @@ class Entry:
     def is_metric(self) -> bool:
         """Whether it is called as the paper's networks are; else it is a `DepthNetwork`."""
         return not hasattr(self.network, "iterate")
+
+    def of_size(self, size: Size) -> dict[str, Any]:
+        """Options of a size; CompletionError if there is none of this name."""
+        if size not in get_args(Size):
+            raise CompletionError(f"no size '{size}': give {' or '.join(get_args(Size))}")
+        if size == "same-parameters" and self.same_parameters is not None:
+            return self.same_parameters
+        return {} if size == "paper" else self.small
 
     def options(self) -> set[str]:
         """Names of its configuration's fields."""
@@ -59,10 +68,11 @@ def _early_fusion(use_msc: bool, use_sa: bool, **readings: bool) -> Entry:
     return Entry(EarlyFusionMSCSANet, EarlyFusionConfig, {"use_msc": use_msc, "use_sa": use_sa, **readings})
 
 
-# "small": networks that one CPU thread can train at 160 to 192 px, of about the cost of MSCSA-Net at half its width
-# (50 to 130 ms forward and backward at 160 px). Cut: channels everywhere; of NLSPN also 34 layers to 18; of GAENet
-# half of a point's features, since its point map must stay narrower than the first level. The early-fusion networks
-# are that small as published.
+# "small": MSCSA-Net at half its width (0.81 M parameters, 0.38 G multiplications a frame of 160 px), and the networks
+# that the paper compares it with cut to as many multiplications (0.37 to 0.45 G); "same-parameters": cut to as many
+# parameters (0.70 to 1.01 M). Cut: channels everywhere; of NLSPN also 34 layers to 18; of GAENet half of a point's
+# features, since its point map must stay narrower than the first level. The early-fusion networks are that small as
+# published.
 REGISTRY: dict[str, Entry] = {
     "mscsa-sfm": Entry(
         ScaleInvariantMSCSANet,
@@ -91,10 +101,14 @@ REGISTRY: dict[str, Entry] = {
     "mscsa-early-fusion": _early_fusion(True, True),
     "mscsa-early-fusion+confidence-last": _early_fusion(True, True, confidence_last=True),
     "mscsa-early-fusion+all-scales": _early_fusion(True, True, all_scales=True),
-    "std18": Entry(SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 48}, old_headers=("StDNet",)),
-    "std50": Entry(SparseToDense, SparseToDenseConfig, {"layers": 50}, {"base": 24}, old_headers=("StDNet",)),
-    "nlspn": Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}),
-    "gaenet": Entry(GAENet, GAENetConfig, {}, {"base": 16, "features": 8}, needs_intrinsics=True),
+    "std18": Entry(
+        SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 36}, {"base": 16}, old_headers=("StDNet",)
+    ),
+    "std50": Entry(
+        SparseToDense, SparseToDenseConfig, {"layers": 50}, {"base": 16}, {"base": 8}, old_headers=("StDNet",)
+    ),
+    "nlspn": Entry(NLSPN, NLSPNConfig, {}, {"layers": 18, "base": 8}, {"layers": 18, "base": 16}),
+    "gaenet": Entry(GAENet, GAENetConfig, {}, {"base": 12, "features": 8}, needs_intrinsics=True),
 }
 ALIASES = {"full": "mscsa", "scale-free": "mscsa-sfm"}
 
@@ -124,9 +138,7 @@ def described_network(header: str, options: dict[str, Any]) -> tuple[Entry, Any]
 def build_model(name: str, size: Size = "paper", **options: Any) -> nn.Module:
     """A fresh network from torch's current seed; `options` are fields of its configuration and go before `size`."""
     entry = find_entry(name)
-    if size not in ("paper", "small"):
-        raise CompletionError(f"no size '{size}': give paper or small")
-    chosen = (entry.small if size == "small" else {}) | options | entry.fixed
+    chosen = entry.of_size(size) | options | entry.fixed
     if clash := [key for key in options if key in entry.fixed]:
         raise CompletionError(f"'{name}' fixes {', '.join(clash)}")
     try:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from completion.networks.registry import canonical_name, find_entry
+from completion.networks.registry import Size, canonical_name, find_entry
 from haustra.core.errors import CompletionError
 
 
@@ -19,7 +19,7 @@ class TrainConfig(BaseModel):
     shards: tuple[Path, ...]
     out: Path
     model: str = "mscsa-sfm"  # ours for SfM points, or another name of completion.networks.registry
-    size: Literal["paper", "small"] = "paper"  # of the metric networks
+    size: Size = "paper"  # of the metric networks
     width: int = Field(32, gt=0)  # of mscsa-sfm
     anchor: bool = True  # its last stage
     iterations: int = Field(3, gt=0)  # at most; of mscsa-sfm, see completion.networks.recurrence
@@ -28,9 +28,11 @@ class TrainConfig(BaseModel):
     steps: int = Field(12000, gt=0)
     batch: int = Field(8, gt=0)
     points: int = Field(100, gt=0)  # per frame, of metric networks; mscsa-sfm is given random numbers of them
+    sampler: Literal["uniform", "features"] = "uniform"  # of those points
     optimizer: Literal["adamw", "adam"] = "adamw"
     learning_rate: float = Field(2e-3, gt=0)
-    schedule: Literal["cosine", "step", "thirds"] = "cosine"  # step: a tenth at `decay_at`; thirds: after each third
+    # step: a tenth at `decay_at`; thirds: after each third; plateau: when held-out error stops falling (`plateau`)
+    schedule: Literal["cosine", "step", "thirds", "plateau"] = "cosine"
     decay_at: float = Field(1.0, ge=0, le=1)
     warm_up: int = Field(300, ge=0)  # steps of linear growth
     clip: float = Field(1.0, ge=0)  # greatest norm of the gradients; 0: none

@@ -5,13 +5,19 @@ Both draw sparse points from a batch of images and true depths in mm, and comput
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
 
 from completion.data.sampling_neighbours import merged, sample_like_neighbours
-from completion.data.sampling_training import SfmPattern, normalise_log, sample_like_sfm, sample_uniform
+from completion.data.sampling_training import (
+    SfmPattern,
+    normalise_log,
+    sample_keypoints,
+    sample_like_sfm,
+    sample_uniform,
+)
 from completion.networks.protocol import DepthNetwork, Estimate, SampleGrid, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.networks.registry import build_model, find_entry
@@ -87,8 +93,18 @@ def _draw_grid(generator: torch.Generator) -> SampleGrid:
     return SampleGrid(step, int(torch.randint(step, (), generator=generator)))
 
 
+class Drawn(NamedTuple):
+    """A batch with its points: image, true depth, where that is valid, sparse depth, lens or None."""
+
+    rgb: Tensor
+    depth: Tensor
+    valid: Tensor
+    sparse: Tensor
+    lens: Tensor | None
+
+
 class PaperTask:
-    """L1 on metric depth from exact uniform points (paper, section III-B), for each network of its comparison.
+    """L1 on metric depth from exact points (paper, section III-B), for each network of its comparison.
 
     Depth is divided by one constant for all frames and networks, `unit_mm`, so that a network whose head starts near
     zero is not judged by how fast it learns the number 25.
@@ -99,17 +115,30 @@ class PaperTask:
         self.network = network
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
+        return self.loss_of(self.draw(rgb, depth, lens, generator))
+
+    def draw(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Drawn:
+        """What `loss_of` takes; all that is random is drawn here."""
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
-        sparse = sample_uniform(depth * valid, self.config.points, generator)
-        return masked_l1(self._depth(self.network, rgb, sparse, lens), depth / self.config.unit_mm, valid)
+        return Drawn(rgb, depth, valid, self._sample(rgb, depth * valid, generator), lens)
+
+    def loss_of(self, drawn: Drawn) -> Tensor:
+        """Scalar loss of what was drawn."""
+        depth = self._depth(self.network, drawn.rgb, drawn.sparse, drawn.lens)
+        return masked_l1(depth, drawn.depth / self.config.unit_mm, drawn.valid)
 
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From as many uniform points as in training."""
+        """From as many points of the same sampler as in training."""
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
-        sparse = sample_uniform(depth * valid, self.config.points, generator)
+        sparse = self._sample(rgb, depth * valid, generator)
         return self._depth(network, rgb, sparse, lens) * self.config.unit_mm
+
+    def _sample(self, rgb: Tensor, depth: Tensor, generator: torch.Generator) -> Tensor:
+        if self.config.sampler == "features":
+            return sample_keypoints(rgb, depth, self.config.points, generator)
+        return sample_uniform(depth, self.config.points, generator)
 
     def _depth(self, network: nn.Module, rgb: Tensor, sparse: Tensor, lens: Tensor | None) -> Tensor:
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from completion.data.shards import Batch, Shard, augment
 from completion.inference.completer import choose_device
@@ -38,11 +39,14 @@ from completion.training.config import TrainConfig, with_new_names
 from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import Say, TrainLog
-from completion.training.tasks import make_task
+from completion.training.plateau import EVERY as PLATEAU_EVERY
+from completion.training.plateau import Plateau
+from completion.training.recorded_step import RecordedStep, can_record
+from completion.training.tasks import PaperTask, make_task
 from haustra.core.errors import CompletionError
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
-LATER_SETTINGS = {"clip": 1.0}  # what checkpoints that do not name these were trained with
+LATER_SETTINGS = {"clip": 1.0, "sampler": "uniform"}  # what checkpoints that do not name these were trained with
 ProgressCallback = Callable[[int, int | None], None]
 
 
@@ -60,10 +64,30 @@ class TrainingState:
         self.task.network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.task.network.train()
         self.average = copy.deepcopy(self.task.network).eval()
+        self.recorded: RecordedStep | None = None
+        if isinstance(self.task, PaperTask) and self.processes.size == 1 and can_record(self.task.network, self.device):
+            loss_of = self.task.loss_of
+            self.recorded = RecordedStep(lambda inputs: optimise(self, lambda: loss_of(inputs)))
+        # A recording reads the rate from a tensor.
+        rate = torch.tensor(config.learning_rate, device=self.device) if self.recorded else config.learning_rate
         kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
         decay = 0.01 if config.optimizer == "adamw" else 0.0
-        self.optimizer = kind(self.task.network.parameters(), config.learning_rate, weight_decay=decay)
+        parameters = self.task.network.parameters()
+        self.optimizer = kind(parameters, rate, weight_decay=decay, capturable=self.recorded is not None)
         self.step = 0
+        self.plateau = Plateau(config.steps) if config.schedule == "plateau" else None
+
+    @property
+    def steps(self) -> int:
+        """Of the whole run, as far as is known."""
+        return self.plateau.steps if self.plateau else self.config.steps
+
+    @property
+    def rate(self) -> float:
+        """Learning rate of the next step."""
+        if self.plateau:
+            return self.config.learning_rate * (0.1 if self.plateau.cooled_at else 1.0)
+        return learning_rate(self.step, self.config)
 
     @property
     def checkpoint(self) -> Path:
@@ -73,7 +97,9 @@ class TrainingState:
         tensors = {f"network.{n}": t for n, t in self.task.network.state_dict().items()}
         tensors |= {f"average.{n}": t for n, t in self.average.state_dict().items()}
         tensors |= flatten_optimizer(self.optimizer)
-        save_tensors(self.checkpoint, tensors, {"step": self.step, "config": self._identity()})
+        about = {"step": self.step, "config": self._identity()}
+        about |= {"plateau": self.plateau.state()} if self.plateau else {}
+        save_tensors(self.checkpoint, tensors, about)
 
     def resume(self) -> None:
         if not self.checkpoint.exists():
@@ -87,6 +113,8 @@ class TrainingState:
             module.load_state_dict({n[len(name) :]: t for n, t in tensors.items() if n.startswith(name)})
         restore_optimizer(self.optimizer, tensors)
         self.step = metadata["step"]
+        if self.plateau:
+            self.plateau.restore(metadata["plateau"])
 
     def _identity(self) -> dict[str, object]:
         settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
@@ -118,11 +146,12 @@ def learning_rate(step: int, config: TrainConfig) -> float:
 
 def update_average(average: nn.Module, network: nn.Module, decay: float) -> None:
     """Exponential moving average of parameters and of batch statistics."""
+    pairs = list(zip(average.state_dict().values(), network.state_dict().values(), strict=True))
+    moving = [(old, new) for old, new in pairs if old.is_floating_point()]
+    get_ema_multi_avg_fn(decay)([old for old, _ in moving], [new for _, new in moving], None)
     with torch.no_grad():
-        for old, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-            if old.is_floating_point():
-                old.lerp_(new, 1 - decay)
-            else:
+        for old, new in pairs:
+            if not old.is_floating_point():
                 old.copy_(new)
 
 
@@ -135,7 +164,7 @@ def validate(run: TrainingState, shards: list[Shard], frames: int = 64) -> float
             held_out = shard.split()[1]
             chosen = held_out[:: max(1, len(held_out) // frames)][:frames]
             for start in range(0, len(chosen), 8):
-                batch = shard.batch(chosen[start : start + 8]).to(run.device)
+                batch = shard.batch(chosen[start : start + 8], run.device).to(run.device)
                 depth = batch.depth
                 predicted = run.task.predict(run.average, batch.rgb, depth, batch.lens, generator)
                 valid = (depth > 0) & (depth < run.config.max_depth_mm)
@@ -144,7 +173,12 @@ def validate(run: TrainingState, shards: list[Shard], frames: int = 64) -> float
 
 
 def draw_batch(
-    config: TrainConfig, step: int, shards: list[Shard], splits: list[NDArray[np.int64]], processes: ProcessGroup
+    config: TrainConfig,
+    step: int,
+    shards: list[Shard],
+    splits: list[NDArray[np.int64]],
+    processes: ProcessGroup,
+    device: torch.device,
 ) -> tuple[Batch, torch.Generator]:
     """This process's part of a step's batch from the training frames `splits`, and its generator in that step: so a
     resumed run draws what an unbroken one would.
@@ -156,18 +190,33 @@ def draw_batch(
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + processes.rank)
     which = rng.choice(len(shards), p=share)
     chosen = rng.choice(splits[which], config.batch, replace=False)
-    batch = shards[which].batch(chosen[processes.rank :: processes.size])
-    return (augment(batch, generator) if config.augmentation else batch), generator
+    own = chosen[processes.rank :: processes.size]
+    if not config.augmentation:
+        return shards[which].batch(own, device).to(device), generator
+    return augment(shards[which].batch(own), generator).to(device), generator
 
 
 def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
     """One step of the optimizer; returns the loss."""
-    batch, generator = draw_batch(run.config, run.step, shards, splits, run.processes)
+    batch, generator = draw_batch(run.config, run.step, shards, splits, run.processes, run.device)
     torch.manual_seed(generator.initial_seed())  # for dropout: resumed, a run must drop what an unbroken one would
-    batch = batch.to(run.device)
     for group in run.optimizer.param_groups:
-        group["lr"] = learning_rate(run.step, run.config)
-    loss = run.task.loss(batch.rgb, batch.depth, batch.lens, generator)
+        if run.recorded:
+            group["lr"].fill_(run.rate)
+        else:
+            group["lr"] = run.rate
+    if run.recorded and isinstance(run.task, PaperTask):
+        loss = run.recorded(run.task.draw(batch.rgb, batch.depth, batch.lens, generator))
+    else:
+        loss = optimise(run, lambda: run.task.loss(batch.rgb, batch.depth, batch.lens, generator))
+    run.step += 1
+    update_average(run.average, run.task.network, min(run.config.ema, run.step / (run.step + 10)))
+    return loss.item()
+
+
+def optimise(run: TrainingState, loss_of: Callable[[], Tensor]) -> Tensor:
+    """Follow the gradient of a loss by one step; returns the loss before it."""
+    loss = loss_of()
     run.optimizer.zero_grad(set_to_none=True)
     loss.backward()
     run.processes.average_gradients(run.task.network)
@@ -175,9 +224,7 @@ def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.
     if run.config.clip:
         nn.utils.clip_grad_norm_(run.task.network.parameters(), run.config.clip)
     run.optimizer.step()
-    run.step += 1
-    update_average(run.average, run.task.network, min(run.config.ema, run.step / (run.step + 10)))
-    return loss.item()
+    return loss.detach()
 
 
 def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say = print) -> Path:
@@ -191,22 +238,25 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
     config.out.parent.mkdir(parents=True, exist_ok=True)
     log = TrainLog(config.out, say) if run.processes.is_first else None
     if log and run.step:
-        say(f"going on from step {run.step} of {config.steps}, where {run.checkpoint} ends")
+        say(f"going on from step {run.step} of {run.steps}, where {run.checkpoint} ends")
     saved, losses = time.monotonic(), []
     with GracefulInterrupt(run.processes.size == 1) as interrupt:
-        while run.step < config.steps and not interrupt.requested:
+        while run.step < run.steps and not interrupt.requested:
+            rate = run.rate
             losses.append(train_step(run, shards, splits))
             if advance and log:
-                advance(run.step, config.steps)
-            if log and (run.step % LOG_EVERY == 0 or run.step == config.steps):
-                held_out = validate(run, shards) if run.step % VALIDATE_EVERY == 0 else None
-                rate = learning_rate(run.step - 1, config)
+                advance(run.step, run.steps)
+            if log and (run.step % LOG_EVERY == 0 or run.step == run.steps):
+                due = run.step % (PLATEAU_EVERY if run.plateau else VALIDATE_EVERY) == 0
+                held_out = validate(run, shards) if due else None
                 lately = float(np.mean(losses[-1 - (run.step - 1) % LOG_EVERY :]))
-                log.write(run.step, config.steps, lately, rate, held_out)
+                log.write(run.step, run.steps, lately, rate, held_out)
+                if run.plateau and held_out is not None:
+                    run.plateau.update(run.step, held_out)
             if log and time.monotonic() - saved > config.checkpoint_seconds:
                 run.save()
                 saved = time.monotonic()
-    if run.step < config.steps:
+    if run.step < run.steps:
         run.save()
         raise KeyboardInterrupt
     if log:
@@ -222,6 +272,8 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
 def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
     if config.batch % processes:
         raise CompletionError(f"a batch of {config.batch} cannot be shared evenly by {processes} processes")
+    if config.schedule == "plateau" and processes > 1:
+        raise CompletionError("the schedule 'plateau' is for one process, which measures the held-out error")
     for shard, folder in zip(shards, config.shards, strict=True):
         training, held_out = shard.split()
         if len(training) < config.batch or not len(held_out):

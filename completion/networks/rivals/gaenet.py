@@ -190,6 +190,8 @@ class GAENetConfig:
 class GAENet(nn.Module):
     """The whole network: unit of the sparse depth in, same unit out."""
 
+    waits_for_gpu = True  # the number of points is a shape
+
     def __init__(self, config: GAENetConfig | None = None) -> None:
         super().__init__()
         self.config = config or GAENetConfig()

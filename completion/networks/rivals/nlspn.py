@@ -19,8 +19,6 @@ from haustra.core.errors import CompletionError
 
 Affinity = Literal["AS", "ASS", "TC", "TGASS"]
 NEIGHBOURS = 8
-# (dy, dx) of a 3x3 window without its centre, row by row: where a neighbour sits before its offset.
-WINDOW = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
 STRIDE = 16
 
 
@@ -45,13 +43,19 @@ def normalise_affinity(raw: Tensor, kind: Affinity, scale: Tensor, confidence: T
 def sampling_grid(offsets: Tensor) -> Tensor:
     """Offsets (B,8,2,H,W) as (dy, dx) in pixels from the 3x3 window -> grid (B,8H,W,2) for `grid_sample`."""
     batch, _, _, height, width = offsets.shape
-    window = offsets.new_tensor(WINDOW).view(1, NEIGHBOURS, 2, 1, 1)
-    moved = offsets + window
+    moved = offsets + _window(offsets)
     y = moved[:, :, 0] + torch.arange(height, device=offsets.device, dtype=offsets.dtype).view(-1, 1)
     x = moved[:, :, 1] + torch.arange(width, device=offsets.device, dtype=offsets.dtype)
     # align_corners=False units, which a side of one pixel does not divide by zero.
     grid = torch.stack([(2 * x + 1) / width - 1, (2 * y + 1) / height - 1], dim=-1)
     return grid.view(batch, NEIGHBOURS * height, width, 2)
+
+
+def _window(like: Tensor) -> Tensor:
+    """(1,8,2,1,1) as (dy, dx): where a neighbour sits in a 3x3 window before its offset, row by row."""
+    places = torch.arange(9, device=like.device)  # made there: a copy from the CPU would wait for it
+    around = torch.cat([places[:4], places[5:]])
+    return torch.stack([around // 3 - 1, around % 3 - 1], dim=1).to(like.dtype).view(1, NEIGHBOURS, 2, 1, 1)
 
 
 def sample_neighbours(image: Tensor, grid: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from benchmarks.paper import run_queue, single_run
+from benchmarks.paper import frames, run_queue, single_run
 from benchmarks.paper.batch_statistics import companion_effect
 from benchmarks.paper.frames import render
 from benchmarks.paper.plan import CHANGES, SCENES, UNTRAINED, Run, tables
@@ -19,7 +19,7 @@ from completion.training.config import make_config
 
 def test_runs_have_names_of_their_own_and_networks_that_exist():
     runs = [run for table in tables().values() for run in table.runs]
-    assert len({run.name for run in runs}) == len(set(runs)) == len(runs)
+    assert len({run.name for run in runs}) == len(set(runs))
     assert {run.model for run in runs} <= set(REGISTRY) | set(UNTRAINED)
     assert {run.change for run in runs} == {"", *CHANGES}
     seeds = [seed for pair in SCENES.values() for seed in pair]
@@ -34,10 +34,11 @@ def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, cap
         done.append(run)
         if len(done) == 3:
             raise KeyboardInterrupt
-        frames = {"abs_rel": [0.1, 0.3]}
-        return {"model": run.model, "processor_seconds_a_step": None, "scenes": {run.scenes[0]: {"frames": frames}}}
+        judged = {"abs_rel": [0.1, 0.3]}
+        return {"model": run.model, "seconds_a_step": None, "scenes": {run.scenes[0]: {"frames": judged}}}
 
     monkeypatch.setattr(single_run, "perform", performed)
+    monkeypatch.setattr(frames, "render", lambda work, scene: None)
     command = ["paper", "--work", str(tmp_path / "work"), "--results", str(tmp_path / "records")]
     monkeypatch.setattr("sys.argv", [*command, "--table", "untrained"])
     with pytest.raises(KeyboardInterrupt):

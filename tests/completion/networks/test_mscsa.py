@@ -9,7 +9,7 @@ from scipy.special import softmax
 from torch import nn
 
 from completion.confidence import error_from_confidence
-from completion.data.sampling_training import SfmPattern, sample_features, sample_like_sfm, sample_uniform
+from completion.data.sampling_training import SfmPattern, sample_keypoints, sample_like_sfm, sample_uniform
 from completion.inference.completer import DepthCompleter
 from completion.networks.channel_attention import StructureAwareness
 from completion.networks.mscsa import MSCSAConfig, MSCSANet
@@ -194,7 +194,7 @@ def test_samplers_take_exact_counts_of_true_depths_by_seed(points):
 
     def both(seed):
         generator = torch.Generator().manual_seed(seed)
-        return sample_uniform(depth, points, generator), sample_features(rgb, depth, points, generator)
+        return sample_uniform(depth, points, generator), sample_keypoints(rgb, depth, points, generator)
 
     for sparse, again in zip(both(1), both(1), strict=True):
         assert (sparse > 0).flatten(1).sum(1).tolist() == [points] * 3

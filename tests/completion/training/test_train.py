@@ -91,7 +91,9 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
             if name in fresh:
                 buffer.copy_(fresh[name])
         opened = Shard.open(shards)
-        batch, generator = draw_batch(alone.config, 0, [opened], [opened.split()[0]], ProcessGroup(rank, 2))
+        batch, generator = draw_batch(
+            alone.config, 0, [opened], [opened.split()[0]], ProcessGroup(rank, 2), alone.device
+        )
         assert len(batch.rgb) == 1
         alone.task.network.zero_grad()
         alone.task.loss(batch.to(alone.device).rgb, batch.depth, None, generator).backward()
