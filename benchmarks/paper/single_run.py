@@ -18,6 +18,7 @@ from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.checkpoint import read_metadata
 from completion.training.config import TrainConfig, make_config
 from completion.training.train import train
+from haustra.core.errors import CompletionError
 
 FIGURES = ("rmse", "abs_rel", "mae", "delta_1", "delta_2")
 FRACTION_DIGITS = 6
@@ -41,7 +42,11 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
     new = 0 if run.model in UNTRAINED else steps - before
     predictor = load_predictor(weights)
     network = predictor.network
-    scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
+    try:
+        scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
+        failed = None
+    except CompletionError as error:  # a network that says zero everywhere has no error to speak of
+        scenes, failed = {}, str(error)
     about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change}
     about |= {"size": run.size, "points": run.points, "sampler": run.sampler, "converged": run.converged}
     about |= {"steps_done": steps, "device": str(next(network.parameters()).device.type) if network else "cpu"}
@@ -52,6 +57,7 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
         "parameters": sum(p.numel() for p in network.parameters()) if network else 0,
         **{name: value / new if new else None for name, value in spent.items()},
         "frames_digest": {scene: digest(both) for scene, both in folders.items()},
+        "failed": failed,
         "scenes": scenes,
     }
 
