@@ -1,7 +1,7 @@
 """The records of the runs, read back as tables of seeds and meshes."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.common.record import ROOT
 from benchmarks.paper.intervals import Interval, Table, by_mesh, mean_interval, reduction_interval
+from benchmarks.paper.plan import Run
 
 RESULTS = ROOT / "benchmarks/results/paper"
 Record = dict[str, Any]
@@ -16,7 +17,8 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Records:
-    """All records of a folder."""
+    """All records of a folder. A row of a table is asked for by one of its runs, of whatever seed; a figure by the
+    scene that it was judged on."""
 
     records: list[Record]
 
@@ -24,31 +26,41 @@ class Records:
     def read(cls, folder: Path = RESULTS) -> "Records":
         return cls([json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))])
 
-    def of(self, scene: str, model: str, change: str = "") -> dict[int, Record]:
-        """By seed, of trainings on this scene alone."""
-        found = [r for r in self.records if (r["model"], r["change"], [*r["scenes"]]) == (model, change, [scene])]
+    def of(self, run: Run) -> dict[int, Record]:
+        """By seed, but for trainings that came to nothing."""
+        found = [record for record in self.records if of_same_row(record, run) and not record.get("failed")]
         return {record["seed"]: record for record in sorted(found, key=lambda record: record["seed"])}
 
-    def table(self, scene: str, model: str, figure: str, change: str = "", seeds: set[int] | None = None) -> Table:
+    def failed(self, run: Run) -> int:
+        """Trainings that came to nothing."""
+        return sum(of_same_row(record, run) and bool(record.get("failed")) for record in self.records)
+
+    def table(self, scene: str, run: Run, figure: str, seeds: set[int] | None = None) -> Table:
         """(S,M) of a figure, of all seeds or of these; no row where there is no record."""
-        runs = self.of(scene, model, change)
-        frames = [run["scenes"][scene]["frames"] for seed, run in runs.items() if seeds is None or seed in seeds]
+        runs = self.of(run)
+        frames = [found["scenes"][scene]["frames"] for seed, found in runs.items() if seeds is None or seed in seeds]
         return np.array([by_mesh(frame[figure], frame["mesh"]) for frame in frames])
 
-    def mean(self, scene: str, model: str, figure: str, change: str = "") -> Interval | None:
-        table = self.table(scene, model, figure, change)
+    def mean(self, scene: str, run: Run, figure: str) -> Interval | None:
+        table = self.table(scene, run, figure)
         return mean_interval(table) if len(table) else None
 
-    def median_frame(self, scene: str, model: str, figure: str, change: str = "") -> float | None:
+    def median_frame(self, scene: str, run: Run, figure: str) -> float | None:
         """Median over the frames of all seeds."""
-        runs = self.of(scene, model, change).values()
-        values = [value for run in runs for value in run["scenes"][scene]["frames"][figure]]
+        values = [value for found in self.of(run).values() for value in found["scenes"][scene]["frames"][figure]]
         return float(np.median(values)) if values else None
 
-    def reduction(self, scene: str, model: str, beside: str, figure: str) -> tuple[Interval, int] | None:
-        """By how much of `beside` a model's mean is lower, as a fraction, and of how many seeds that both have."""
-        shared = self.of(scene, model).keys() & self.of(scene, beside).keys()
+    def reduction(self, scene: str, run: Run, beside: Run, figure: str) -> tuple[Interval, int] | None:
+        """By how much of `beside` a row's mean is lower, as a fraction, and of how many seeds that both have."""
+        shared = set(self.of(run).keys() & self.of(beside).keys())
         if not shared:
             return None
-        tables = [self.table(scene, name, figure, seeds=set(shared)) for name in (model, beside)]
+        tables = [self.table(scene, which, figure, shared) for which in (run, beside)]
         return reduction_interval(*tables), len(shared)
+
+
+def of_same_row(record: Record, run: Run) -> bool:
+    """Whether a record is of this run, but for the seed."""
+    wanted = asdict(run)
+    del wanted["seed"], wanted["scenes"]
+    return all(record[name] == value for name, value in wanted.items()) and [*record["frames_digest"]] == [*run.scenes]

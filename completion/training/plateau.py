@@ -33,7 +33,7 @@ class Plateau:
     @property
     def steps(self) -> int:
         """Of the whole run, as far as is known."""
-        return round(self.cooled_at * (1 + COOLING)) if self.cooled_at else self.most_steps
+        return min(self.most_steps, round(self.cooled_at * (1 + COOLING))) if self.cooled_at else self.most_steps
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` returned."""

@@ -23,6 +23,7 @@ from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iterativel
 from completion.networks.registry import build_model, find_entry
 from completion.training.config import TrainConfig
 from completion.training.losses import completion_loss, masked_l1
+from haustra.core.errors import CompletionError
 
 NEIGHBOURS_SHARE = 0.35  # share of the batches whose frames also have points from other frames' depths
 GRID_STEPS = (6, 17)  # px: lower and (excluded) upper bound of a `SampleGrid.step` in training
@@ -113,6 +114,16 @@ class PaperTask:
     def __init__(self, config: TrainConfig, network: nn.Module) -> None:
         self.config = config
         self.network = network
+        self._msc = getattr(network, "msc", None)
+        self._msc_alone = False
+        if config.msc_first and not isinstance(self._msc, nn.Module):
+            raise CompletionError(f"{config.model} has no multi-scale confidence that could be trained first")
+
+    def begin(self, step: int) -> None:
+        """What learns in this step: with `msc_first` MSC alone at first, and from then on all but MSC."""
+        if self.config.msc_first and self._msc is not None:
+            self._msc_alone = step < self.config.msc_first
+            self._msc.requires_grad_(self._msc_alone)
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         return self.loss_of(self.draw(rgb, depth, lens, generator))
@@ -124,7 +135,11 @@ class PaperTask:
 
     def loss_of(self, drawn: Drawn) -> Tensor:
         """Scalar loss of what was drawn."""
-        depth = self._depth(self.network, drawn.rgb, drawn.sparse, drawn.lens)
+        if self._msc_alone and self._msc is not None:
+            sparse = drawn.sparse / self.config.unit_mm
+            depth = self._msc(sparse, (sparse > 0).float())[0]
+        else:
+            depth = self._depth(self.network, drawn.rgb, drawn.sparse, drawn.lens)
         return masked_l1(depth, drawn.depth / self.config.unit_mm, drawn.valid)
 
     def predict(

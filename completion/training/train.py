@@ -46,7 +46,11 @@ from completion.training.tasks import PaperTask, make_task
 from haustra.core.errors import CompletionError
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
-LATER_SETTINGS = {"clip": 1.0, "sampler": "uniform"}  # what checkpoints that do not name these were trained with
+LATER_SETTINGS = {
+    "clip": 1.0,
+    "sampler": "uniform",
+    "msc_first": 0,
+}  # what checkpoints that do not name these were trained with
 ProgressCallback = Callable[[int, int | None], None]
 
 
@@ -65,9 +69,9 @@ class TrainingState:
         self.task.network.train()
         self.average = copy.deepcopy(self.task.network).eval()
         self.recorded: RecordedStep | None = None
-        if isinstance(self.task, PaperTask) and self.processes.size == 1 and can_record(self.task.network, self.device):
-            loss_of = self.task.loss_of
-            self.recorded = RecordedStep(lambda inputs: optimise(self, lambda: loss_of(inputs)))
+        task, alone = self.task, self.processes.size == 1
+        if isinstance(task, PaperTask) and not config.msc_first and alone and can_record(task.network, self.device):
+            self.recorded = RecordedStep(lambda drawn: optimise(self, lambda: task.loss_of(drawn)))
         # A recording reads the rate from a tensor.
         rate = torch.tensor(config.learning_rate, device=self.device) if self.recorded else config.learning_rate
         kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
@@ -205,6 +209,8 @@ def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.
             group["lr"].fill_(run.rate)
         else:
             group["lr"] = run.rate
+    if isinstance(run.task, PaperTask):
+        run.task.begin(run.step)
     if run.recorded and isinstance(run.task, PaperTask):
         loss = run.recorded(run.task.draw(batch.rgb, batch.depth, batch.lens, generator))
     else:
