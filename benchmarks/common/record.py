@@ -25,7 +25,7 @@ def environment(checkout: Path = ROOT) -> dict[str, Any]:
     """Commit of a checkout (with "+" if its tree is changed elsewhere than in the records, the README and the pages of
     docs/lab, which show them), processor, number of cores, Python.
 
-    A copy without its history takes the commit from the variable HAUSTRA_COMMIT, which whoever copies it sets.
+    Where a tree was copied to another machine, whoever copied it names its commit in the variable HAUSTRA_COMMIT.
     """
     git = ["git", "-C", str(checkout)]
     commit = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
@@ -37,7 +37,7 @@ def environment(checkout: Path = ROOT) -> dict[str, Any]:
     ).stdout
     model = [line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")]
     return {
-        "commit": commit + ("+" if changed.strip() else "") or os.environ.get("HAUSTRA_COMMIT", ""),
+        "commit": os.environ.get("HAUSTRA_COMMIT") or commit + ("+" if changed.strip() else ""),
         "processor": model[0] if model else platform.processor(),
         "cores": len(model),
         "python": platform.python_version(),

@@ -28,12 +28,12 @@ class Records:
 
     def of(self, run: Run) -> dict[int, Record]:
         """By seed, but for trainings that came to nothing."""
-        found = [record for record in self.records if of_same_row(record, run) and not record.get("failed")]
+        found = [record for record in self.records if of_same_row(record, run) and not record["failed"]]
         return {record["seed"]: record for record in sorted(found, key=lambda record: record["seed"])}
 
     def failed(self, run: Run) -> int:
         """Trainings that came to nothing."""
-        return sum(of_same_row(record, run) and bool(record.get("failed")) for record in self.records)
+        return sum(of_same_row(record, run) and bool(record["failed"]) for record in self.records)
 
     def table(self, scene: str, run: Run, figure: str, seeds: set[int] | None = None) -> Table:
         """(S,M) of a figure, of all seeds or of these; no row where there is no record."""

@@ -37,15 +37,19 @@ class StructureAwareness(nn.Module):
         # float32 whatever the autocast: sums over hundreds of positions go through an exponential.
         with torch.autocast(features.device.type, enabled=False):
             x = features.float().flatten(2)
-            energy = x @ x.transpose(1, 2)
-            if self.similarity == "mean":
-                energy = energy / x.shape[2]
-            if self.sign == "distinct":
-                energy = energy.amax(dim=2, keepdim=True) - energy
-            gathered = (energy.softmax(dim=2) @ x).view_as(features)
+            gathered = (self.attention(x) @ x).view_as(features)
         if self.gain is not None:
             gathered = self.gain * gathered
         return features + gathered.to(features.dtype)
+
+    def attention(self, x: Tensor) -> Tensor:
+        """A, (B,C,C): the weights with which each channel of x (B,C,N) takes up all of them; rows sum to one."""
+        energy = x @ x.transpose(1, 2)
+        if self.similarity == "mean":
+            energy = energy / x.shape[2]
+        if self.sign == "distinct":
+            energy = energy.amax(dim=2, keepdim=True) - energy
+        return energy.softmax(dim=2)
 
 
 def attention_features(network: nn.Module, run: Callable[[], object]) -> tuple[Tensor, Tensor] | None:

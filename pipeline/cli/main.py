@@ -205,7 +205,7 @@ def train(
         str | None, typer.Option(help="mscsa-sfm (ours, for SfM points) or another name of networks/registry.py")
     ] = None,
     preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
-    size: Annotated[str | None, typer.Option(help="paper or small, of the networks of networks/registry.py")] = None,
+    size: Annotated[str | None, typer.Option(help="paper, small or same-parameters: networks/registry.py")] = None,
     steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
     batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,

@@ -5,16 +5,39 @@ The words are in paper_page.txt; every figure that we measured comes from the re
 python -m scripts.pages.paper_page > docs/lab/paper.md
 """
 
+import json
 from pathlib import Path
 from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
+from benchmarks.paper.figures import RECORD as FIGURES
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.plan import BODIES, CHANGES, NORMALISATIONS, READINGS, RESIDUAL, ROWS, STEPS, UNTRAINED
+from benchmarks.paper.judgements import NAMES, percent, points
+from benchmarks.paper.judgements import row as row_of_table_1
+from benchmarks.paper.plan import (
+    BODIES,
+    CHANGES,
+    MOST_STEPS,
+    NORMALISATIONS,
+    OTHER_PARAMETERS,
+    OURS,
+    PAPER_LENGTH,
+    PAPER_STEPS,
+    POINT_COUNTS,
+    READINGS,
+    RESIDUAL,
+    RIVALS,
+    ROWS,
+    SCENES,
+    STEPS,
+    UNTRAINED,
+    Run,
+)
 from benchmarks.paper.published import TABLE_2, reduction
 from benchmarks.paper.records import Records
 
 WORDS = Path(__file__).with_name("paper_page.txt")
+FLOORS = {"linear": "(linear interpolation)", "nearest": "(nearest point)", "shipped": "(model of `reconstruct`)"}
 FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
 
 
@@ -26,18 +49,18 @@ def spread(found: Interval | None, factor: float = 1.0, digits: int = 2) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def row(records: Records, scene: str, label: str, model: str, change: str = "") -> str:
-    """One network's cells: RMSE, abs.REL (mean and median frame), MAE, delta 1, delta 2, seeds."""
-    seeds = len(records.of(scene, model, change))
-    median = records.median_frame(scene, model, "abs_rel", change)
+def row(records: Records, scene: str, label: str, model: str, change: str = "", steps: int = STEPS) -> str:
+    """One network's cells: RMSE, abs.REL (mean and median frame), MAE, delta 1, seeds."""
+    run = Run((scene,), model, change=change, steps=steps)
+    median = records.median_frame(scene, run, "abs_rel")
     cells = [
         label,
-        spread(records.mean(scene, model, "rmse", change)),
-        spread(records.mean(scene, model, "abs_rel", change), 100),
+        spread(records.mean(scene, run, "rmse")),
+        spread(records.mean(scene, run, "abs_rel"), 100),
         "-" if median is None else f"{100 * median:.2f}",
-        spread(records.mean(scene, model, "mae", change)),
-        spread(records.mean(scene, model, "delta_1", change), 1, 4),
-        str(seeds) if model not in UNTRAINED else "",
+        spread(records.mean(scene, run, "mae")),
+        spread(records.mean(scene, run, "delta_1"), 1, 4),
+        str(len(records.of(run))) if model not in UNTRAINED else "",
     ]
     return f"| {' | '.join(cells)} |"
 
@@ -52,8 +75,7 @@ def table_2(records: Records, scene: str) -> list[str]:
         lines += [row(records, scene, f"{body}: {name}", model) for name, model in zip(ROWS, models, strict=True)]
     if scene == "colon":
         lines += [row(records, scene, f"U-Net, {name}: full, residual", model) for name, model in RESIDUAL.items()]
-    names = {"linear": "(linear interpolation)", "nearest": "(nearest point)", "shipped": "(model of `reconstruct`)"}
-    lines += [row(records, scene, names[label], label) for label in UNTRAINED]
+    lines += [row(records, scene, name, label) for label, name in FLOORS.items()]
     return lines
 
 
@@ -66,7 +88,7 @@ def reductions(records: Records, scene: str) -> list[str]:
             cells = [f"{title} of {name} below {beside}", f"{100 * reduction(scene, name, beside, figure):.1f}"]
             for models in BODIES.values():
                 of = dict(zip(ROWS, models, strict=True))
-                found = records.reduction(scene, of[name], of[beside], figure)
+                found = records.reduction(scene, Run((scene,), of[name]), Run((scene,), of[beside]), figure)
                 cells.append("-" if found is None else spread(found[0], 100, 1))
             lines.append(f"| {' | '.join(cells)} |")
     return lines
@@ -77,14 +99,15 @@ def normalisations(records: Records) -> list[str]:
     columns = ["normalisation", "abs.REL [%]", "RMSE [mm]", "MSC's depth [%]", "in training mode [%]", "companions [%]"]
     lines = [f"| {' | '.join([*columns, 'seeds'])} |", "|---" * (len(columns) + 1) + "|"]
     for label, model in NORMALISATIONS.items():
-        runs = records.of("colon", model)
+        run = Run(("colon",), model)
+        runs = records.of(run)
         effects = [effect for run in runs.values() if (effect := run["scenes"]["colon"]["batch_statistics"])]
         means = [
             f"{100 * sum(effect[key] for effect in effects) / len(effects):.2f}" if effects else "-"
             for key in ("abs_rel", "companions")
         ]
-        figures = [spread(records.mean("colon", model, "abs_rel"), 100), spread(records.mean("colon", model, "rmse"))]
-        own = spread(records.mean("colon", model, "msc_abs_rel"), 100, 1)
+        figures = [spread(records.mean("colon", run, "abs_rel"), 100), spread(records.mean("colon", run, "rmse"))]
+        own = spread(records.mean("colon", run, "msc_abs_rel"), 100, 1)
         lines.append(f"| {' | '.join([label, *figures, own, *means, str(len(runs))])} |")
     return lines
 
@@ -100,7 +123,9 @@ def sentences(records: Records) -> list[str]:
     """Each sentence beside what the paper's own tables say and what we find on each body."""
     lines = ["| the paper's sentence | its own tables | ours | finding |", "|---|---|---|---|"]
     for claim in claims():
-        measured, findings = [], []
+        measured, findings = [], [claim.seen] if claim.seen else []
+        if claim.judge and (judged := claim.judge(records)):
+            measured, findings = [judged[0]], [judged[1]]
         for of in claim.compared[:1]:
             claimed = reduction(of.scene, of.row, of.beside, of.figure)
             for body in BODIES:
@@ -112,18 +137,81 @@ def sentences(records: Records) -> list[str]:
     return lines
 
 
-def provenance(records: Records) -> list[str]:
-    """Commits, machine and time of the records."""
-    trained = [record for record in records.records if record["model"] not in UNTRAINED]
-    if not trained:
-        return ["No training is recorded yet."]
-    commits = sorted({record["environment"]["commit"][:7] for record in records.records})
-    machines = sorted({record["environment"]["processor"] for record in records.records})
-    timed = [seconds for record in trained if (seconds := record["processor_seconds_a_step"])]
-    return [
-        f"{len(trained)} trainings of {STEPS} steps of 10 frames are recorded,",
-        f"{sum(timed) / len(timed):.2f} s of one core a step (`{', '.join(machines)}`), commits {', '.join(commits)}.",
+def table_1(records: Records, figure: str, title: str, factor: float) -> list[str]:
+    """All networks on the four scenes, one network for all of them; a size is named where it differs."""
+    scenes = " | ".join(SCENE_NAMES.values())
+    lines = [f"| {title} | {scenes} | parameters [M] | steps | seeds |", "|---" * (4 + len(SCENES)) + "|"]
+    rows = [(NAMES[model], row_of_table_1(model)) for model in (*OURS, *RIVALS)]
+    rows += [(f"{NAMES[m]}, as many parameters", row_of_table_1(m, "same-parameters")) for m in OTHER_PARAMETERS]
+    rows += [(name, Run(tuple(SCENES), label)) for label, name in FLOORS.items()]
+    for name, run in rows:
+        cells = [spread(records.mean(scene, run, figure), factor) for scene in SCENES]
+        found = list(records.of(run).values())
+        trained = run.model not in UNTRAINED
+        size = f"{found[0]['parameters'] / 1e6:.2f}" if found and found[0]["parameters"] else ""
+        steps = ", ".join(f"{record['steps_done']:,}" for record in found) if trained else ""
+        failed = f", {records.failed(run)} came to nothing" if records.failed(run) else ""
+        lines.append(f"| {' | '.join([name, *cells, size, steps, f'{len(found)}{failed}' if trained else ''])} |")
+    return lines
+
+
+def equal_steps(records: Records) -> list[str]:
+    """abs.REL where every network has the same number of steps."""
+    lines = [f"| abs.REL [%], {MOST_STEPS:,} steps | {' | '.join(SCENE_NAMES.values())} |", "|---" * 5 + "|"]
+    for model in ("mscsa-plain", *RIVALS):
+        run = Run(tuple(SCENES), model, steps=MOST_STEPS)
+        cells = [spread(records.mean(scene, run, "abs_rel"), 100) for scene in SCENES]
+        lines.append(f"| {NAMES[model]} | {' | '.join(cells)} |")
+    return lines
+
+
+def figure_5(records: Records) -> list[str]:
+    """Errors by the number of uniform and of feature points."""
+    lines = ["| points | of 25,600 px | abs.REL, uniform [%] | abs.REL, features [%] | features below uniform |"]
+    lines += ["|---|---|---|---|---|"]
+    for count in POINT_COUNTS:
+        uniform, features = (points(count, sampler) for sampler in ("uniform", "features"))
+        cells = [spread(records.mean("colon", run, "abs_rel"), 100) for run in (uniform, features)]
+        found = records.reduction("colon", features, uniform, "abs_rel")
+        share = f"{count / 256:.2g} %"
+        lines.append(f"| {count:,} | {share} | {' | '.join(cells)} | {percent(found[0]) if found else '-'} |")
+    return lines
+
+
+def sa_change() -> list[str]:
+    """What SA adds to the features that it is given."""
+    lines = [
+        "| scene | network | added, of the features' norm | of it one map | largest weight |",
+        "|---|---|---|---|---|",
     ]
+    for scene, models in json.loads(FIGURES.read_text())["sa_change"].items():
+        for model, of in models.items():
+            cells = (
+                f"{100 * of['added']:.0f} % | {100 * of['one_map']:.1f} % | {of['largest_weight']:.2f} of equal ones"
+            )
+            lines.append(f"| {SCENE_NAMES[scene]} | {NAMES[model]} | {cells} |")
+    return lines
+
+
+def length(records: Records) -> list[str]:
+    """The paper's number of steps beside ours."""
+    lines = [f"| colon {COLUMNS}"]
+    for model in PAPER_LENGTH:
+        for steps in (STEPS, PAPER_STEPS):
+            lines.append(row(records, "colon", f"`{model}`, {steps:,} steps", model, steps=steps))
+    return lines
+
+
+def provenance(records: Records) -> list[str]:
+    """Commits, machines and number of the records."""
+    trained = [record for record in records.records if record["model"] not in UNTRAINED]
+    commits = sorted({record["environment"]["commit"][:7] for record in records.records})
+    on = {record["environment"].get("gpu") or record["environment"]["processor"] for record in trained}
+    counts = {
+        name: sum(name in (r["environment"].get("gpu"), r["environment"]["processor"]) for r in trained) for name in on
+    }
+    machines = ", ".join(f"{counts[name]} on `{name}`" for name in sorted(on))
+    return [f"{len(trained)} trainings are recorded: {machines}; commits {', '.join(commits)}."]
 
 
 def page(records: Records) -> str:
@@ -135,6 +223,13 @@ def page(records: Records) -> str:
         "table_2": [line for lines in tables for line in lines][:-1],
         "normalisations": normalisations(records),
         "changes": changes(records),
+        "table_1": [*table_1(records, "abs_rel", "abs.REL [%]", 100), "", *table_1(records, "rmse", "RMSE [mm]", 1)],
+        "equal_steps": equal_steps(records),
+        "figure_5": figure_5(records),
+        "length": length(records),
+        "sa_change": sa_change(),
+        "steps": [f"{STEPS:,}"],
+        "most_steps": [f"{MOST_STEPS:,}"],
     }
     words = Template(WORDS.read_text(encoding="utf-8"))
     return words.substitute({name: "\n".join(lines) for name, lines in parts.items()})

@@ -1,11 +1,14 @@
 """The paper's numbers as its sentences state them, and what an interval says of a claim."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from benchmarks.paper.claims import Reduction, claims, finding, lead_in_delta, verdict
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.plan import BODIES
+from benchmarks.paper.judgements import best_rival_in_colon, colon_is_easiest, leads_in_delta_1, reductions_below
+from benchmarks.paper.plan import BODIES, MOST_STEPS, OURS, RIVALS, SCENES, Run
 from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
 from benchmarks.paper.records import Records
 
@@ -48,6 +51,7 @@ def test_full_is_the_same_row_in_both_tables():
         (0.1, 0.4, 0.497, "in sign, not in size"),
         (-0.1, 0.2, 0.11, "not decided"),
         (-0.3, -0.1, 0.11, "not reproduced"),
+        (-0.3, 0.05, 0.11, "not reproduced"),  # if there is anything, it is less than half of the claim
         (-0.2, -0.05, -0.06, "reproduced"),  # a row that is claimed to be worse, and is
         (0.05, 0.2, -0.06, "not reproduced"),
     ],
@@ -57,23 +61,56 @@ def test_verdicts_follow_the_interval(low, high, claimed, word):
     assert verdict(None, claimed) == "not measured"
 
 
-def record(model, seed, abs_rel):
+def record(model, seed, abs_rel, **about):
     meshes = [0, 0, 1, 1]
-    frames = {"mesh": meshes, "abs_rel": abs_rel, "rmse": abs_rel, "mae": abs_rel}
-    return {"model": model, "seed": seed, "change": "", "scenes": {"colon": {"frames": frames}}}
+    frames = {"mesh": meshes, "abs_rel": abs_rel, "rmse": abs_rel, "mae": abs_rel, "delta_1": abs_rel}
+    run = asdict(Run(("colon",), model, seed)) | {"failed": None} | about
+    digests = dict.fromkeys(run.pop("scenes") if "digests" not in about else about["digests"], "")
+    return run | {"frames_digest": digests, "scenes": {scene: {"frames": frames} for scene in digests}}
 
 
 def test_a_reduction_is_taken_over_the_seeds_that_both_rows_have():
     models = BODIES["early fusion"]
     baseline, full = record(models[0], 0, [0.2, 0.2, 0.4, 0.4]), record(models[3], 0, [0.1, 0.1, 0.2, 0.2])
-    records = Records([baseline, full, record(models[3], 1, [9.0, 9.0, 9.0, 9.0])])
+    other = record(models[3], 0, [7.0, 7.0, 7.0, 7.0], points=1000)  # of Figure 5
+    failed = record(models[3], 2, [7.0, 7.0, 7.0, 7.0], failed="no pixel")
+    records = Records([baseline, full, other, failed, record(models[3], 1, [9.0, 9.0, 9.0, 9.0])])
     found = finding(records, Reduction("colon", "full", "baseline", "abs_rel"), "early fusion")
     assert found is not None
     assert (found[0].value, found[0].low, found[0].high, found[1]) == pytest.approx((0.5, 0.5, 0.5, 1))
     assert finding(records, Reduction("colon", "+SA", "baseline", "abs_rel"), "early fusion") is None
+    assert records.failed(Run(("colon",), models[3])) == 1
 
 
 def test_every_comparison_is_of_rows_that_exist():
     for claim in claims():
         for of in claim.compared:
             assert {of.row, of.beside} <= set(TABLE_2[of.scene])
+
+
+def table_1(values):
+    """A record for each network, one error on every frame: abs.REL, and delta 1 by 1 less that."""
+    records = []
+    for model, error in values.items():
+        scenes = {"digests": tuple(SCENES), "steps": MOST_STEPS, "converged": True}
+        made = record(model, 0, [error] * 4, **scenes)
+        for of in made["scenes"].values():
+            of["frames"] = of["frames"] | {"delta_1": [1 - error] * 4}
+        records.append(made)
+    return Records(records)
+
+
+def test_sentences_on_several_networks_follow_their_means():
+    of = dict(zip((*OURS, *RIVALS), (0.02, 0.02, 0.02, 0.02, 0.08, 0.09, 0.07, 0.1), strict=True))
+    found = best_rival_in_colon(table_1(of))
+    assert found is not None
+    assert found[1] == "reproduced"
+    assert "GAENet 7.0 %" in found[0]
+    assert best_rival_in_colon(table_1(of | {"nlspn": 0.01}))[1] == "not reproduced"
+    del of["gaenet"]
+    assert best_rival_in_colon(table_1(of)) is None
+    of |= {"gaenet": 0.07}
+    assert leads_in_delta_1(0.03, mean=False)(table_1(of))[1] == "reproduced"
+    assert leads_in_delta_1(0.06, mean=True)(table_1(of))[1] == "not reproduced"
+    assert reductions_below("colon", "std50")(table_1(of))[0].startswith("RMSE 77.8 [77.8, 77.8] %")
+    assert colon_is_easiest(table_1(of))[1] == "reproduced"  # the first of equals

@@ -1,0 +1,154 @@
+"""What our records say of the paper's sentences on Table I and Figure 5: the figures, and a finding that follows.
+
+The words of a finding are those of `claims.verdict`; a sentence without an interval of its own is *reproduced* or *not
+reproduced* by the means.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks.paper.intervals import Interval
+from benchmarks.paper.plan import FIGURE_5, MOST_STEPS, OURS, POINT_COUNTS, RIVALS, SCENES, Run
+from benchmarks.paper.records import Records
+
+PRINTED = "mscsa-plain"  # the network whose rows stand for the paper's in sentences about several networks
+NAMES = {
+    "std18": "StD-ResNet18",
+    "std50": "StD-ResNet50",
+    "gaenet": "GAENet",
+    "nlspn": "NLSPN",
+    "mscsa-plain": "MSCSA-Net, plain U-Net",
+    "mscsa-early-fusion": "MSCSA-Net, early fusion",
+    "mscsa+residual": "MSCSA-Net, U-Net with batch normalisation, residual",
+    "mscsa-plain+residual": "MSCSA-Net, plain U-Net, residual",
+}
+Found = tuple[str, str]  # what was measured, and the finding
+Judge = Callable[[Records], Found | None]
+
+
+def row(model: str, size: str = "small") -> Run:
+    """A row of Table I."""
+    return Run(tuple(SCENES), model, 0, MOST_STEPS, size=size, converged=True)
+
+
+def means(records: Records, figure: str, models: tuple[str, ...]) -> dict[str, dict[str, float]] | None:
+    """By model and scene; None unless each has a record."""
+    found = {
+        model: {scene: known.value for scene in SCENES if (known := records.mean(scene, row(model), figure))}
+        for model in models
+    }
+    return found if all(len(of) == len(SCENES) for of in found.values()) else None
+
+
+def reductions_below(scene: str, rival: str) -> Judge:
+    """RMSE, abs.REL and MAE of ours below a rival's; the finding is of abs.REL against `claimed`."""
+
+    def judge(records: Records) -> Found | None:
+        cells = []
+        for figure, name in (("rmse", "RMSE"), ("abs_rel", "abs.REL"), ("mae", "MAE")):
+            found = records.reduction(scene, row(PRINTED), row(rival), figure)
+            if found is None:
+                return None
+            cells.append((name, *found))
+        low = min(interval.low for _, interval, _ in cells)
+        finding = "ours is better" if low > 0 else "not decided"
+        text = ", ".join(f"{name} {percent(interval)}" for name, interval, _ in cells)
+        return text, f"{finding}, {cells[0][2]} seed{'s' * (cells[0][2] > 1)}; see what Table I can say"
+
+    return judge
+
+
+def best_rival_in_colon(records: Records) -> Found | None:
+    """Whether GAENet is the best rival in the colon."""
+    found = means(records, "abs_rel", RIVALS)
+    if found is None:
+        return None
+    order = sorted(RIVALS, key=lambda model: found[model]["colon"])
+    text = "abs.REL in the colon: " + ", ".join(f"{NAMES[m]} {100 * found[m]['colon']:.1f} %" for m in order)
+    return text, "reproduced" if order[0] == "gaenet" else "not reproduced"
+
+
+def colon_is_easiest(records: Records) -> Found | None:
+    """For how many networks the colon has the lowest error."""
+    models = (*OURS, *RIVALS)
+    counts = []
+    for figure in ("rmse", "abs_rel"):
+        found = means(records, figure, models)
+        if found is None:
+            return None
+        counts.append(sum(min(of, key=lambda scene: of[scene]) == "colon" for of in found.values()))
+    text = f"lowest RMSE in the colon for {counts[0]} of {len(models)} networks, lowest abs.REL for {counts[1]}"
+    return text, "reproduced" if min(counts) == len(models) else "not reproduced"
+
+
+def delta_1_on(scene: str, models: tuple[str, ...]) -> Judge:
+    """delta 1 of networks on a scene; no finding, since it depends on the data."""
+
+    def judge(records: Records) -> Found | None:
+        found = means(records, "delta_1", models)
+        if found is None:
+            return None
+        return ", ".join(f"{NAMES[m]} {found[m][scene]:.4f}" for m in models), "a figure of other data"
+
+    return judge
+
+
+def leads_in_delta_1(least: float, mean: bool) -> Judge:
+    """delta 1 of ours less that of the best rival, by scene: all at least `least`, or their mean."""
+
+    def judge(records: Records) -> Found | None:
+        found = means(records, "delta_1", (PRINTED, *RIVALS))
+        if found is None:
+            return None
+        leads = {scene: found[PRINTED][scene] - max(found[m][scene] for m in RIVALS) for scene in SCENES}
+        reached = float(np.mean(list(leads.values()))) if mean else min(leads.values())
+        text = ", ".join(f"{scene.replace('_', ' ')} {lead:.4f}" for scene, lead in leads.items())
+        return text, "reproduced" if reached >= least else "not reproduced"
+
+    return judge
+
+
+def points(count: int, sampler: str) -> Run:
+    """A run of Figure 5."""
+    return Run(("colon",), FIGURE_5, points=count, sampler=sampler)
+
+
+def steeper_for_uniform(records: Records) -> Found | None:
+    """delta 1 from the fewest to the most points."""
+    found = {}
+    for sampler in ("uniform", "features"):
+        known = [records.mean("colon", points(count, sampler), "delta_1") for count in POINT_COUNTS]
+        if any(one is None for one in known):
+            return None
+        found[sampler] = [one.value for one in known if one]
+    texts = (f"{sampler} {', '.join(f'{value:.4f}' for value in values)}" for sampler, values in found.items())
+    rises = all(values == sorted(values) for values in found.values())
+    steeper = found["uniform"][-1] - found["uniform"][0] > found["features"][-1] - found["features"][0]
+    finding = "reproduced" if rises and steeper else "it rises, but for features more" if rises else "not reproduced"
+    return f"delta 1 at {', '.join(f'{count:,}' for count in POINT_COUNTS)} points: {'; '.join(texts)}", finding
+
+
+def gain_of_features(counts: tuple[int, ...], worse: bool) -> Judge:
+    """By how much abs.REL of feature points is below that of uniform ones."""
+
+    def judge(records: Records) -> Found | None:
+        cells, intervals = [], []
+        for count in counts:
+            found = records.reduction("colon", points(count, "features"), points(count, "uniform"), "abs_rel")
+            if found is None:
+                return None
+            intervals.append(found[0])
+            cells.append(f"{count:,} points: {percent(found[0])}")
+        if worse:
+            finding = "reproduced" if intervals[0].high < 0 else "not decided" if intervals[0].low < 0 else "not so"
+        else:
+            finding = "they gain nothing" if all(i.low <= 0 for i in intervals) else "they gain"
+        return "abs.REL of features below uniform: " + "; ".join(cells), finding
+
+    return judge
+
+
+def percent(interval: Interval) -> str:
+    """A fraction with its interval."""
+    return f"{100 * interval.value:.1f} [{100 * interval.low:.1f}, {100 * interval.high:.1f}] %"
