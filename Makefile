@@ -64,6 +64,7 @@ figures: table
 # The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
 paper: $(STAMP)
 	$(BIN)/python -m benchmarks.paper --work runs/paper
+	$(BIN)/python -m benchmarks.paper.figures --work runs/paper
 	$(BIN)/python -m scripts.pages.paper_page > docs/lab/paper.md
 
 clean:

@@ -21,6 +21,7 @@ from benchmarks.paper.frames import judged_frames, plans
 from benchmarks.paper.judgements import FIGURE_5 as EARLY_FUSION
 from benchmarks.paper.judgements import NAMES, row
 from benchmarks.paper.plan import POINTS, RIVALS, SCENES, Run
+from benchmarks.paper.records import FIGURES
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.plots import attention_plot, comparison_plot
 from completion.evaluation.predictors import load_predictor
@@ -28,7 +29,6 @@ from completion.networks.channel_attention import StructureAwareness, attention_
 from completion.training.config import TrainConfig
 
 PICTURES = ROOT / "docs/pictures"
-RECORD = ROOT / "benchmarks/results/paper_figures.json"
 SHOWN = ("linear", *RIVALS, "mscsa-plain", "mscsa-early-fusion", "mscsa-plain+residual")
 EVERY = 8  # so many judged frames apart are those on which SA is measured
 MOST_MM = TrainConfig(shards=(), out=Path()).max_depth_mm
@@ -121,7 +121,7 @@ def main() -> None:
     )
     parser.add_argument("--work", type=Path, required=True, help="folder of the queue's frames and weights")
     parser.add_argument("--pictures", type=Path, default=PICTURES, help="where the pictures go")
-    parser.add_argument("--json", type=Path, default=RECORD, help="what was drawn, with commit")
+    parser.add_argument("--json", type=Path, default=FIGURES, help="what was drawn, with commit")
     arguments = parser.parse_args()
     drawn = {
         "environment": environment(),

@@ -1,6 +1,7 @@
 """Means over seeds and meshes, and how far they are known: a bootstrap that draws both again."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ def reduction_interval(table: Table, beside: Table) -> Interval:
     return _interval(float(1 - table.mean() / beside.mean()), drawn)
 
 
+@cache
 def _draws(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     rng = np.random.default_rng(0)
     return rng.integers(shape[0], size=(DRAWS, shape[0])), rng.integers(shape[1], size=(DRAWS, shape[1]))

@@ -12,6 +12,7 @@ from benchmarks.paper.intervals import Interval, Table, by_mesh, mean_interval, 
 from benchmarks.paper.plan import Run
 
 RESULTS = ROOT / "benchmarks/results/paper"
+FIGURES = ROOT / "benchmarks/results/paper_figures.json"  # of `benchmarks.paper.figures`
 Record = dict[str, Any]
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
-from benchmarks.paper.figures import RECORD as FIGURES
 from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import NAMES, percent, points
 from benchmarks.paper.judgements import row as row_of_table_1
@@ -34,7 +33,7 @@ from benchmarks.paper.plan import (
     Run,
 )
 from benchmarks.paper.published import TABLE_2, reduction
-from benchmarks.paper.records import Records
+from benchmarks.paper.records import FIGURES, Records
 
 WORDS = Path(__file__).with_name("paper_page.txt")
 FLOORS = {"linear": "(linear interpolation)", "nearest": "(nearest point)", "shipped": "(model of `reconstruct`)"}

@@ -1,11 +1,19 @@
-"""Committed pages are what their scripts print of their one record."""
+"""Committed pages are what their scripts print of their records."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from scripts.pages import blind_page, known_poses_page, lens_page, points_page, robustness_page, sensors_page
+from scripts.pages import (
+    blind_page,
+    completion_page,
+    known_poses_page,
+    lens_page,
+    points_page,
+    robustness_page,
+    sensors_page,
+)
 
 LAB = Path(__file__).parents[2] / "docs/lab"
 
@@ -26,3 +34,8 @@ def test_the_page_is_what_its_record_says(script, name) -> None:
     printed = script.page(json.loads(script.RECORD.read_text()))
     told = f"run: python scripts/pages/{script.__name__.split('.')[-1]}.py > docs/lab/{name}.md"
     assert printed == (LAB / f"{name}.md").read_text(encoding="utf-8"), told
+
+
+def test_the_page_on_completion_is_what_its_records_say() -> None:
+    told = "run: python -m scripts.pages.completion_page > docs/lab/completion.md"
+    assert completion_page.page() == (LAB / "completion.md").read_text(encoding="utf-8"), told

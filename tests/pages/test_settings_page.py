@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 def test_settings_page_is_up_to_date() -> None:
     printed = subprocess.run(
-        [sys.executable, "scripts/pages/settings_page.py"],
+        [sys.executable, "scripts/settings_page.py"],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -18,4 +18,4 @@ def test_settings_page_is_up_to_date() -> None:
         check=True,
     ).stdout
     committed = (ROOT / "docs" / "reference" / "settings.md").read_text(encoding="utf-8")
-    assert printed == committed, "run: python scripts/pages/settings_page.py > docs/reference/settings.md"
+    assert printed == committed, "run: python scripts/settings_page.py > docs/reference/settings.md"
