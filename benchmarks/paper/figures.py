@@ -1,6 +1,6 @@
 """Draw the paper's Figures 4 and 6 with the networks of seed 0 that the queue has trained.
 
-    python -m benchmarks.paper.figures --work WORK      # docs/pictures/paper_figure_{4,6}.png, and their JSON
+    python -m benchmarks.paper.figures --work WORK      # docs/pictures/paper_figure_{4,6}.jpg, and their JSON
 
 The frames are the middle ones of each scene's judged frames: nobody chose them by what they show.
 """
@@ -56,7 +56,7 @@ def figure_4(work: Path, folder: Path) -> dict[str, Any]:
         for model in SHOWN
     }
     comparison_plot(
-        folder / "paper_figure_4.png", results, f"{POINTS} uniform points, 160 px, one network for four scenes"
+        folder / "paper_figure_4.jpg", results, f"{POINTS} uniform points, 160 px, one network for four scenes"
     )
     named = zip(SHOWN, results.values(), strict=True)
     return {model: {r.name: round(r.errors.abs_rel, 5) for r in of} for model, of in named}
@@ -83,7 +83,7 @@ def figure_6(work: Path, folder: Path) -> list[str]:
             frames.append((replace(kept[0], name=SCENE_NAMES[scene]), before, after))
         names.append(path.name)
     attention_plot(
-        folder / "paper_figure_6.png", frames, "three judged frames of the colon, three of the small intestine"
+        folder / "paper_figure_6.jpg", frames, "three judged frames of the colon, three of the small intestine"
     )
     return names
 

@@ -147,7 +147,7 @@ def table_1(records: Records, figure: str, title: str, factor: float) -> list[st
         cells = [spread(records.mean(scene, run, figure), factor) for scene in SCENES]
         found = list(records.of(run).values())
         trained = run.model not in UNTRAINED
-        size = f"{found[0]['parameters'] / 1e6:.2f}" if found and found[0]["parameters"] else ""
+        size = f"{found[0]['parameters'] / 1e6:.2f}" if found and trained else ""
         steps = ", ".join(f"{record['steps_done']:,}" for record in found) if trained else ""
         failed = f", {records.failed(run)} came to nothing" if records.failed(run) else ""
         lines.append(f"| {' | '.join([name, *cells, size, steps, f'{len(found)}{failed}' if trained else ''])} |")
@@ -156,9 +156,11 @@ def table_1(records: Records, figure: str, title: str, factor: float) -> list[st
 
 def equal_steps(records: Records) -> list[str]:
     """abs.REL where every network has the same number of steps."""
+    runs = [(model, Run(tuple(SCENES), model, steps=MOST_STEPS)) for model in ("mscsa-plain", *RIVALS)]
+    if not any(records.of(run) for _, run in runs):
+        return [f"No training of {MOST_STEPS:,} steps for every network is recorded."]
     lines = [f"| abs.REL [%], {MOST_STEPS:,} steps | {' | '.join(SCENE_NAMES.values())} |", "|---" * 5 + "|"]
-    for model in ("mscsa-plain", *RIVALS):
-        run = Run(tuple(SCENES), model, steps=MOST_STEPS)
+    for model, run in runs:
         cells = [spread(records.mean(scene, run, "abs_rel"), 100) for scene in SCENES]
         lines.append(f"| {NAMES[model]} | {' | '.join(cells)} |")
     return lines
@@ -194,8 +196,11 @@ def sa_change() -> list[str]:
 
 def length(records: Records) -> list[str]:
     """The paper's number of steps beside ours."""
+    done = [model for model in PAPER_LENGTH if records.of(Run(("colon",), model, steps=PAPER_STEPS))]
+    if not done:
+        return [f"No training of {PAPER_STEPS:,} steps is recorded."]
     lines = [f"| colon {COLUMNS}"]
-    for model in PAPER_LENGTH:
+    for model in done:
         for steps in (STEPS, PAPER_STEPS):
             lines.append(row(records, "colon", f"`{model}`, {steps:,} steps", model, steps=steps))
     return lines
