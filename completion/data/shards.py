@@ -4,6 +4,7 @@ A shard folder holds `images.npy` (N,H,W,3) uint8 RGB, `depths.npy` (N,H,W) floa
 mesh that each frame shows. Validation takes whole meshes, never single frames of a mesh that is trained on.
 """
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,12 @@ class Shard:
         if len({len(array) for array in (*arrays, lenses) if array is not None}) != 1:
             raise CompletionError(f"the arrays in {folder} differ in length")
         return cls(arrays[0], arrays[1], arrays[2], lenses)
+
+    def fingerprint(self) -> str:
+        """Which frames these are, wherever the folder lies: of the meshes, and of the first and last depth map."""
+        found = hashlib.sha256(np.ascontiguousarray(self.colon).tobytes())
+        found.update(str(self.images.shape).encode() + self.depths[0].tobytes() + self.depths[-1].tobytes())
+        return found.hexdigest()[:16]
 
     def split(self, validation_share: float = 0.05) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(training, validation) frame indices; the last meshes by number are for validation."""

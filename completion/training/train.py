@@ -16,6 +16,7 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -110,7 +111,9 @@ class TrainingState:
             return
         tensors, metadata = load_tensors(self.checkpoint)
         now = self._identity()
-        before = LATER_SETTINGS | with_new_names(metadata["config"])
+        before: dict[str, Any] = LATER_SETTINGS | with_new_names(metadata["config"])
+        if [Path(name).name for name in before["shards"]] == [folder.name for folder in self.config.shards]:
+            before["shards"] = now["shards"]  # of a checkpoint that named the folders instead of their frames
         if other := sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name)):
             raise CompletionError(f"{self.checkpoint} is of a run with other {', '.join(other)}; give another --out")
         for name, module in (("network.", self.task.network), ("average.", self.average)):
@@ -120,9 +123,10 @@ class TrainingState:
         if self.plateau:
             self.plateau.restore(metadata["plateau"])
 
-    def _identity(self) -> dict[str, object]:
+    def _identity(self) -> dict[str, Any]:
         settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
-        return with_new_names(json.loads(settings)) | {"processes": self.processes.size}
+        frames = [Shard.open(folder).fingerprint() for folder in self.config.shards]
+        return with_new_names(json.loads(settings)) | {"processes": self.processes.size, "shards": frames}
 
 
 def _start_from(path: Path, network: nn.Module) -> None:

@@ -54,6 +54,22 @@ def test_training_is_repeatable_and_resumes(shards, tmp_path):
         train(config(shards, whole, steps=4, seed=1, batch=4))
 
 
+def test_a_run_goes_on_where_its_frames_were_moved_to_and_with_no_others(shards, tmp_path):
+    out = tmp_path / "a.safetensors"
+    before = train(config(shards, out, steps=2)).read_bytes()
+    moved = shards.rename(tmp_path / "elsewhere")
+    assert train(config(moved, out, steps=2)).read_bytes() == before
+    checkpoint = out.with_suffix(".checkpoint")
+    tensors, about = load_tensors(checkpoint)
+    about["config"]["shards"] = ["/of/a/machine/elsewhere"]  # as older versions wrote it
+    save_tensors(checkpoint, tensors, about)
+    assert train(config(moved, out, steps=2)).read_bytes() == before
+    np.save(moved / "depths.npy", np.load(moved / "depths.npy") + np.float16(1))
+    save_tensors(checkpoint, *load_tensors(checkpoint))
+    with pytest.raises(CompletionError, match="of a run with other shards"):
+        train(config(moved, out, steps=2))
+
+
 def test_the_log_is_the_same_in_csv_and_in_tensorboard(tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
