@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from benchmarks.common.record import ROOT, environment
@@ -20,8 +21,9 @@ from benchmarks.paper.claims import SCENE_NAMES
 from benchmarks.paper.frames import judged_frames, plans
 from benchmarks.paper.judgements import FIGURE_5 as EARLY_FUSION
 from benchmarks.paper.judgements import NAMES, row
-from benchmarks.paper.plan import POINTS, RIVALS, SCENES, Run
+from benchmarks.paper.plan import ONE_SCENE, OURS, POINTS, RIVALS, SCENES, UNTRAINED, Run
 from benchmarks.paper.records import FIGURES
+from completion.data.sampling_benchmark import like_sfm
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.plots import attention_plot, comparison_plot
 from completion.evaluation.predictors import load_predictor
@@ -29,14 +31,25 @@ from completion.networks.channel_attention import StructureAwareness, attention_
 from completion.training.config import TrainConfig
 
 PICTURES = ROOT / "docs/pictures"
-SHOWN = ("linear", *RIVALS, "mscsa-plain", "mscsa-early-fusion", "mscsa-plain+residual")
+SHOWN = ("linear", "nearest", *OURS, *RIVALS)  # what is trained of them
 EVERY = 8  # so many judged frames apart are those on which SA is measured
 MOST_MM = TrainConfig(shards=(), out=Path()).max_depth_mm
 
 
 def weights(work: Path, model: str, run: Run) -> Path:
     """Weight file of a run, or the name of a method without weights."""
-    return Path(model) if model == "linear" else work / "runs" / f"{run.name}.safetensors"
+    return Path(model) if model in UNTRAINED else work / "runs" / f"{run.name}.safetensors"
+
+
+def trained(work: Path) -> dict[str, Path]:
+    """Of Figure 4: the networks that are there, by name; where only batches of one scene were trained on, these."""
+    found = {}
+    for model in SHOWN:
+        for change in ("", ONE_SCENE):
+            path = weights(work, model, replace(row(model), change=change))
+            if model in UNTRAINED or path.exists():
+                found.setdefault(model, path)
+    return found
 
 
 def middle_frame(work: Path, scene: str, model: Path) -> FrameResult:
@@ -49,16 +62,16 @@ def middle_frame(work: Path, scene: str, model: Path) -> FrameResult:
 
 def figure_4(work: Path, folder: Path) -> dict[str, Any]:
     """All networks on the four scenes; returns abs.REL of each picture, a fraction."""
+    networks = trained(work)
+    names = NAMES | {"linear": "linear interpolation", "nearest": "nearest point"}
     results = {
-        NAMES.get(model, "linear interpolation").replace(", ", ",\n"): [
-            middle_frame(work, scene, weights(work, model, row(model))) for scene in SCENES
-        ]
-        for model in SHOWN
+        names[model].replace(", ", ",\n"): [middle_frame(work, scene, path) for scene in SCENES]
+        for model, path in networks.items()
     }
     comparison_plot(
         folder / "paper_figure_4.jpg", results, f"{POINTS} uniform points, 160 px, one network for four scenes"
     )
-    named = zip(SHOWN, results.values(), strict=True)
+    named = zip(networks, results.values(), strict=True)
     return {model: {r.name: round(r.errors.abs_rel, 5) for r in of} for model, of in named}
 
 
@@ -113,6 +126,14 @@ def change_by_sa(work: Path, scene: str, model: str) -> dict[str, float]:
     return dict(zip(("added", "one_map", "largest_weight"), means, strict=True))
 
 
+def keypoints(work: Path) -> dict[str, float]:
+    """SIFT keypoints with truth of every `EVERY`-th judged frame of the colon: what feature points can be had."""
+    rng, counts = np.random.default_rng(0), []
+    for frame in islice(judged_frames(plans(work, "colon")[1].folder, MOST_MM), 0, None, EVERY):
+        counts.append(like_sfm(frame.rgb, frame.depth, frame.depth.size, rng).points)
+    return {"median": float(np.median(counts)), "least": min(counts), "most": max(counts)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         "python -m benchmarks.paper.figures",
@@ -127,16 +148,15 @@ def main() -> None:
         "environment": environment(),
         "figure_4_abs_rel": figure_4(arguments.work, arguments.pictures),
         "figure_6_weights": figure_6(arguments.work, arguments.pictures),
+        "keypoints": keypoints(arguments.work),
         "sa_change": {
             scene: {model: change_by_sa(arguments.work, scene, model) for model in (EARLY_FUSION, "mscsa-plain")}
             for scene in ("colon", "small_intestine")
         },
     }
-    drawn["weights"] = {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-        for path in sorted((arguments.work / "runs").glob("*-0.safetensors"))
-        if path.stem in {row(model).name for model in SHOWN} or path.name in drawn["figure_6_weights"]
-    }
+    used = {path for path in trained(arguments.work).values() if path.exists()}
+    used |= {arguments.work / "runs" / name for name in drawn["figure_6_weights"]}
+    drawn["weights"] = {path.name: hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in sorted(used)}
     arguments.json.write_text(json.dumps(drawn, indent=2) + "\n")
 
 

@@ -39,6 +39,9 @@ CHANGES: dict[str, dict[str, Any]] = {
     # The source trains MSC by itself on KITTI; the rest then has as many steps as it has in the other rows.
     "MSC trained first, then held fixed": {"msc_first": 300, "steps": 1300, "decay_at": 1000 / 1300},
 }
+# How batches of four scenes were drawn at first: networks with batch normalisation are judged wrongly by it, since they
+# learn by the statistics of one scene at a time and are judged by a mixture of the last ones.
+ONE_SCENE = "batches of one scene"
 # Readings of what the paper calls features of its multi-scale module, on the same network.
 READINGS = {
     "confidence at the last convolution too": "mscsa-early-fusion+confidence-last",
@@ -89,7 +92,9 @@ class Run:
         """Of training, beside the paper's preset."""
         ending = CONVERGED if self.converged else {"decay_at": DECAY_AT}
         about = {"size": self.size, "points": self.points, "sampler": self.sampler, "seed": self.seed}
-        return about | ending | {"steps": self.steps} | CHANGES.get(self.change, {})
+        return (
+            about | ending | {"steps": self.steps} | (CHANGES | {ONE_SCENE: {"mix_shards": False}}).get(self.change, {})
+        )
 
 
 @dataclass(frozen=True)

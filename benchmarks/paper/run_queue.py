@@ -4,9 +4,9 @@
     python -m benchmarks.paper --work WORK --table 2      # one of them
     python -m benchmarks.paper --work WORK --workers 12   # so many runs at once, as suits a GPU
 
-Prints first what is left to do. Renders into WORK the frames that are not there, keeps checkpoints and weights there,
+Prints first what is left to do. Renders into WORK the scenes that are not there, keeps checkpoints and weights there,
 and writes one JSON file for each run, with commit and machine, to benchmarks/results/paper; runs that have theirs are
-left out. One thread a run, on the GPU where there is one.
+left out, and a run that was stopped goes on from its checkpoint. One thread a run, on the GPU where there is one.
 """
 
 import argparse
@@ -21,16 +21,19 @@ from benchmarks.common.record import ROOT, environment
 from benchmarks.paper.plan import UNTRAINED, Run, tables, unique
 
 RESULTS = ROOT / "benchmarks/results/paper"
-SECONDS_A_STEP = 0.4  # of processor, before any run has been measured
 
 
 def budget(runs: list[Run], results: Path) -> str:
-    """Trainings that are left and their time, from the mean of those that are done."""
-    done = [json.loads(path.read_text()) for path in results.glob("*.json")]
-    timed = [seconds for record in done if (seconds := record["seconds_a_step"])]
-    seconds = sum(timed) / len(timed) if timed else SECONDS_A_STEP
+    """Trainings that are left, and what a step took in those that are recorded, by machine."""
+    taken: dict[str, list[float]] = {}
+    records = [json.loads(path.read_text()) for path in results.glob("*.json")]
+    for record in records:
+        if seconds := record["seconds_a_step"]:
+            taken.setdefault(record["environment"].get("gpu") or record["environment"]["processor"], []).append(seconds)
+    paces = "; ".join(f"{sum(of) / len(of):.2g} s a step on {machine}" for machine, of in taken.items())
     left = sum(run.steps for run in runs if run.model not in UNTRAINED)
-    return f"{len(runs)} runs left, at most {left} steps of 10 frames, {left * seconds / 3600:.1f} hours one by one"
+    text = f"{len(records)} runs are recorded in {results}, {len(runs)} are left: at most {left:,} steps of 10 frames"
+    return text + (f" (recorded: {paces}, several at once on a GPU)" if paces else "")
 
 
 def main() -> None:

@@ -45,8 +45,10 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
     try:
         scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
         failed = None
-    except CompletionError as error:  # a network that says zero everywhere has no error to speak of
-        scenes, failed = {}, str(error)
+    except CompletionError as error:
+        if "no pixel has both" not in str(error):
+            raise
+        scenes, failed = {}, str(error)  # a network that says zero everywhere has no error to speak of
     about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change}
     about |= {"size": run.size, "points": run.points, "sampler": run.sampler, "converged": run.converged}
     about |= {"steps_done": steps, "device": str(next(network.parameters()).device.type) if network else "cpu"}

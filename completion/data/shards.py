@@ -74,6 +74,13 @@ class Batch:
         return Batch(rgb, self.depth.to(device).contiguous(), lens)
 
 
+def joined(batches: list[Batch]) -> Batch:
+    """One batch of several, of frames of one size; without lenses unless all have them."""
+    lenses = [batch.lens for batch in batches if batch.lens is not None]
+    lens = torch.cat(lenses) if len(lenses) == len(batches) else None
+    return Batch(torch.cat([b.rgb for b in batches]), torch.cat([b.depth for b in batches]), lens)
+
+
 def augment(batch: Batch, generator: torch.Generator) -> Batch:
     """Flips, transpositions and enlarged parts of image, depth and lens; colours and noise of the image only."""
     rgb, depth, lens = batch.rgb, batch.depth, batch.lens

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from completion.data.shards import Batch, Shard, augment
+from completion.data.shards import Shard
 from completion.inference.completer import choose_device
 from completion.networks.checkpoint import (
     flatten_optimizer,
@@ -36,6 +36,7 @@ from completion.networks.checkpoint import (
     save_tensors,
 )
 from completion.networks.registry import find_entry
+from completion.training.batches import draw_batch
 from completion.training.config import TrainConfig, with_new_names
 from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import GracefulInterrupt
@@ -178,30 +179,6 @@ def validate(run: TrainingState, shards: list[Shard], frames: int = 64) -> float
                 valid = (depth > 0) & (depth < run.config.max_depth_mm)
                 errors.append(((predicted - depth).abs() / depth.clamp_min(1e-3))[valid].mean().item())
     return float(np.mean(errors))
-
-
-def draw_batch(
-    config: TrainConfig,
-    step: int,
-    shards: list[Shard],
-    splits: list[NDArray[np.int64]],
-    processes: ProcessGroup,
-    device: torch.device,
-) -> tuple[Batch, torch.Generator]:
-    """This process's part of a step's batch from the training frames `splits`, and its generator in that step: so a
-    resumed run draws what an unbroken one would.
-
-    The order depends on the seed and the shards alone: every network of a comparison sees the same.
-    """
-    share = np.array([len(split) for split in splits]) / sum(len(split) for split in splits)
-    rng = np.random.default_rng((config.seed, step))
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + processes.rank)
-    which = rng.choice(len(shards), p=share)
-    chosen = rng.choice(splits[which], config.batch, replace=False)
-    own = chosen[processes.rank :: processes.size]
-    if not config.augmentation:
-        return shards[which].batch(own, device).to(device), generator
-    return augment(shards[which].batch(own), generator).to(device), generator
 
 
 def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:

@@ -6,18 +6,20 @@ python -m scripts.pages.paper_page > docs/lab/paper.md
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import NAMES, percent, points
+from benchmarks.paper.judgements import NAMES, gain_of_features, points
 from benchmarks.paper.judgements import row as row_of_table_1
 from benchmarks.paper.plan import (
     BODIES,
     CHANGES,
     MOST_STEPS,
     NORMALISATIONS,
+    ONE_SCENE,
     OTHER_PARAMETERS,
     OURS,
     PAPER_LENGTH,
@@ -142,6 +144,8 @@ def table_1(records: Records, figure: str, title: str, factor: float) -> list[st
     lines = [f"| {title} | {scenes} | parameters [M] | steps | seeds |", "|---" * (4 + len(SCENES)) + "|"]
     rows = [(NAMES[model], row_of_table_1(model)) for model in (*OURS, *RIVALS)]
     rows += [(f"{NAMES[m]}, as many parameters", row_of_table_1(m, "same-parameters")) for m in OTHER_PARAMETERS]
+    rows += [(f"{NAMES[m]}, {ONE_SCENE}", replace(row_of_table_1(m), change=ONE_SCENE)) for m in OURS]
+    rows = [(name, run) for name, run in rows if records.of(run) or records.failed(run)]
     rows += [(name, Run(tuple(SCENES), label)) for label, name in FLOORS.items()]
     for name, run in rows:
         cells = [spread(records.mean(scene, run, figure), factor) for scene in SCENES]
@@ -149,7 +153,7 @@ def table_1(records: Records, figure: str, title: str, factor: float) -> list[st
         trained = run.model not in UNTRAINED
         size = f"{found[0]['parameters'] / 1e6:.2f}" if found and trained else ""
         steps = ", ".join(f"{record['steps_done']:,}" for record in found) if trained else ""
-        failed = f", {records.failed(run)} came to nothing" if records.failed(run) else ""
+        failed = f", {records.failed(run)} zero everywhere" if records.failed(run) else ""
         lines.append(f"| {' | '.join([name, *cells, size, steps, f'{len(found)}{failed}' if trained else ''])} |")
     return lines
 
@@ -158,7 +162,7 @@ def equal_steps(records: Records) -> list[str]:
     """abs.REL where every network has the same number of steps."""
     runs = [(model, Run(tuple(SCENES), model, steps=MOST_STEPS)) for model in ("mscsa-plain", *RIVALS)]
     if not any(records.of(run) for _, run in runs):
-        return [f"No training of {MOST_STEPS:,} steps for every network is recorded."]
+        return [f"No training with one number of steps, {MOST_STEPS:,}, for every network is recorded."]
     lines = [f"| abs.REL [%], {MOST_STEPS:,} steps | {' | '.join(SCENE_NAMES.values())} |", "|---" * 5 + "|"]
     for model, run in runs:
         cells = [spread(records.mean(scene, run, "abs_rel"), 100) for scene in SCENES]
@@ -168,14 +172,15 @@ def equal_steps(records: Records) -> list[str]:
 
 def figure_5(records: Records) -> list[str]:
     """Errors by the number of uniform and of feature points."""
-    lines = ["| points | of 25,600 px | abs.REL, uniform [%] | abs.REL, features [%] | features below uniform |"]
+    lines = ["| points | of 25,600 px | abs.REL, uniform [%] | abs.REL, features [%] | features instead of uniform |"]
     lines += ["|---|---|---|---|---|"]
     for count in POINT_COUNTS:
         uniform, features = (points(count, sampler) for sampler in ("uniform", "features"))
         cells = [spread(records.mean("colon", run, "abs_rel"), 100) for run in (uniform, features)]
-        found = records.reduction("colon", features, uniform, "abs_rel")
+        found = gain_of_features((count,), worse=False)(records)
+        higher = found[0].split("points: ")[1] if found else "-"
         share = f"{count / 256:.2g} %"
-        lines.append(f"| {count:,} | {share} | {' | '.join(cells)} | {percent(found[0]) if found else '-'} |")
+        lines.append(f"| {count:,} | {share} | {' | '.join(cells)} | {higher} |")
     return lines
 
 
@@ -192,6 +197,12 @@ def sa_change() -> list[str]:
             )
             lines.append(f"| {SCENE_NAMES[scene]} | {NAMES[model]} | {cells} |")
     return lines
+
+
+def keypoints() -> str:
+    """SIFT keypoints of a judged frame: median and range."""
+    of = json.loads(FIGURES.read_text())["keypoints"]
+    return f"{of['median']:.0f} ({of['least']}-{of['most']})"
 
 
 def length(records: Records) -> list[str]:
@@ -232,6 +243,7 @@ def page(records: Records) -> str:
         "figure_5": figure_5(records),
         "length": length(records),
         "sa_change": sa_change(),
+        "keypoints": [keypoints()],
         "steps": [f"{STEPS:,}"],
         "most_steps": [f"{MOST_STEPS:,}"],
     }

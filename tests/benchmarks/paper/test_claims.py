@@ -7,8 +7,15 @@ import pytest
 
 from benchmarks.paper.claims import Reduction, claims, finding, lead_in_delta, verdict
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import best_rival_in_colon, colon_is_easiest, leads_in_delta_1, reductions_below
-from benchmarks.paper.plan import BODIES, MOST_STEPS, OURS, RIVALS, SCENES, Run
+from benchmarks.paper.judgements import (
+    best_rival_in_colon,
+    colon_is_easiest,
+    gain_of_features,
+    leads_in_delta_1,
+    reductions_below,
+    steeper_for_uniform,
+)
+from benchmarks.paper.plan import BODIES, FIGURE_5, MOST_STEPS, OURS, POINT_COUNTS, RIVALS, SCENES, Run
 from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
 from benchmarks.paper.records import Records
 
@@ -48,7 +55,8 @@ def test_full_is_the_same_row_in_both_tables():
     ("low", "high", "claimed", "word"),
     [
         (0.3, 0.5, 0.497, "reproduced"),
-        (0.1, 0.4, 0.497, "in sign, not in size"),
+        (0.6, 0.7, 0.497, "in sign, larger"),
+        (0.1, 0.4, 0.497, "in sign, smaller"),
         (-0.1, 0.2, 0.11, "not decided"),
         (-0.3, -0.1, 0.11, "not reproduced"),
         (-0.3, 0.05, 0.11, "not reproduced"),  # if there is anything, it is less than half of the claim
@@ -113,4 +121,41 @@ def test_sentences_on_several_networks_follow_their_means():
     assert leads_in_delta_1(0.03, mean=False)(table_1(of))[1] == "reproduced"
     assert leads_in_delta_1(0.06, mean=True)(table_1(of))[1] == "not reproduced"
     assert reductions_below("colon", "std50")(table_1(of))[0].startswith("RMSE 77.8 [77.8, 77.8] %")
-    assert colon_is_easiest(table_1(of))[1] == "reproduced"  # the first of equals
+    of_scenes = table_1(of)
+    for made in of_scenes.records:
+        for scene, judged in made["scenes"].items():
+            worse = 0.0 if scene == "colon" else 0.01
+            for figure in ("rmse", "abs_rel"):
+                judged["frames"][figure] = [value + worse for value in judged["frames"][figure]]
+    assert colon_is_easiest(of_scenes)[1] == "reproduced"
+    of_scenes.records[3]["scenes"]["csd"]["frames"]["rmse"] = [0.0] * 4
+    assert colon_is_easiest(of_scenes)[1] == "not reproduced"
+
+
+def figure_5(values):
+    """abs.REL by number of points and sampler; delta 1 by 1 less that."""
+    records = []
+    for (count, sampler), error in values.items():
+        made = record(FIGURE_5, 0, [error] * 4, points=count, sampler=sampler)
+        made["scenes"]["colon"]["frames"] = made["scenes"]["colon"]["frames"] | {"delta_1": [1 - error] * 4}
+        records.append(made)
+    return Records(records)
+
+
+def test_sentences_on_numbers_of_points_follow_the_records():
+    errors = dict(zip(POINT_COUNTS, (0.2, 0.1, 0.05, 0.04), strict=True))
+    uniform = {(count, "uniform"): error for count, error in errors.items()}
+    features = {(count, "features"): error + 0.1 / (1 + count) for count, error in errors.items()}
+    told = steeper_for_uniform(figure_5(uniform | features))
+    assert told is not None
+    assert told[1] == "it rises, but for features more"
+    assert steeper_for_uniform(figure_5(uniform)) is None
+    flat = {(count, "features"): 0.1 - 0.001 * k for k, count in enumerate(POINT_COUNTS)}
+    assert steeper_for_uniform(figure_5(uniform | flat))[1] == "reproduced"
+    assert steeper_for_uniform(figure_5(uniform | {(c, "features"): 0.1 for c in (10, 100, 1000)})) is None
+    worse = gain_of_features((10, 100), worse=False)(figure_5(uniform | {k: 2 * v for k, v in features.items()}))
+    assert worse is not None
+    assert worse[1] == "they lose"
+    better = gain_of_features((10, 100), worse=False)(figure_5(uniform | {k: v / 2 for k, v in features.items()}))
+    assert better is not None
+    assert better[1] == "they gain"

@@ -35,7 +35,8 @@ def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, cap
         if len(done) == 3:
             raise KeyboardInterrupt
         judged = {"abs_rel": [0.1, 0.3]}
-        return {"model": run.model, "seconds_a_step": None, "scenes": {run.scenes[0]: {"frames": judged}}}
+        about = {"failed": None, "environment": environment, "seconds_a_step": None}
+        return about | {"model": run.model, "scenes": {run.scenes[0]: {"frames": judged}}}
 
     monkeypatch.setattr(single_run, "perform", performed)
     monkeypatch.setattr(frames, "render", lambda work, scene: None)
@@ -45,7 +46,8 @@ def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, cap
         run_queue.main()
     run_queue.main()
     assert done == [*runs[:3], *runs[2:]]
-    assert f"{len(runs)} runs left" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"0 runs are recorded in {tmp_path / 'records'}, {len(runs)} are left: at most 0 steps" in said
     assert len(list((tmp_path / "records").glob("*.json"))) == len(runs)
 
 

@@ -15,11 +15,12 @@ from completion.inference.completer import DepthCompleter, load_depth_network
 from completion.networks.checkpoint import load_network, load_tensors, save_network, save_tensors
 from completion.networks.mscsa import MSCSANet
 from completion.networks.mscsa_sfm import ScaleInvariantConfig, ScaleInvariantMSCSANet
+from completion.training.batches import draw_batch
 from completion.training.config import TrainConfig, make_config
 from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import GracefulInterrupt
 from completion.training.log import TrainLog
-from completion.training.train import TrainingState, draw_batch, learning_rate, train
+from completion.training.train import TrainingState, learning_rate, train
 from haustra.core.errors import CompletionError
 
 

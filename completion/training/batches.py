@@ -1,0 +1,45 @@
+"""The batch of a training step: which frames of which shards."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from completion.data.shards import Batch, Shard, augment, joined
+from completion.training.config import TrainConfig
+from completion.training.distributed import ProcessGroup
+
+
+def draw_batch(
+    config: TrainConfig,
+    step: int,
+    shards: list[Shard],
+    splits: list[NDArray[np.int64]],
+    processes: ProcessGroup,
+    device: torch.device,
+) -> tuple[Batch, torch.Generator]:
+    """This process's part of a step's batch from the training frames `splits`, and its generator in that step: so a
+    resumed run draws what an unbroken one would.
+
+    The order depends on the seed and the shards alone: every network of a comparison sees the same. A batch has frames
+    of all shards of one size, so that statistics of a batch are those of all scenes.
+    """
+    rng = np.random.default_rng((config.seed, step))
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + processes.rank)
+    groups = shards_of_one_size(shards) if config.mix_shards else [[number] for number in range(len(shards))]
+    share = np.array([sum(len(splits[number]) for number in group) for group in groups])
+    group = groups[rng.choice(len(groups), p=share / share.sum())]
+    frames = np.concatenate([splits[number] for number in group])
+    of_shard = np.repeat(group, [len(splits[number]) for number in group])
+    own = rng.choice(len(frames), config.batch, replace=False)[processes.rank :: processes.size]
+    where = None if config.augmentation else device
+    parts = [shards[n].batch(frames[own[of_shard[own] == n]], where) for n in group if (of_shard[own] == n).any()]
+    batch = parts[0] if len(parts) == 1 else joined(parts)
+    return (augment(batch, generator) if config.augmentation else batch).to(device), generator
+
+
+def shards_of_one_size(shards: list[Shard]) -> list[list[int]]:
+    """Numbers of the shards whose frames can share a batch."""
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for number, shard in enumerate(shards):
+        groups.setdefault(shard.images.shape[1:], []).append(number)
+    return list(groups.values())
