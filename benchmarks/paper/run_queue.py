@@ -13,6 +13,7 @@ import argparse
 import json
 import multiprocessing
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -57,11 +58,19 @@ def main() -> None:
         render(arguments.work, scene)
     # The environment is read once: a run does not change the commit of the next.
     record = partial(perform_and_record, work=arguments.work, results=arguments.results, environment=environment())
-    if arguments.workers == 1:
+    try:
+        perform_all(record, runs, arguments.workers)
+    except KeyboardInterrupt:
+        raise SystemExit("stopped; the same command goes on from the last checkpoints") from None
+
+
+def perform_all(record: Callable[[Run], str], runs: list[Run], workers: int) -> None:
+    """All runs, so many at once; says what came of each."""
+    if workers == 1:
         for run in runs:
             print(record(run), flush=True)
         return
-    with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
         for line in pool.imap_unordered(record, runs):
             print(line, flush=True)
 

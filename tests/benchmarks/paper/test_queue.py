@@ -42,7 +42,7 @@ def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, cap
     monkeypatch.setattr(frames, "render", lambda work, scene: None)
     command = ["paper", "--work", str(tmp_path / "work"), "--results", str(tmp_path / "records")]
     monkeypatch.setattr("sys.argv", [*command, "--table", "untrained"])
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(SystemExit, match="stopped; the same command goes on"):
         run_queue.main()
     run_queue.main()
     assert done == [*runs[:3], *runs[2:]]
