@@ -12,7 +12,8 @@ from completion.training.config import make_config
 from completion.training.recorded_step import WARM_UP, can_record
 from completion.training.train import TrainingState, optimise, train_step
 
-RECORDED = ("unet", "mscsa-plain", "mscsa-frame", "early-fusion+sa", "mscsa-early-fusion", "std18", "std50", "nlspn")
+# Without StD-50: two runs of it, neither recorded yet, part from the fifth step on by rounding in the order of sums.
+RECORDED = ("unet", "mscsa-plain", "mscsa-frame", "early-fusion+sa", "mscsa-early-fusion", "std18", "nlspn")
 
 
 @pytest.fixture
