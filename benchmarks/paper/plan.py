@@ -37,7 +37,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "constant rate": {"decay_at": 1.0},
     "a tenth of the rate after each third": {"schedule": "thirds"},
     # The source trains MSC by itself on KITTI; the rest then has as many steps as it has in the other rows.
-    "MSC trained first, then held fixed": {"msc_first": 300, "steps": 1300, "decay_at": 1000 / 1300},
+    "MSC trained first and held fixed": {"msc_first": 300, "steps": 1300, "decay_at": 1000 / 1300},
 }
 # How batches of four scenes were drawn at first: networks with batch normalisation are judged wrongly by it, since they
 # learn by the statistics of one scene at a time and are judged by a mixture of the last ones.
