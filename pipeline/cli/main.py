@@ -202,13 +202,10 @@ def train(
     shards: Annotated[list[Path], typer.Argument(help="folders made by haustra phantom --training")],
     out: Annotated[Path, typer.Option(help="weights.safetensors; OUT.checkpoint beside it")],
     model: Annotated[
-        str | None,
-        typer.Option(help="mscsa-sfm (ours, for SfM points) or another name of completion/networks/registry.py"),
+        str | None, typer.Option(help="mscsa-sfm (ours, for SfM points) or another name of networks/registry.py")
     ] = None,
     preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
-    size: Annotated[
-        str | None, typer.Option(help="paper, small or same-parameters: completion/networks/registry.py")
-    ] = None,
+    size: Annotated[str | None, typer.Option(help="paper, small or same-parameters: networks/registry.py")] = None,
     steps: Annotated[int | None, typer.Option(help="of the optimizer")] = None,
     batch: Annotated[int | None, typer.Option(help="frames per step")] = None,
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
