@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 EVERY = 200  # steps between two measurements of the held-out error
 PATIENCE = 5  # measurements without progress that end the full rate
@@ -34,12 +33,3 @@ class Plateau:
     def steps(self) -> int:
         """Of the whole run, as far as is known."""
         return min(self.most_steps, round(self.cooled_at * (1 + COOLING))) if self.cooled_at else self.most_steps
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned."""
-        for name, value in state.items():
-            setattr(self, name, value)
-
-    def state(self) -> dict[str, Any]:
-        """For a checkpoint."""
-        return asdict(self)

@@ -15,6 +15,8 @@ import json
 import math
 import time
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +38,7 @@ from completion.networks.checkpoint import (
     save_tensors,
 )
 from completion.networks.registry import find_entry
-from completion.training.batches import draw_batch
+from completion.training.batches import draw_batch, shards_of_one_size
 from completion.training.config import TrainConfig, with_new_names
 from completion.training.distributed import ProcessGroup
 from completion.training.graceful_interrupt import GracefulInterrupt
@@ -48,11 +50,8 @@ from completion.training.tasks import PaperTask, make_task
 from haustra.core.errors import CompletionError
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
-LATER_SETTINGS = {
-    "clip": 1.0,
-    "sampler": "uniform",
-    "msc_first": 0,
-}  # what checkpoints that do not name these were trained with
+# What checkpoints that do not name these were trained with.
+LATER_SETTINGS = {"clip": 1.0, "sampler": "uniform", "msc_first": 0, "mix_shards": False}
 ProgressCallback = Callable[[int, int | None], None]
 
 
@@ -104,7 +103,7 @@ class TrainingState:
         tensors |= {f"average.{n}": t for n, t in self.average.state_dict().items()}
         tensors |= flatten_optimizer(self.optimizer)
         about = {"step": self.step, "config": self._identity()}
-        about |= {"plateau": self.plateau.state()} if self.plateau else {}
+        about |= {"plateau": asdict(self.plateau)} if self.plateau else {}
         save_tensors(self.checkpoint, tensors, about)
 
     def resume(self) -> None:
@@ -122,12 +121,18 @@ class TrainingState:
         restore_optimizer(self.optimizer, tensors)
         self.step = metadata["step"]
         if self.plateau:
-            self.plateau.restore(metadata["plateau"])
+            self.plateau = Plateau(**metadata["plateau"])
 
     def _identity(self) -> dict[str, Any]:
         settings = self.config.model_dump_json(exclude={"threads", "checkpoint_seconds", "out", "device"})
-        frames = [Shard.open(folder).fingerprint() for folder in self.config.shards]
-        return with_new_names(json.loads(settings)) | {"processes": self.processes.size, "shards": frames}
+        return with_new_names(json.loads(settings)) | {"processes": self.processes.size} | self._frames
+
+    @cached_property
+    def _frames(self) -> dict[str, Any]:
+        """Which frames these are, and whether a batch has frames of several shards."""
+        shards = [Shard.open(folder) for folder in self.config.shards]
+        mixes = self.config.mix_shards and any(len(group) > 1 for group in shards_of_one_size(shards))
+        return {"shards": [shard.fingerprint() for shard in shards], "mix_shards": mixes}
 
 
 def _start_from(path: Path, network: nn.Module) -> None:
