@@ -15,18 +15,20 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from benchmarks.common.record import ROOT, environment
 from benchmarks.paper.claims import SCENE_NAMES
 from benchmarks.paper.frames import judged_frames, plans
 from benchmarks.paper.judgements import FIGURE_5 as EARLY_FUSION
 from benchmarks.paper.judgements import NAMES, row
-from benchmarks.paper.plan import ONE_SCENE, OURS, POINTS, RIVALS, SCENES, UNTRAINED, Run
+from benchmarks.paper.plan import JUDGED_FRAMES, ONE_SCENE, OURS, POINTS, RIVALS, UNTRAINED, Run
 from benchmarks.paper.records import FIGURES
+from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.sampling_benchmark import like_sfm
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.plots import attention_plot, comparison_plot
-from completion.evaluation.predictors import load_predictor
+from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.channel_attention import StructureAwareness, attention_features
 from completion.training.config import TrainConfig
 
@@ -52,12 +54,22 @@ def trained(work: Path) -> dict[str, Path]:
     return found
 
 
-def middle_frame(work: Path, scene: str, model: Path) -> FrameResult:
-    """What a network makes of the middle judged frame of a scene, which is named by it."""
-    plan = plans(work, scene)[1]
-    frames = list(islice(judged_frames(plan.folder, MOST_MM), plan.frames // 2, plan.frames // 2 + 1))
-    result = next(iter(evaluate_frames(frames, load_predictor(model), Protocol(points=POINTS))))
-    return replace(result, name=SCENE_NAMES[scene])
+def judged_frame(work: Path, scene: str, place: int) -> EvaluationFrame:
+    """One of a scene's judged frames, by its place."""
+    return next(islice(judged_frames(plans(work, scene)[1].folder, MOST_MM), place, None))
+
+
+def completed(predictor: Predictor, frame: EvaluationFrame) -> FrameResult:
+    """What a network makes of a frame."""
+    return next(iter(evaluate_frames([frame], predictor, Protocol(points=POINTS))))
+
+
+def features_of(predictor: Predictor, frame: EvaluationFrame) -> tuple[Tensor, Tensor]:
+    """The deepest features (C,h,w) before and after SA."""
+    assert predictor.network is not None
+    found = attention_features(predictor.network, lambda: completed(predictor, frame))
+    assert found is not None
+    return found
 
 
 def figure_4(work: Path, folder: Path) -> dict[str, Any]:
@@ -65,7 +77,10 @@ def figure_4(work: Path, folder: Path) -> dict[str, Any]:
     networks = trained(work)
     names = NAMES | {"linear": "linear interpolation", "nearest": "nearest point"}
     results = {
-        names[model].replace(", ", ",\n"): [middle_frame(work, scene, path) for scene in SCENES]
+        names[model].replace(", ", ",\n"): [
+            replace(completed(load_predictor(path), judged_frame(work, scene, JUDGED_FRAMES // 2)), name=name)
+            for scene, name in SCENE_NAMES.items()
+        ]
         for model, path in networks.items()
     }
     comparison_plot(
@@ -80,20 +95,11 @@ def figure_6(work: Path, folder: Path) -> list[str]:
     frames, names = [], []
     for scene in ("colon", "small_intestine"):
         path = weights(work, EARLY_FUSION, Run((scene,), EARLY_FUSION))
-        plan, predictor = plans(work, scene)[1], load_predictor(path)
-        assert predictor.network is not None
-        for place in (plan.frames // 4, plan.frames // 2, 3 * plan.frames // 4):
-            frame = list(islice(judged_frames(plan.folder, MOST_MM), place, place + 1))
-            kept: list[FrameResult] = []
-            features = attention_features(
-                predictor.network,
-                lambda frame=frame, kept=kept, predictor=predictor: kept.extend(
-                    evaluate_frames(frame, predictor, Protocol(points=POINTS))
-                ),
-            )
-            assert features is not None
-            before, after = (part.numpy() for part in features)
-            frames.append((replace(kept[0], name=SCENE_NAMES[scene]), before, after))
+        predictor = load_predictor(path)
+        for quarter in (1, 2, 3):
+            frame = judged_frame(work, scene, quarter * JUDGED_FRAMES // 4)
+            before, after = (part.numpy() for part in features_of(predictor, frame))
+            frames.append((replace(completed(predictor, frame), name=SCENE_NAMES[scene]), before, after))
         names.append(path.name)
     attention_plot(
         folder / "paper_figure_6.jpg", frames, "three judged frames of the colon, three of the small intestine"
@@ -109,16 +115,11 @@ def change_by_sa(work: Path, scene: str, model: str) -> dict[str, float]:
     are equal.
     """
     predictor = load_predictor(weights(work, model, Run((scene,), model)))
-    network = predictor.network
-    assert network is not None
-    module = next(module for module in network.modules() if isinstance(module, StructureAwareness))
+    assert predictor.network is not None
+    module = next(module for module in predictor.network.modules() if isinstance(module, StructureAwareness))
     figures = []
     for frame in islice(judged_frames(plans(work, scene)[1].folder, MOST_MM), 0, None, EVERY):
-        found = attention_features(
-            network, lambda frame=frame: list(evaluate_frames([frame], predictor, Protocol(points=POINTS)))
-        )
-        assert found is not None
-        before, after = (features.flatten(1) for features in found)
+        before, after = (features.flatten(1) for features in features_of(predictor, frame))
         values = torch.linalg.svdvals(after - before) ** 2
         largest = module.attention(before[None]).amax(dim=2).mean() * len(before)
         figures.append([(after - before).norm() / before.norm(), values[0] / values.sum(), largest])

@@ -129,28 +129,41 @@ def steeper_for_uniform(records: Records) -> Found | None:
     return f"delta 1 at {', '.join(f'{count:,}' for count in POINT_COUNTS)} points: {'; '.join(texts)}", finding
 
 
-def gain_of_features(counts: tuple[int, ...], worse: bool) -> Judge:
-    """By how much abs.REL of feature points is below that of uniform ones."""
+def features_higher(records: Records, count: int) -> Interval | None:
+    """By how much abs.REL of feature points is above that of uniform ones, as a fraction."""
+    found = records.reduction("colon", points(count, "features"), points(count, "uniform"), "abs_rel")
+    return None if found is None else Interval(-found[0].value, -found[0].high, -found[0].low)
+
+
+def gain_of_features(counts: tuple[int, ...]) -> Judge:
+    """Whether feature points gain over uniform ones at these numbers."""
 
     def judge(records: Records) -> Found | None:
-        cells, intervals = [], []
-        for count in counts:
-            found = records.reduction("colon", points(count, "features"), points(count, "uniform"), "abs_rel")
-            if found is None:
-                return None
-            intervals.append(found[0])
-            more = Interval(-found[0].value, -found[0].high, -found[0].low)
-            cells.append(f"{count:,} points: {percent(more)} higher")
-        if worse:
-            finding = "cannot be tested at 160 px: nearly all of these points are uniform ones"
-        else:
-            lose = all(interval.high < 0 for interval in intervals)
-            finding = (
-                "they lose" if lose else "they gain nothing" if all(i.low <= 0 for i in intervals) else "they gain"
-            )
-        return "abs.REL with features instead of uniform points: " + "; ".join(cells), finding
+        found = {count: higher for count in counts if (higher := features_higher(records, count))}
+        if len(found) < len(counts):
+            return None
+        finding = "they gain"
+        if all(higher.low > 0 for higher in found.values()):
+            finding = "they lose"
+        elif all(higher.high >= 0 for higher in found.values()):
+            finding = "they gain nothing"
+        return _instead(found), finding
 
     return judge
+
+
+def many_features(records: Records) -> Found | None:
+    """At the most points there are not enough keypoints to tell."""
+    most = max(POINT_COUNTS)
+    higher = features_higher(records, most)
+    if higher is None:
+        return None
+    return _instead({most: higher}), "cannot be tested at 160 px: nearly all of these points are uniform ones"
+
+
+def _instead(found: dict[int, Interval]) -> str:
+    cells = (f"{count:,} points: {percent(higher)} higher" for count, higher in found.items())
+    return "abs.REL with features instead of uniform points: " + "; ".join(cells)
 
 
 def percent(interval: Interval) -> str:

@@ -42,6 +42,7 @@ CHANGES: dict[str, dict[str, Any]] = {
 # How batches of four scenes were drawn at first: networks with batch normalisation are judged wrongly by it, since they
 # learn by the statistics of one scene at a time and are judged by a mixture of the last ones.
 ONE_SCENE = "batches of one scene"
+AT_FIRST: dict[str, dict[str, Any]] = {ONE_SCENE: {"mix_shards": False}}
 # Readings of what the paper calls features of its multi-scale module, on the same network.
 READINGS = {
     "confidence at the last convolution too": "mscsa-early-fusion+confidence-last",
@@ -72,7 +73,7 @@ class Run:
     model: str  # of completion.networks.registry, or of `UNTRAINED`
     seed: int = 0
     steps: int = STEPS
-    change: str = ""  # of `CHANGES`
+    change: str = ""  # of `CHANGES` or `AT_FIRST`
     size: str = "small"  # of completion.networks.registry
     points: int = POINTS
     sampler: str = "uniform"
@@ -92,9 +93,7 @@ class Run:
         """Of training, beside the paper's preset."""
         ending = CONVERGED if self.converged else {"decay_at": DECAY_AT}
         about = {"size": self.size, "points": self.points, "sampler": self.sampler, "seed": self.seed}
-        return (
-            about | ending | {"steps": self.steps} | (CHANGES | {ONE_SCENE: {"mix_shards": False}}).get(self.change, {})
-        )
+        return about | ending | {"steps": self.steps} | (CHANGES | AT_FIRST).get(self.change, {})
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import NAMES, gain_of_features, points
+from benchmarks.paper.judgements import NAMES, features_higher, percent, points
 from benchmarks.paper.judgements import row as row_of_table_1
 from benchmarks.paper.plan import (
     BODIES,
@@ -177,8 +177,8 @@ def figure_5(records: Records) -> list[str]:
     for count in POINT_COUNTS:
         uniform, features = (points(count, sampler) for sampler in ("uniform", "features"))
         cells = [spread(records.mean("colon", run, "abs_rel"), 100) for run in (uniform, features)]
-        found = gain_of_features((count,), worse=False)(records)
-        higher = found[0].split("points: ")[1] if found else "-"
+        found = features_higher(records, count)
+        higher = f"{percent(found)} higher" if found else "-"
         share = f"{count / 256:.2g} %"
         lines.append(f"| {count:,} | {share} | {' | '.join(cells)} | {higher} |")
     return lines

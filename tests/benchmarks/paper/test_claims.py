@@ -153,9 +153,9 @@ def test_sentences_on_numbers_of_points_follow_the_records():
     flat = {(count, "features"): 0.1 - 0.001 * k for k, count in enumerate(POINT_COUNTS)}
     assert steeper_for_uniform(figure_5(uniform | flat))[1] == "reproduced"
     assert steeper_for_uniform(figure_5(uniform | {(c, "features"): 0.1 for c in (10, 100, 1000)})) is None
-    worse = gain_of_features((10, 100), worse=False)(figure_5(uniform | {k: 2 * v for k, v in features.items()}))
+    worse = gain_of_features((10, 100))(figure_5(uniform | {k: 2 * v for k, v in features.items()}))
     assert worse is not None
     assert worse[1] == "they lose"
-    better = gain_of_features((10, 100), worse=False)(figure_5(uniform | {k: v / 2 for k, v in features.items()}))
+    better = gain_of_features((10, 100))(figure_5(uniform | {k: v / 2 for k, v in features.items()}))
     assert better is not None
     assert better[1] == "they gain"
