@@ -27,6 +27,7 @@ from benchmarks.common.front_end import path_errors, store
 from benchmarks.common.runner import add_folder, run
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, FrameSettings
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.submap import Submap
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -61,7 +62,9 @@ def track(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
         kept, workspace = store(folder, config, Path(scratch) / "run")
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         start = time.perf_counter()
-        submaps = solve_structure(kept, config.front_end, config.front_end_settings, workspace, SilentProgress())
+        submaps = solve_structure(
+            kept, frame_features(workspace), config.front_end, config.front_end_settings, workspace, SilentProgress()
+        )
         seconds = time.perf_counter() - start
     drift = drifts(submaps, truth, stretch_mm)
     return {

@@ -11,7 +11,6 @@ the front end's own points. A row is added as each film ends; a stopped call goe
 """
 
 import argparse
-import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from benchmarks.common.living_truth import true_depth
 from benchmarks.common.record import RunTable, print_row
+from benchmarks.common.rerun import without_depth
 from benchmarks.common.runner import add_folders, run
 from haustra.core.errors import HaustraError
 from haustra.core.sim3 import scale_of
@@ -33,12 +33,10 @@ from pipeline.finished_run import Run
 from pipeline.frontend.points_stage import STAGE, keep_points
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run import reconstruct
-from pipeline.run_folder.workspace import open_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses
 
 OWN, ANEW = "the front end's own", "triangulated anew"
-LATER = ("depth", "multiview", "refinement", "motion", "surface", "coverage", "report")
 FAR_OFF = 0.1
 
 Array = NDArray[np.float64]
@@ -78,12 +76,8 @@ def figures_of(film: Path, front_end: str) -> dict[str, dict[str, Any]]:
 
 def with_own_points(made: Run, folder: Path) -> None:
     """A copy of a run whose depth is still to be made, from the front end's own points."""
-    shutil.copytree(made.folder, folder)
-    for name in ("depth", "confidence"):
-        shutil.rmtree(folder / name)
-    workspace = open_workspace(folder)
-    for stage in (STAGE, *LATER):
-        workspace.record["stages"].pop(stage, None)
+    workspace = without_depth(made, folder)
+    workspace.record["stages"].pop(STAGE)
     keep_points(made.submaps_of_front_end, made.frames, workspace)
 
 

@@ -15,6 +15,7 @@ from pipeline.depth.preparation import Preparation
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.finished_run import Run
 from pipeline.frontend.lens_guess import guess_lens
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, scene_units, solve_structure
@@ -72,10 +73,11 @@ def reconstruct(
         told = config.front_end_settings
         if guessed_by(workspace) is not None:
             frames = timed("lens", guess_lens)(frames, told, workspace, progress)
-        submaps = timed("structure", solve_structure)(frames, config.front_end, told, workspace, progress)
-        retriangulated = timed("points", find_points)(
-            frames, submaps, told.odometry.keyframe_motion, workspace, progress
-        )
+        with frame_features(workspace) as features:  # let go of before depth is completed: 150 KB a keyframe
+            submaps = timed("structure", solve_structure)(frames, features, config.front_end, told, workspace, progress)
+            retriangulated = timed("points", find_points)(
+                frames, features, submaps, told.odometry.keyframe_motion, workspace, progress
+            )
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
         completed = complete(frames, retriangulated, later.completer, config.depth, workspace, progress)
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)

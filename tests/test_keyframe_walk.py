@@ -14,6 +14,7 @@ import pytest
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
 from pipeline.frontend.odometry import front_end
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.tracking import Tracker
 from pipeline.mapping.local_map import Keyframe, LocalMap
 from tests.helpers.tubes.textured_tube import camera_at, render, stored
@@ -82,7 +83,9 @@ def trace(tmp_path, monkeypatch):
     threading.setprofile(trace)
     sys.setprofile(trace)
     try:
-        front_end.track_frames(frames, Config().front_end_settings, workspace, SilentProgress())
+        front_end.track_frames(
+            frames, frame_features(workspace), Config().front_end_settings, workspace, SilentProgress()
+        )
     finally:
         sys.setprofile(None)
         threading.setprofile(None)

@@ -33,6 +33,7 @@ from pipeline.config import Config, FrameSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.preparation import load_completer
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.frames import Frames, read_frames
 from pipeline.input.video import Source
@@ -66,7 +67,9 @@ def dense_submaps(folder: Path, config: Config, root: Path) -> list[CompletedSub
     workspace, silent = create_workspace(root, folder, config, overwrite=True), SilentProgress()
     with workspace:
         frames = read_frames(Source(folder), config.camera, config.frames, workspace, silent)
-        submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, silent)
+        submaps = solve_structure(
+            frames, frame_features(workspace), config.front_end, config.front_end_settings, workspace, silent
+        )
         network = partial(load_completer, config.model, config.device, config.depth.iterations)
         return complete_depth(frames, submaps, network, config.depth, workspace, silent)
 

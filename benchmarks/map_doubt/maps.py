@@ -15,6 +15,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frontend.base import FoundSubmap
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.scoring import accepted, candidates_of
 from pipeline.input.frames import Frames, read_frames, read_image
@@ -110,7 +111,7 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     frames = replace(frames, index=frames.index[mine], seconds=frames.seconds[mine], camera=_lens(frames.camera, way))
     settings = Config(seed=way.seed, odometry=OdometrySettings(keyframe_motion=way.motion)).front_end_settings
     try:
-        found = track_frames(frames, settings, workspace, SilentProgress()).submaps
+        found = track_frames(frames, frame_features(workspace), settings, workspace, SilentProgress()).submaps
     except HaustraError:
         return []
     candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], frames.camera, workspace)

@@ -28,6 +28,7 @@ from haustra.core.se3 import angle_between, inverse
 from haustra.core.text import read_json
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frontend.odometry.bridging.gap import Clouds, clouds_of, registered_over_gap, velocity_over_gap
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.given_settings import SensorSettings
 from pipeline.input.frames import read_frames
@@ -71,7 +72,7 @@ def tracked(folder: Path, truth: Array, depth: str) -> dict[str, Any]:
         create_workspace(Path(scratch) / "run", folder, config, False) as workspace,
     ):
         frames = read_frames(Source(folder), config.camera, config.frames, workspace, SilentProgress())
-        found = track_frames(frames, config.front_end_settings, workspace, SilentProgress())
+        found = track_frames(frames, frame_features(workspace), config.front_end_settings, workspace, SilentProgress())
         largest = found.submaps[0]
         estimated, true = largest.world_from_camera, truth[largest.frames]
         se3 = None if depth == "none" else trajectory_errors(estimated, true, "se3").ate_rmse

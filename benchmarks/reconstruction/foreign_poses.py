@@ -25,6 +25,7 @@ from haustra.core.progress import SilentProgress
 from haustra.core.se3 import inverse
 from pipeline.compare import compare_run
 from pipeline.config import Config
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.given_settings import PoseSettings
 from pipeline.input.frames import read_frames
@@ -102,7 +103,9 @@ def sentence_of(folder: Path, wrong: Callable[[Array], Array]) -> str | None:
         with create_workspace(Path(scratch) / "run", folder, config, False) as workspace:
             frames = read_frames(Source(folder), config.camera, config.frames, workspace, SilentProgress())
             try:
-                solve_structure(frames, "poses", config.front_end_settings, workspace, SilentProgress())
+                solve_structure(
+                    frames, frame_features(workspace), "poses", config.front_end_settings, workspace, SilentProgress()
+                )
             except HaustraError as error:
                 return str(error).replace(f"{file}", file.name)
     return None

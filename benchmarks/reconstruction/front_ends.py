@@ -34,6 +34,7 @@ from haustra.core.camera import guess_camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap
@@ -93,7 +94,14 @@ def run_front_end(folder: Path, config: Config, truth: np.ndarray, guess_deg: fl
         frames = frames if guess_deg is None else with_guessed_camera(frames, guess_deg)
         wall, busy = time.perf_counter(), processor_seconds()
         try:
-            submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
+            submaps = solve_structure(
+                frames,
+                frame_features(workspace),
+                config.front_end,
+                config.front_end_settings,
+                workspace,
+                SilentProgress(),
+            )
         except HaustraError as error:
             return {"used": len(frames.index), "posed_share": 0.0, "submaps": 0, "failure": str(error)}
         wall, busy = time.perf_counter() - wall, processor_seconds() - busy

@@ -25,6 +25,7 @@ from haustra.core.camera import Camera, guess_camera
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, FrameSettings, OdometrySettings
 from pipeline.frontend.lens_guess import GUESSES, scores_of_guesses
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.odometry.self_calibration import lens_shift
 from pipeline.input.endomapper_scopes import colonoscope_across
@@ -80,7 +81,7 @@ def figures_of(film: Path, start: Callable[..., Camera] | None, seed: int, end: 
             told["scores"] = scores_of_guesses(frames, config.front_end_settings, workspace, SilentProgress())
             start = GUESSES[max(told["scores"], key=lambda name: told["scores"][name])]
         hidden = replace(frames, camera=start(*size, (0, 0, *size)))
-        found = track_frames(hidden, config.front_end_settings, workspace, SilentProgress())
+        found = track_frames(hidden, frame_features(workspace), config.front_end_settings, workspace, SilentProgress())
     about = told | {
         "usable": len(frames.index),
         "posed": sum(len(submap.frames) for submap in found.submaps),

@@ -9,6 +9,7 @@ from haustra.core.progress import Progress
 from pipeline.config import FrontEndSettings
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap
+from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
 
 COLMAP_WORKER = "pipeline.frontend.colmap.worker"  # run in a process of its own
@@ -44,9 +45,11 @@ class FrontEnd(Protocol):
         """Raise `HaustraError` for settings that it cannot work with, before any work is done."""
 
     def run(
-        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+        self, frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
-        """Structure of the stored working frames. Files of its own go to `workspace.log`."""
+        """Structure of the stored working frames. Files of its own go to `workspace.log`.
+
+        features: of the working frames; what is found here need not be found again by the stages that follow."""
 
 
 def disjoint(submaps: Iterable[Submap]) -> list[Submap]:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
-from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
@@ -24,7 +23,12 @@ DEPTH_STAGE = "depth"  # whose keyframes were chosen by the points that it found
 
 
 def find_points(
-    frames: Frames, submaps: list[Submap], keyframe_motion: float, workspace: Workspace, progress: Progress
+    frames: Frames,
+    features: SiftCache,
+    submaps: list[Submap],
+    keyframe_motion: float,
+    workspace: Workspace,
+    progress: Progress,
 ) -> list[Submap]:
     """The submaps in the same order and unit; one keeps its points, and a sentence says so, where its poses triangulate
     too few. keyframe_motion: between the frames whose features are matched, as a share of the width."""
@@ -34,7 +38,7 @@ def find_points(
         workspace,
         STAGE,
         lambda: load_points(submaps, workspace),
-        lambda: _find_all(frames, submaps, keyframe_motion * frames.camera.width, workspace, progress),
+        lambda: _find_all(frames, features, submaps, keyframe_motion * frames.camera.width, workspace, progress),
     )
 
 
@@ -48,15 +52,20 @@ def load_points(submaps: list[Submap], workspace: Workspace) -> list[Submap]:
 
 
 def _find_all(
-    frames: Frames, submaps: list[Submap], motion_px: float, workspace: Workspace, progress: Progress
+    frames: Frames,
+    features: SiftCache,
+    submaps: list[Submap],
+    motion_px: float,
+    workspace: Workspace,
+    progress: Progress,
 ) -> None:
     for folder in (workspace.depth, workspace.confidence, workspace.first_depth):
         shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
     sensor, found = open_sensor(workspace, frames.camera.width), []
     depth_at = sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
-    with single_threaded(), SiftCache(frame_reader(workspace)) as find, progress.bar("triangulation", None) as advance:
+    with single_threaded(), progress.bar("triangulation", None) as advance:
         for number, submap in enumerate(submaps):
-            again = triangulate_again(submap, frames.camera, motion_px, find, advance, depth_at)
+            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at)
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)

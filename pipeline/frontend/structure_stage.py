@@ -32,6 +32,7 @@ from pipeline.frontend.scoring import (
 from pipeline.input.frames import Frames
 from pipeline.mapping.map_doubt import MapDoubt
 from pipeline.mapping.submap import Submap, read_submap
+from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption
 
@@ -40,14 +41,19 @@ MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` do
 
 
 def solve_structure(
-    frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    frames: Frames,
+    features: SiftCache,
+    front_end: str,
+    settings: FrontEndSettings,
+    workspace: Workspace,
+    progress: Progress,
 ) -> list[Submap]:
     """Submaps by `front_end`, a registered name or `auto`; the largest first, each in units of its own median depth."""
     return load_or_make(
         workspace,
         STAGE,
         lambda: load_structure(workspace),
-        lambda: _solve(frames, chosen(front_end, settings), settings, workspace, progress),
+        lambda: _solve(frames, features, chosen(front_end, settings), settings, workspace, progress),
     )
 
 
@@ -102,9 +108,14 @@ def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
 
 
 def _solve(
-    frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    frames: Frames,
+    features: SiftCache,
+    front_end: str,
+    settings: FrontEndSettings,
+    workspace: Workspace,
+    progress: Progress,
 ) -> None:
-    results, failure = _run(frames, front_end, settings, workspace, progress)
+    results, failure = _run(frames, features, front_end, settings, workspace, progress)
     by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
     total = len(frames.index)
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
@@ -157,13 +168,18 @@ class _Result:
 
 
 def _run(
-    frames: Frames, front_end: str, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+    frames: Frames,
+    features: SiftCache,
+    front_end: str,
+    settings: FrontEndSettings,
+    workspace: Workspace,
+    progress: Progress,
 ) -> tuple[dict[str, _Result], str | None]:
     """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
     failed."""
 
     def run(name: str, some: Frames, told: FrontEndSettings) -> _Result:
-        result = FRONT_ENDS[name].run(some, told, workspace, progress)
+        result = FRONT_ENDS[name].run(some, features, told, workspace, progress)
         found = {m: candidates_of(m, of, some.camera, workspace) for m, of in result.found.items()}
         return _Result(found, result.stats)
 

@@ -4,6 +4,7 @@ import itertools
 import json
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,7 +153,11 @@ def _store_frames(
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     judge = FrameJudge()
     verdicts: list[tuple[int, float, str]] = []
-    with progress.bar("reading frames", source.announced or None) as advance:
+    written: Future[None] | None = None
+    with (
+        ThreadPoolExecutor(1, "writing") as writer,
+        progress.bar("reading frames", source.announced or None) as advance,
+    ):
         for frame in _in_range(source, settings):
             advance(frame.index + 1)
             if frame.index % settings.stride:
@@ -161,11 +166,26 @@ def _store_frames(
             verdict = judge.judge(rgb, content)
             verdicts.append((frame.index, frame.seconds, verdict))
             if verdict == "used":
-                write_image(workspace.image_path(frame.index), rgb)
-                mask = np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8)
-                cv2.imwrite(str(workspace.mask_path(frame.index)), mask)
-                write_sensed(workspace.sensor_path(frame.index), source.depth_mm())
+                if written is not None:
+                    written.result()  # one frame at most waits to be written
+                written = writer.submit(_write_frame, frame.index, rgb, content, source.depth_mm(), workspace)
+        if written is not None:
+            written.result()
     return verdicts
+
+
+def _write_frame(
+    index: int,
+    rgb: NDArray[np.uint8],
+    content: NDArray[np.uint8],
+    depth_mm: NDArray[np.float64] | None,
+    workspace: Workspace,
+) -> None:
+    """A used frame's picture, the mask of what is neither border nor highlight, and what was sensed, if anything."""
+    write_image(workspace.image_path(index), rgb)
+    mask = np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8)
+    cv2.imwrite(str(workspace.mask_path(index)), mask)
+    write_sensed(workspace.sensor_path(index), depth_mm)
 
 
 def resized(image: NDArray[np.uint8], area: ContentArea, camera: Camera, interpolation: int) -> NDArray[np.uint8]:

@@ -6,6 +6,7 @@ bend to the others, and goes its own way without them. What all of the wall does
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
 from haustra.core.sim3 import scale_of
+from haustra.core.threads import single_threaded, workers
 from pipeline.mapping.submap import Submap
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from reconstruction.evaluation.trajectory_metrics import align_poses
@@ -55,24 +57,20 @@ def path_difference(poses: Array, others: Array) -> PathDifference:
 def by_stretches(submap: Submap, camera: Camera) -> PathDifference | None:
     """The larger difference from the whole map's path of two stretches of it; None where both are too short."""
     count, every = len(submap.frames), np.ones(len(submap.points), dtype=bool)
-    found = []
-    for begin, end in STRETCHES:
-        rows = _spread_rows(round(begin * count), round(end * count))
-        moved = _readjusted(submap, camera, rows, every)
-        if moved is not None:
-            found.append(path_difference(moved, submap.world_from_camera[rows]))
-    return _larger(found)
+    stretches = [_spread_rows(round(begin * count), round(end * count)) for begin, end in STRETCHES]
+    paths = _all_readjusted(submap, camera, [(rows, every) for rows in stretches])
+    found = [(path, rows) for path, rows in zip(paths, stretches, strict=True) if path is not None]
+    return _larger([path_difference(path, submap.world_from_camera[rows]) for path, rows in found])
 
 
 def by_halves_of_the_wall(submap: Submap, camera: Camera) -> PathDifference | None:
     """The larger difference of the paths by two halves of the wall, parted across each of its two main axes; None where
     no half has enough points."""
-    rows, found = _spread_rows(0, len(submap.frames)), []
-    for half in _halves(submap):
-        one, other = (_readjusted(submap, camera, rows, points) for points in (half, ~half))
-        if one is not None and other is not None:
-            found.append(path_difference(one, other))
-    return _larger(found)
+    rows = _spread_rows(0, len(submap.frames))
+    halves = [points for half in _halves(submap) for points in (half, ~half)]
+    paths = _all_readjusted(submap, camera, [(rows, points) for points in halves])
+    found = list(zip(paths[::2], paths[1::2], strict=True))
+    return _larger([path_difference(one, other) for one, other in found if one is not None and other is not None])
 
 
 def _larger(found: list[PathDifference]) -> PathDifference | None:
@@ -92,6 +90,12 @@ def _halves(submap: Submap) -> list[Mask]:
     axes = np.linalg.svd(centred[distance < 4 * np.median(distance)], full_matrices=False)[2][:2]
     along = centred @ axes.T
     return [of > np.median(of[submap.observations[:, 1]]) for of in along.T]
+
+
+def _all_readjusted(submap: Submap, camera: Camera, parts: list[tuple[NDArray[np.int64], Mask]]) -> list[Array | None]:
+    """The path of each part, its rows and points: side by side, since the kernels let go of the interpreter."""
+    with single_threaded(), ThreadPoolExecutor(workers()) as threads:
+        return list(threads.map(lambda part: _readjusted(submap, camera, *part), parts))
 
 
 def _readjusted(submap: Submap, camera: Camera, rows: NDArray[np.int64], among: Mask) -> Array | None:

@@ -11,6 +11,7 @@ from haustra.core.progress import SilentProgress
 from pipeline.cli import main as cli
 from pipeline.config import Config
 from pipeline.finished_run import open_run
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.structure_stage import closes_loops, front_end_of, solve_structure
 from pipeline.run_folder.workspace import write_json
@@ -68,7 +69,7 @@ def test_it_is_accepted_and_its_own_check_is_asked(in_folder):
 def test_the_structure_stage_keeps_its_submap(clip, in_folder):
     (in_folder / "run").mkdir()
     workspace, frames = stored(in_folder / "run", clip[0])
-    (submap,) = solve_structure(frames, "slam", SETTINGS, workspace, SilentProgress())
+    (submap,) = solve_structure(frames, frame_features(workspace), "slam", SETTINGS, workspace, SilentProgress())
     unit = workspace.result("structure")["units"][0]
     np.testing.assert_allclose(submap.world_from_camera[:, :3, 3] * unit, clip[1][:, :3, 3], atol=1e-6)
     np.testing.assert_allclose(np.hypot(*submap.points[:, :2].T) * unit, RADIUS, atol=1e-6)
@@ -78,7 +79,7 @@ def test_the_structure_stage_keeps_its_submap(clip, in_folder):
     assert record["evidence"]["slam"][0]["voters"] == COUNT
     assert record["warnings"] == []
     assert not closes_loops(workspace)
-    again = solve_structure(frames, "slam", SETTINGS, workspace, SilentProgress())
+    again = solve_structure(frames, frame_features(workspace), "slam", SETTINGS, workspace, SilentProgress())
     np.testing.assert_array_equal(again[0].points, submap.points)
 
 

@@ -16,6 +16,7 @@ from pipeline.frontend.scoring import candidates_of, needs_second_opinion
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.submap import read_submap
+from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace
 
@@ -37,7 +38,7 @@ class ColmapFrontEnd:
             raise HaustraError("the front end sfm has no keyframe_motion (--fast) and no chunks; take odometry or auto")
 
     def run(
-        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+        self, frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
         job = colmap_job(frames, settings.seed, workspace)
         end, log = settings.deadline, workspace.log / "match.log"

@@ -19,7 +19,6 @@ from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map
-from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
@@ -45,7 +44,7 @@ class KnownPosesFrontEnd:
         read_poses(Path(settings.poses.file), _path(settings.poses.hand_eye))
 
     def run(
-        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+        self, frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
         table = read_poses(Path(settings.poses.file or ""), _path(settings.poses.hand_eye))
         by_frame = poses_by_frame(table, FilmFrames.of(workspace))
@@ -56,8 +55,8 @@ class KnownPosesFrontEnd:
             )
         given = np.stack([by_frame[frame] for frame in index.tolist()])
         rays, refine = RayTable(frames.camera), settings.poses.refine
-        with single_threaded(), SiftCache(frame_reader(workspace)) as find:
-            check = check_poses(table.path, index.tolist(), given, rays, find, ROUGHLY_FITS if refine else FITS)
+        with single_threaded():
+            check = check_poses(table.path, index.tolist(), given, rays, features, ROUGHLY_FITS if refine else FITS)
             progress.log(
                 f"poses of {table.path.name}: {len(index)} of {len(frames.index)} frames; "
                 f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"
@@ -65,7 +64,7 @@ class KnownPosesFrontEnd:
             motion = settings.odometry.keyframe_motion * frames.camera.width
             rows = choose_frames(given, check.depth, rays.focal_px, motion)
             with progress.bar("triangulation", len(rows)) as advance:
-                local_map = build_map(index[rows].tolist(), given[rows], rays, find, refine, advance)
+                local_map = build_map(index[rows].tolist(), given[rows], rays, features, refine, advance)
                 if refine:
                     adjust_all(local_map, True, advance)
         submap = to_submap(local_map, frames.camera.params, refit=refine)

@@ -50,9 +50,9 @@ class OdometryFrontEnd:
         """Its settings are checked where they are defined."""
 
     def run(
-        self, frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+        self, frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
-        tracked = track_frames(frames, settings, workspace, progress)
+        tracked = track_frames(frames, features, settings, workspace, progress)
         progress.log(tracked.sentence)
         shutil.rmtree(workspace.log / NAME, ignore_errors=True)
         shutil.rmtree(temp_dir(workspace), ignore_errors=True)
@@ -88,11 +88,13 @@ class Tracked:
         return f"odometry in {chunks} chunks, {closed} of {chunks - 1} joined by the frames that they share{merged}"
 
 
-def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress) -> Tracked:
+def track_frames(
+    frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
+) -> Tracked:
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
-    with single_threaded(), SiftCache(frame_reader(workspace)) as features:
+    with single_threaded():
         started = time.perf_counter()
-        maps, stitching = _tracked(frames, settings, features, workspace, progress)
+        maps, stitching = _tracked(frames, features, settings, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         sensor = open_sensor(workspace, frames.camera.width)
         if sensor is not None and sensor.settings.adjust:
@@ -110,7 +112,7 @@ def track_frames(frames: Frames, settings: FrontEndSettings, workspace: Workspac
 
 
 def _tracked(
-    frames: Frames, settings: FrontEndSettings, features: SiftCache, workspace: Workspace, progress: Progress
+    frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
 ) -> tuple[list[LocalMap], Stitching | None]:
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
     rays = RayTable(frames.camera)
@@ -121,14 +123,14 @@ def _tracked(
         run = local_run(processors()) if settings.odometry.ray is None else ray_run(settings.odometry.ray)
         jobs = jobs_of(frames.index, frames.camera, pieces, settings, workspace)
         return track_chunks(jobs, rays, run, progress)
-    return _tracked_in_one_go(frames, rays, settings, features, workspace, progress), None
+    return _tracked_in_one_go(frames, features, rays, settings, workspace, progress), None
 
 
 def _tracked_in_one_go(
     frames: Frames,
+    features: SiftCache,
     rays: RayTable,
     settings: FrontEndSettings,
-    features: SiftCache,
     workspace: Workspace,
     progress: Progress,
 ) -> list[LocalMap]:

@@ -16,11 +16,14 @@ from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.scoring import MARGIN, Candidate, best_mapper, frames_in_doubt
 from pipeline.input.frames import Frames
 from pipeline.mapping.lighting_check import LightingCheck
+from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.tubes.textured_tube import CAMERA
 
 SETTINGS = Config().front_end_settings
 GOOD = Candidate(SimpleNamespace(frames=np.arange(90)), LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path())
 DARK = Candidate(SimpleNamespace(frames=np.arange(90)), LightingCheck(90, 600, 0.3, 5.0, -0.2, 0.4, 90), Path())
+
+NO_FEATURES = SiftCache(None)  # nobody asks for any
 
 
 def many_frames(count):
@@ -48,7 +51,7 @@ def asked(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
         many = many_frames(frames)
         workspace = SimpleNamespace(log=tmp_path, record={})
-        results, failure = structure_stage._run(many, front_end, SETTINGS, workspace, SilentProgress())
+        results, failure = structure_stage._run(many, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
         assert failure is None
         mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
         assert list(mapped) == ran
@@ -105,7 +108,7 @@ class Clockwork:
             self.now += first_s
             return FrontEndResult({"odometry": []})
 
-        def run_second(frames, settings, *_):
+        def run_second(frames, features, settings, *_):
             self.told.append((frames.index.tolist(), settings.deadline))
             return second()
 
@@ -115,7 +118,7 @@ class Clockwork:
     def run(self, count, settings=SETTINGS):
         progress = SilentProgress()
         progress.log = self.lines.append
-        return structure_stage._run(many_frames(count), "auto", settings, SimpleNamespace(), progress)
+        return structure_stage._run(many_frames(count), NO_FEATURES, "auto", settings, SimpleNamespace(), progress)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.25, 0.0])
@@ -181,7 +184,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", found)
         few = many_frames(100)
         workspace = SimpleNamespace(log=tmp_path, record={})
-        return structure_stage._run(few, front_end, SETTINGS, workspace, SilentProgress())
+        return structure_stage._run(few, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
 
     results, failure = call("auto")
     assert list(results) == ["odometry"]
@@ -199,13 +202,13 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
     monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
     frames, workspace = many_frames(30), SimpleNamespace(log=tmp_path, record={})
     with pytest.raises(HaustraError, match=f"logs are in {tmp_path}"):
-        FRONT_ENDS["sfm"].run(frames, SETTINGS, workspace, SilentProgress())
+        FRONT_ENDS["sfm"].run(frames, NO_FEATURES, SETTINGS, workspace, SilentProgress())
     found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))
     monkeypatch.setitem(FRONT_ENDS, "odometry", found)
     with pytest.raises(
         HaustraError, match=f"30 frames tried by odometry.*; sfm failed as well: .*logs are in {tmp_path}"
     ):
-        structure_stage._solve(frames, "auto", SETTINGS, workspace, SilentProgress())
+        structure_stage._solve(frames, NO_FEATURES, "auto", SETTINGS, workspace, SilentProgress())
 
 
 def test_warnings_advise_what_was_not_tried():

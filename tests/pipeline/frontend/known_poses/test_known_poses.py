@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, PoseSettings
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, solve_structure
@@ -36,8 +37,10 @@ def solved(tmp_path, pictures, poses, refine=False):
     config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt"), refine=refine))
     workspace.record["config"] = config.model_dump(mode="json")
     check_front_end(config.front_end, config.front_end_settings)
-    found = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
-    (submap,) = find_points(frames, found, 0.012, workspace, SilentProgress())
+    found = solve_structure(
+        frames, frame_features(workspace), "auto", config.front_end_settings, workspace, SilentProgress()
+    )
+    (submap,) = find_points(frames, frame_features(workspace), found, 0.012, workspace, SilentProgress())
     unit = scene_unit(workspace)
     return submap.scaled(unit), unit
 
@@ -68,8 +71,10 @@ def test_a_slow_film_has_points_in_all_its_keyframes(tmp_path):
     write_tum(tmp_path / "poses.txt", np.arange(80) / 30, poses)
     config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt")))
     workspace.record["config"] = config.model_dump(mode="json")
-    (before,) = solve_structure(frames, "auto", config.front_end_settings, workspace, SilentProgress())
-    (after,) = find_points(frames, [before], 0.012, workspace, SilentProgress())
+    (before,) = solve_structure(
+        frames, frame_features(workspace), "auto", config.front_end_settings, workspace, SilentProgress()
+    )
+    (after,) = find_points(frames, frame_features(workspace), [before], 0.012, workspace, SilentProgress())
     keyframes = np.unique(before.observations[:, 0])
     assert 3 < len(keyframes) < 40
     np.testing.assert_array_equal(np.unique(after.observations[:, 0]), keyframes)

@@ -18,6 +18,7 @@ from pipeline.config import Config, OdometrySettings, load_config
 from pipeline.frontend.odometry import chunks
 from pipeline.frontend.odometry.chunk_stitching import first_from_second
 from pipeline.frontend.odometry.chunks import jobs_of, local_run, split, stitch_chunks, temp_dir, track_chunks
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import solve_structure
@@ -143,7 +144,7 @@ def test_a_film_in_chunks_is_one_map_and_a_stopped_run_goes_on(tmp_path, monkeyp
     images = IMAGES + more_images()
     workspace, frames = stored(tmp_path, images)
     settings = Config(odometry=OdometrySettings(chunks=3)).front_end_settings
-    result = track_frames(frames, settings, workspace, SilentProgress())
+    result = track_frames(frames, frame_features(workspace), settings, workspace, SilentProgress())
     assert result.stitching == chunks.Stitching(2, 1), "three would be too short"
     (submap,) = result.submaps
     assert submap.frames.tolist() == list(range(72))
@@ -191,7 +192,9 @@ def test_submaps_of_an_open_seam_share_no_frame(tmp_path, monkeypatch):
     monkeypatch.setattr(submap_merging, "merge_maps", lambda maps, *_: [Merged(m, (k,)) for k, m in enumerate(maps)])
     workspace, frames = stored(tmp_path, IMAGES + more_images())
     config = Config(front_end="odometry", odometry=OdometrySettings(chunks=2))
-    submaps = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
+    submaps = solve_structure(
+        frames, frame_features(workspace), config.front_end, config.front_end_settings, workspace, SilentProgress()
+    )
     assert len(submaps) == 2
     assert min(len(submap.frames) for submap in submaps) >= 3
     assert sorted(np.concatenate([submap.frames for submap in submaps])) == list(range(72))

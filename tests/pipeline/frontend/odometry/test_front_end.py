@@ -8,6 +8,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.klt import detect, track_klt, tracker_image
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.submap_of_map import to_submap
@@ -189,10 +190,14 @@ def test_matches_are_those_of_a_search_by_distance(seed):
 def test_the_structure_stage_gives_the_same_kind_of_submap_as_colmap(clip, tmp_path):
     workspace, frames = stored(tmp_path, clip[0][:30])
     config = Config(front_end="odometry")
-    (submap,) = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
+    (submap,) = solve_structure(
+        frames, frame_features(workspace), config.front_end, config.front_end_settings, workspace, SilentProgress()
+    )
     assert np.median(submap.depths()) == pytest.approx(1.0)
     assert workspace.result("structure")["mapper"] == "odometry"
-    again = solve_structure(frames, config.front_end, config.front_end_settings, workspace, SilentProgress())
+    again = solve_structure(
+        frames, frame_features(workspace), config.front_end, config.front_end_settings, workspace, SilentProgress()
+    )
     np.testing.assert_array_equal(again[0].points, submap.points)
 
 
@@ -201,7 +206,9 @@ def test_the_model_on_disk_is_one_that_colmap_reads(clip, tmp_path):
     import sys
 
     workspace, frames = stored(tmp_path, clip[0][:24])
-    (submap,) = solve_structure(frames, "odometry", Config().front_end_settings, workspace, SilentProgress())
+    (submap,) = solve_structure(
+        frames, frame_features(workspace), "odometry", Config().front_end_settings, workspace, SilentProgress()
+    )
     code = (
         "import cv2, sys, pycolmap; m = pycolmap.Reconstruction(sys.argv[1]); i = m.find_image_with_name('000010.jpg');"
         "print(m.num_reg_images(), m.num_points3D(), m.compute_mean_reprojection_error(), *i.projection_center())"
@@ -219,4 +226,6 @@ def test_the_model_on_disk_is_one_that_colmap_reads(clip, tmp_path):
 def test_a_camera_that_does_not_move_is_one_sentence(clip, tmp_path):
     workspace, frames = stored(tmp_path, [clip[0][0]] * 5)
     with pytest.raises(HaustraError, match="does not move"):
-        solve_structure(frames, "odometry", Config().front_end_settings, workspace, SilentProgress())
+        solve_structure(
+            frames, frame_features(workspace), "odometry", Config().front_end_settings, workspace, SilentProgress()
+        )

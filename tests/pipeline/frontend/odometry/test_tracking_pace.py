@@ -14,7 +14,7 @@ from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frontend.odometry import front_end, initialization, tracking
 from pipeline.frontend.odometry.chunk_worker import track
 from pipeline.frontend.odometry.chunks import jobs_of
-from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.frontend.odometry.frame_io import frame_features, frame_reader
 from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.local_map import WINDOW
@@ -131,7 +131,14 @@ def test_libraries_keep_to_one_thread_while_frames_are_tracked_and_get_theirs_ba
         cv2.setNumThreads(3)
         with threadpool_limits(2, "blas"):
             with pytest.raises(InterruptedError):
-                solve_structure(frames, "odometry", Config().front_end_settings, workspace, SilentProgress())
+                solve_structure(
+                    frames,
+                    frame_features(workspace),
+                    "odometry",
+                    Config().front_end_settings,
+                    workspace,
+                    SilentProgress(),
+                )
             assert threads() == (3, 2)
     finally:
         cv2.setNumThreads(before)
