@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.numba_cache import compiled
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 
 DEPTH_TOLERANCE = 0.05  # relative depth difference up to which a depth map supports a vertex
 MAX_ANGLE_DEG = 70.0  # best angle between ray and normal above which a vertex is dropped
@@ -37,29 +39,21 @@ class DepthSupport:
         total = self._supporting + self._seen_through
         return np.divide(self._seen_through, total, out=np.ones_like(total), where=total > 0)
 
-    def add(
-        self, depth: NDArray[np.float32], confidence: NDArray[np.float32], intrinsics: Array, world_from_camera: Array
-    ) -> None:
+    def add(self, depth: Image, confidence: Image, intrinsics: Array, world_from_camera: Array) -> None:
         """Accumulate a keyframe: z-depth (H,W), 0 = none; confidence (H,W); intrinsics (3,3), the top-left pixel's
         centre at (0.5, 0.5); world_from_camera (4,4)."""
-        rotation, centre = world_from_camera[:3, :3], world_from_camera[:3, 3]
-        points = (self._mesh.vertices - centre) @ rotation
-        ahead = np.flatnonzero(points[:, 2] > 0)
-        pixel = points[ahead] @ intrinsics.T
-        column, row = np.floor(pixel[:, :2] / pixel[:, 2:]).astype(np.int64).T
-        height, width = depth.shape
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        vertex, row, column = ahead[inside], row[inside], column[inside]
-        weight = confidence[row, column] * (depth[row, column] > 0)
-        tolerance = DEPTH_TOLERANCE * points[vertex, 2]
-        supports = (np.abs(depth[row, column] - points[vertex, 2]) <= tolerance) & (weight > 0)
-        self._supporting[vertex] += weight * supports
-        # Reprojection may miss a fold's crest by a pixel: seen through only if all 3x3 pixels look past the vertex.
-        self._seen_through[vertex] += weight * (_nearest_around(depth)[row, column] - points[vertex, 2] > tolerance)
-        ray = points[vertex[supports]]
-        normal = self._mesh.normals[vertex[supports]] @ rotation
-        cosine = -np.einsum("ni,ni->n", ray, normal) / np.linalg.norm(ray, axis=1)
-        self.best_cosine[vertex[supports]] = np.maximum(self.best_cosine[vertex[supports]], cosine)
+        _add_votes(
+            self._mesh.vertices,
+            self._mesh.normals,
+            np.ascontiguousarray(depth, np.float32),
+            _nearest_around(depth),
+            np.ascontiguousarray(confidence, np.float32),
+            np.ascontiguousarray(intrinsics, np.float64),
+            np.ascontiguousarray(world_from_camera, np.float64),
+            self._supporting,
+            self._seen_through,
+            self.best_cosine,
+        )
 
     def supported_faces(self) -> SurfaceMesh:
         """The mesh of those faces whose three vertices pass both thresholds."""
@@ -67,7 +61,54 @@ class DepthSupport:
         return self._mesh.with_faces(good[self._mesh.faces].all(axis=1))
 
 
-def _nearest_around(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+@compiled
+def _add_votes(
+    vertices: Array,
+    normals: Array,
+    depth: Image,
+    nearest: Image,
+    confidence: Image,
+    intrinsics: Array,
+    world_from_camera: Array,
+    supporting: Array,
+    seen_through: Array,
+    best_cosine: Array,
+) -> None:
+    """One keyframe's say on every vertex that lies in its picture; the last three (V,) are added to in place.
+
+    nearest (H,W): least depth in each 3x3 window. Reprojection may miss a fold's crest by a pixel: a vertex is seen
+    through only if all nine pixels look past it.
+    """
+    height, width = depth.shape
+    centre, local, normal, pixel = world_from_camera[:3, 3], np.zeros(3), np.zeros(3), np.zeros(3)
+    for vertex in range(len(vertices)):
+        for j in range(3):
+            local[j] = normal[j] = 0.0
+            for i in range(3):
+                local[j] += (vertices[vertex, i] - centre[i]) * world_from_camera[i, j]
+                normal[j] += normals[vertex, i] * world_from_camera[i, j]
+        if not local[2] > 0:
+            continue
+        for i in range(3):
+            pixel[i] = intrinsics[i, 0] * local[0] + intrinsics[i, 1] * local[1] + intrinsics[i, 2] * local[2]
+        x, y = np.floor(pixel[0] / pixel[2]), np.floor(pixel[1] / pixel[2])
+        if not (0 <= x < width and 0 <= y < height):
+            continue
+        row, column = int(y), int(x)
+        weight = confidence[row, column]
+        if not (depth[row, column] > 0 and weight > 0):
+            continue
+        tolerance = DEPTH_TOLERANCE * local[2]
+        if nearest[row, column] - local[2] > tolerance:
+            seen_through[vertex] += weight
+        if abs(depth[row, column] - local[2]) <= tolerance:
+            supporting[vertex] += weight
+            along = local[0] * normal[0] + local[1] * normal[1] + local[2] * normal[2]
+            distance = np.sqrt(local[0] ** 2 + local[1] ** 2 + local[2] ** 2)
+            best_cosine[vertex] = max(best_cosine[vertex], -along / distance)
+
+
+def _nearest_around(depth: Image) -> Image:
     """Least known depth in each 3x3 window (H,W); infinite where a window holds none."""
     known = np.where(depth > 0, depth, np.float32(np.inf))
     return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE), np.float32)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from reconstruction.coverage.depth_support import DepthSupport
+from reconstruction.coverage.depth_support import DEPTH_TOLERANCE, DepthSupport
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 
@@ -50,3 +51,38 @@ def test_an_edge_that_a_frame_meets_a_pixel_off_is_supported(off_px, contradicte
     doubted = np.unique(column[support.contradiction[441:] > 0])
     assert len(doubted) == contradicted
     assert (doubted == np.arange(35, 35 + contradicted)).all()
+
+
+def test_votes_are_those_of_the_same_rule_over_whole_arrays():
+    """Cameras turned and moved, some of the surface behind them or beside the picture, confidence with zeros."""
+    rng = np.random.default_rng(0)
+    mesh, intrinsics, far = screen_before_wall()
+    support, supporting, through, best = DepthSupport(mesh), *np.zeros((3, len(mesh.vertices)))
+    for _ in range(20):
+        world_from_camera = np.eye(4)
+        world_from_camera[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.5, 3)).as_matrix()
+        world_from_camera[:3, 3] = rng.normal(0, 12, 3)
+        depth = (far * rng.uniform(0.5, 1.1) * (rng.random((80, 80)) > 0.02)).astype(np.float32)
+        confidence = (rng.random((80, 80)) * (rng.random((80, 80)) > 0.1)).astype(np.float32)
+        support.add(depth, confidence, intrinsics, world_from_camera)
+
+        local = (mesh.vertices - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+        x, y = np.floor(local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], np.nan) * 50 + 40).T
+        rows = np.flatnonzero((x >= 0) & (x < 80) & (y >= 0) & (y < 80))
+        row, column, z = y[rows].astype(int), x[rows].astype(int), local[rows, 2]
+        weight = confidence[row, column] * (depth[row, column] > 0)
+        holed = np.pad(np.where(depth > 0, depth, np.inf), 1, mode="edge")
+        nearest = np.min([holed[a : a + 80, b : b + 80] for a in range(3) for b in range(3)], axis=0)
+        agrees = weight * (np.abs(depth[row, column] - z) <= DEPTH_TOLERANCE * z)
+        supporting[rows] += agrees
+        through[rows] += weight * (nearest[row, column] - z > DEPTH_TOLERANCE * z)
+        facing = -(local[rows] * (mesh.normals[rows] @ world_from_camera[:3, :3])).sum(axis=1)
+        cosine = np.where(agrees > 0, facing / np.linalg.norm(local[rows], axis=1), 0.0)
+        best[rows] = np.maximum(best[rows], cosine)
+    assert ((supporting > 0) & (through > 0)).sum() > 50
+    np.testing.assert_allclose(
+        support.contradiction,
+        np.where(supporting + through > 0, through / np.maximum(supporting + through, 1e-9), 1.0),
+        atol=1e-6,
+    )
+    np.testing.assert_allclose(support.best_cosine, best, atol=1e-9)
