@@ -5,13 +5,14 @@ python -m scripts.pages.completion_page > docs/lab/completion.md
 
 import json
 from pathlib import Path
+from statistics import mean, median
 from string import Template
 from typing import Any
 
 from benchmarks.common.record import ROOT, shown
 
 RESULTS, WORDS = ROOT / "benchmarks/results", Path(__file__).with_name("completion_page.txt")
-RECORDS = ("accuracy", "sizes", "precision", "points", "speed")
+RECORDS = ("accuracy", "sizes", "mesh_sizes", "precision", "points", "speed")
 FOLDERS = {"ctcolon": "CT colon", "simcol3d": "SimCol3D"}
 SAMPLERS = {"uniform": "uniform", "sfm": "SfM-like", "features": "exact at keypoints"}
 CASES = {
@@ -65,6 +66,18 @@ def _variant(row: dict[str, Any], name: str) -> str:
     return f"{row['size_px']} px, {row['iterations']} iteration{'s' * (row['iterations'] > 1)}"
 
 
+def mesh_sizes(record: dict[str, Any]) -> str:
+    """F-score of each film by the size, in percent; then what each size gains over the first."""
+    found: dict[str, dict[str, float]] = {}
+    for run in record["runs"]:
+        found.setdefault(run["sequence"], {})[run["method"]] = run["f_score"]
+    sizes = list(next(iter(found.values())))
+    rows = [[film, *(f"{of[size]:.2f}" for size in sizes)] for film, of in found.items()]
+    for name, middle in (("median of the differences from the first", median), ("mean of these", mean)):
+        rows.append([name, *(f"{middle(of[size] - of[sizes[0]] for of in found.values()):+.2f}" for size in sizes)])
+    return table(["film", *sizes], rows)
+
+
 def points(record: dict[str, Any]) -> str:
     """The cases of the points' errors."""
     rows, order = [], list(CASES)
@@ -90,6 +103,7 @@ def page() -> str:
         "provenance": f"Commits {commits}; {machine}; {read['accuracy']['precision']} unless said otherwise.",
         "accuracy": accuracy(read["accuracy"]),
         "sizes": variants(read["sizes"], "size"),
+        "mesh_sizes": mesh_sizes(read["mesh_sizes"]),
         "precision": variants(read["precision"], "precision"),
         "points": points(read["points"]),
         "speed": speed(read["speed"]),

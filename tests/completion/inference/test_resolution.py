@@ -31,8 +31,8 @@ def frame(points, height=400, width=320, seed=0):
         (640, 100, 1, 320),
         (640, 1000, 1, 320),
         (640, 100, 2, 320),
-        (640, 1000, 2, 448),
-        (320, 1000, 2, 448),
+        (640, 1000, 2, 384),
+        (320, 1000, 2, 384),
         (320, 1000, 1, 320),
         (200, 1000, 2, 300),  # one and a half times, no more
         (200, 100, 2, 200),
@@ -46,7 +46,7 @@ def test_the_size_follows_iterations_and_points(side, points, iterations, expect
 def test_each_frame_of_a_batch_is_completed_at_its_own_size(network):
     frames = [frame(points) for points in (100, 1000)]
     rgb, sparse = (np.stack(part) for part in zip(*frames, strict=True))
-    for iterations, sides in ((1, (320, 320)), (2, (320, 448))):
+    for iterations, sides in ((1, (320, 320)), (2, (320, 384))):
         mixed = DepthCompleter(network, precision="fp32", iterations=iterations).batch(rgb, sparse)[0]
         for index, side in enumerate(sides):
             fixed = DepthCompleter(network, precision="fp32", resolution=side, iterations=iterations)
@@ -58,7 +58,7 @@ def noting_size(iterate, seen, image, log_sparse, *rest):
     return iterate(image, log_sparse, *rest)
 
 
-@pytest.mark.parametrize(("side", "points", "expected"), [(100, 300, (100, 80)), (None, 1000, (448, 358))])
+@pytest.mark.parametrize(("side", "points", "expected"), [(100, 300, (100, 80)), (None, 1000, (384, 307))])
 def test_depth_is_computed_at_the_resolution_and_restored_to_the_images(monkeypatch, network, side, points, expected):
     rgb, sparse = frame(points)
     completer = DepthCompleter(network, precision="fp32", resolution=side)
