@@ -78,7 +78,7 @@ def with_own_points(made: Run, folder: Path) -> None:
     """A copy of a run whose depth is still to be made, from the front end's own points."""
     workspace = without_depth(made, folder)
     workspace.record["stages"].pop(STAGE)
-    keep_points(made.submaps_of_front_end, workspace)
+    keep_points(made.submaps_of_front_end, made.frames, workspace)
 
 
 def _figures(film: Path, made: Run) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
-from pipeline.mapping.colmap_io import write_arrays
+from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.feature_triangulation import triangulate_again
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
@@ -69,17 +69,17 @@ def _find_all(
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)
-    keep_points(found, workspace)
+    keep_points(found, frames, workspace)
 
 
-def keep_points(submaps: list[Submap], workspace: Workspace) -> None:
+def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:
     """Write the submaps as what the stage found, and finish it."""
     shutil.rmtree(points_folder(workspace), ignore_errors=True)
     for number, submap in enumerate(submaps):
-        write_arrays(submap, points_folder(workspace) / str(number))
+        write_model(submap, frames.camera, points_folder(workspace) / str(number))
     workspace.finish(STAGE, points=[len(submap.points) for submap in submaps])
 
 
 def points_folder(workspace: Workspace) -> Path:
-    """Of the submaps' arrays, by their numbers, in scene units."""
+    """Of the submaps' models, by their numbers, in scene units."""
     return workspace.log / STAGE

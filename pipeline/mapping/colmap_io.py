@@ -24,25 +24,13 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
     colours (P,3): of the points; grey if there are none. Image and point numbers are rows plus one. A lens that COLMAP
     lacks is a pinhole in the text files, and pixels are where that pinhole sees them; model.npz has the lens itself.
     """
-    write_arrays(submap, folder)
-    names = _names(submap)
-    seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
-    params = " ".join(repr(float(p)) for p in lens.params)
-    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
-    with (folder / "images.txt").open("w") as file:
-        file.writelines(_image_lines(seen, names))
-    with (folder / "points3D.txt").open("w") as file:
-        file.writelines(_point_lines(submap, colours))
-
-
-def write_arrays(submap: Submap, folder: Path) -> None:
-    """model.npz and, of a refined lens, camera_sigma.txt: all that `read_submap` reads."""
     folder.mkdir(parents=True, exist_ok=True)
+    names = [f"{index:06d}.jpg" for index in submap.frames]
     followed = {} if submap.klt is None else {"followed": submap.klt}
     np.savez(
         folder / "model.npz",
         allow_pickle=False,
-        names=np.array(_names(submap)),
+        names=np.array(names),
         world_from_camera=submap.world_from_camera,
         points=submap.points,
         error_px=submap.error_px,
@@ -53,10 +41,13 @@ def write_arrays(submap: Submap, folder: Path) -> None:
     )
     if submap.camera_sigma:
         (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
-
-
-def _names(submap: Submap) -> list[str]:
-    return [f"{index:06d}.jpg" for index in submap.frames]
+    seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
+    params = " ".join(repr(float(p)) for p in lens.params)
+    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
+    with (folder / "images.txt").open("w") as file:
+        file.writelines(_image_lines(seen, names))
+    with (folder / "points3D.txt").open("w") as file:
+        file.writelines(_point_lines(submap, colours))
 
 
 def _by_pinhole(submap: Submap, camera: Camera) -> tuple[Submap, Camera]:

@@ -5,7 +5,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.points import LATER, _median_by, with_own_points
+from benchmarks.common.rerun import LATER
+from benchmarks.points import _median_by, with_own_points
 from pipeline.run_folder.workspace import open_workspace
 from scripts.pages import points_page
 
