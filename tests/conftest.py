@@ -1,8 +1,16 @@
 """Tiny seeded inputs shared by the tests."""
 
+import os
 import signal
 
 import pytest
+
+# The suite runs in as many processes as there are processors. Threads of torch and of NumPy's BLAS that wait for work
+# spin, and take the processors from the other process: tests of the networks took four times as long. Both libraries
+# read this when they are imported.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell's background job ignores Ctrl-C, and so would every process that the tests start and interrupt.
