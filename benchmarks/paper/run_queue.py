@@ -18,10 +18,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.record import ROOT, environment
+from benchmarks.common.record import environment
 from benchmarks.paper.plan import UNTRAINED, Run, tables, unique
-
-RESULTS = ROOT / "benchmarks/results/paper"
+from benchmarks.paper.records import RESULTS
 
 
 def budget(runs: list[Run], results: Path) -> str:

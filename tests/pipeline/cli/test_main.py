@@ -1,9 +1,11 @@
 """What the command line says against the settings file, and the options that reach a run."""
 
 import sys
+from typing import get_type_hints
 
 import pytest
 
+from completion.training.config import TrainConfig
 from haustra.core.errors import CompletionError, HaustraError
 from pipeline import run
 from pipeline.cli import batch
@@ -144,3 +146,15 @@ def test_a_missing_gpu_is_refused_before_anything_is_written(monkeypatch, tmp_pa
     with pytest.raises(CompletionError, match="no CUDA device"):
         run.reconstruct(VIDEO, tmp_path / "out", load_config(None).model_copy(update={"device": "cuda"}))
     assert not (tmp_path / "out").exists()
+
+
+def test_the_help_of_train_names_the_defaults_of_its_settings():
+    named = set()
+    for name, annotated in get_type_hints(cli.train, include_extras=True).items():
+        told = next(
+            (o.show_default for o in getattr(annotated, "__metadata__", ()) if hasattr(o, "show_default")), None
+        )
+        if isinstance(told, str):
+            assert told == str(TrainConfig.model_fields[name].default), name
+            named.add(name)
+    assert {"model", "steps", "learning_rate"} <= named
