@@ -62,9 +62,9 @@ def track(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
         kept, workspace = store(folder, config, Path(scratch) / "run")
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         start = time.perf_counter()
-        submaps = solve_structure(
-            kept, frame_features(workspace), config.front_end, config.front_end_settings, workspace, SilentProgress()
-        )
+        with frame_features(workspace) as features:
+            told = config.front_end_settings
+            submaps = solve_structure(kept, features, config.front_end, told, workspace, SilentProgress())
         seconds = time.perf_counter() - start
     drift = drifts(submaps, truth, stretch_mm)
     return {

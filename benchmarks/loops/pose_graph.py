@@ -65,11 +65,9 @@ HALF_UNIT = 0.5
 
 def dense_submaps(folder: Path, config: Config, root: Path) -> list[CompletedSubmap]:
     workspace, silent = create_workspace(root, folder, config, overwrite=True), SilentProgress()
-    with workspace:
+    with workspace, frame_features(workspace) as features:
         frames = read_frames(Source(folder), config.camera, config.frames, workspace, silent)
-        submaps = solve_structure(
-            frames, frame_features(workspace), config.front_end, config.front_end_settings, workspace, silent
-        )
+        submaps = solve_structure(frames, features, config.front_end, config.front_end_settings, workspace, silent)
         network = partial(load_completer, config.model, config.device, config.depth.iterations)
         return complete_depth(frames, submaps, network, config.depth, workspace, silent)
 

@@ -111,7 +111,8 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     frames = replace(frames, index=frames.index[mine], seconds=frames.seconds[mine], camera=_lens(frames.camera, way))
     settings = Config(seed=way.seed, odometry=OdometrySettings(keyframe_motion=way.motion)).front_end_settings
     try:
-        found = track_frames(frames, frame_features(workspace), settings, workspace, SilentProgress()).submaps
+        with frame_features(workspace) as features:
+            found = track_frames(frames, features, settings, workspace, SilentProgress()).submaps
     except HaustraError:
         return []
     candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], frames.camera, workspace)

@@ -72,7 +72,8 @@ def tracked(folder: Path, truth: Array, depth: str) -> dict[str, Any]:
         create_workspace(Path(scratch) / "run", folder, config, False) as workspace,
     ):
         frames = read_frames(Source(folder), config.camera, config.frames, workspace, SilentProgress())
-        found = track_frames(frames, frame_features(workspace), config.front_end_settings, workspace, SilentProgress())
+        with frame_features(workspace) as features:
+            found = track_frames(frames, features, config.front_end_settings, workspace, SilentProgress())
         largest = found.submaps[0]
         estimated, true = largest.world_from_camera, truth[largest.frames]
         se3 = None if depth == "none" else trajectory_errors(estimated, true, "se3").ate_rmse

@@ -100,12 +100,13 @@ def sentence_of(folder: Path, wrong: Callable[[Array], Array]) -> str | None:
         file = Path(scratch) / "poses.txt"
         write_tum(file, seconds, wrong(truth))
         config = Config(camera=str(folder / "camera.json"), poses=PoseSettings(file=str(file)))
-        with create_workspace(Path(scratch) / "run", folder, config, False) as workspace:
+        with (
+            create_workspace(Path(scratch) / "run", folder, config, False) as workspace,
+            frame_features(workspace) as features,
+        ):
             frames = read_frames(Source(folder), config.camera, config.frames, workspace, SilentProgress())
             try:
-                solve_structure(
-                    frames, frame_features(workspace), "poses", config.front_end_settings, workspace, SilentProgress()
-                )
+                solve_structure(frames, features, "poses", config.front_end_settings, workspace, SilentProgress())
             except HaustraError as error:
                 return str(error).replace(f"{file}", file.name)
     return None

@@ -94,14 +94,9 @@ def run_front_end(folder: Path, config: Config, truth: np.ndarray, guess_deg: fl
         frames = frames if guess_deg is None else with_guessed_camera(frames, guess_deg)
         wall, busy = time.perf_counter(), processor_seconds()
         try:
-            submaps = solve_structure(
-                frames,
-                frame_features(workspace),
-                config.front_end,
-                config.front_end_settings,
-                workspace,
-                SilentProgress(),
-            )
+            with frame_features(workspace) as features:
+                told = config.front_end_settings
+                submaps = solve_structure(frames, features, config.front_end, told, workspace, SilentProgress())
         except HaustraError as error:
             return {"used": len(frames.index), "posed_share": 0.0, "submaps": 0, "failure": str(error)}
         wall, busy = time.perf_counter() - wall, processor_seconds() - busy

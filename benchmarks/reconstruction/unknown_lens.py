@@ -81,7 +81,8 @@ def figures_of(film: Path, start: Callable[..., Camera] | None, seed: int, end: 
             told["scores"] = scores_of_guesses(frames, config.front_end_settings, workspace, SilentProgress())
             start = GUESSES[max(told["scores"], key=lambda name: told["scores"][name])]
         hidden = replace(frames, camera=start(*size, (0, 0, *size)))
-        found = track_frames(hidden, frame_features(workspace), config.front_end_settings, workspace, SilentProgress())
+        with frame_features(workspace) as features:
+            found = track_frames(hidden, features, config.front_end_settings, workspace, SilentProgress())
     about = told | {
         "usable": len(frames.index),
         "posed": sum(len(submap.frames) for submap in found.submaps),

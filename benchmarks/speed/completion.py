@@ -24,7 +24,6 @@ from completion import DepthCompleter
 from completion.data.sampling_training import normalise_log
 from completion.inference.completer import load_depth_network
 from completion.inference.onnx_export import export_onnx
-from completion.inference.resolution import SIDE_FOR_MANY
 from completion.networks.classical import CLASSICAL
 from completion.networks.cpu.int8_unet import can_use_int8
 from completion.networks.protocol import DepthNetwork
@@ -110,7 +109,7 @@ def of_default(rgb: np.ndarray, sparse: np.ndarray) -> Calls:
     for points in POINTS:
         calls[f"mscsa, {points} points"] = partial(completer, *scene(320, points))
     network = load_depth_network("mscsa")
-    for iterations, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, SIDE_FOR_MANY), (3, 320)):
+    for iterations, side in ((1, 192), (1, 224), (1, 256), (1, 320), (2, 224), (2, 320), (2, 384), (2, 448), (3, 320)):
         other = DepthCompleter(network, resolution=side, iterations=iterations)
         calls[f"mscsa, {iterations} iteration{'s' * (iterations > 1)} at {side} px"] = partial(other, rgb, sparse)
     for precision in ("int8", "bf16", "fp32"):

@@ -12,8 +12,8 @@ Image = NDArray[np.float32]
 Frame = tuple[NDArray[np.uint8], Image, Image]  # rgb (H,W,3), sparse depth and trust (H,W)
 
 SIDE = 320  # px, longer side; the weights were trained on images of 192 to 320 px
-# px, from so many points on, with more than one iteration; with a single one, a second would be worth more. On single
-# frames with exact points 448 px has the smaller error, on meshes of films 384 px (docs/lab/completion.md).
+# px, from so many points on, with more than one iteration; with a single one, a second would be worth more. 448 px
+# has the smaller error on single frames with exact points, and no better meshes (docs/lab/completion.md).
 SIDE_FOR_MANY, MANY_POINTS = 384, 600
 MOST_ENLARGED = 1.5  # greatest upsampling factor
 EDGE = 1.2  # ratio of depths within 3x3 pixels from which a resized depth keeps an edge there instead of a slope

@@ -201,25 +201,21 @@ def evaluate(
 def train(
     shards: Annotated[list[Path], typer.Argument(help="folders made by haustra phantom --training")],
     out: Annotated[Path, typer.Option(help="weights.safetensors; OUT.checkpoint beside it")],
-    model: Annotated[str | None, typer.Option(help="of networks/registry.py", show_default="mscsa-sfm")] = None,
+    model: Annotated[str | None, typer.Option(help="a name of networks/registry.py", show_default="mscsa-sfm")] = None,
     preset: Annotated[str | None, typer.Option(help="paper: Adam 1e-3, L1, batch 10, 100 uniform points")] = None,
-    size: Annotated[
-        str | None, typer.Option(help="or small, same-parameters (registry.py)", show_default="paper")
-    ] = None,
+    size: Annotated[str | None, typer.Option(help="paper, small, same-parameters", show_default="paper")] = None,
     steps: Annotated[int | None, typer.Option(help="of the optimizer", show_default="12000")] = None,
     batch: Annotated[int | None, typer.Option(help="frames per step", show_default="8")] = None,
     init: Annotated[Path | None, typer.Option(help="weights to begin with")] = None,
     iterations: Annotated[
         int | None,
-        typer.Option(
-            "--iterations", "--looks", help="most, of mscsa-sfm; 1: no recurrence (--looks: old)", show_default="3"
-        ),
+        typer.Option("--iterations", "--looks", help="most per frame, of mscsa-sfm (--looks: old)", show_default="3"),
     ] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="greatest", show_default="0.002")] = None,
-    warm_up: Annotated[int | None, typer.Option(help="steps until then", show_default="300")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="peak; preset paper: 0.001", show_default="0.002")] = None,
+    warm_up: Annotated[int | None, typer.Option(help="steps until the peak", show_default="300")] = None,
     seed: Annotated[int | None, typer.Option(help="of weights, order and points", show_default="0")] = None,
     threads: Annotated[int | None, typer.Option(help="of the CPU", show_default="2")] = None,
-    device: Annotated[str | None, typer.Option(help="or cpu, cuda", show_default="auto")] = None,
+    device: Annotated[str | None, typer.Option(help="auto, cpu or cuda", show_default="auto")] = None,
 ) -> None:
     """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
     must_exist(*shards, init)

@@ -20,7 +20,7 @@ Start = Annotated[float | None, typer.Option(min=0, help="s; leave out what come
 End = Annotated[float | None, typer.Option(min=0, help="s; leave out what comes after")]
 Stride = Annotated[int | None, typer.Option(min=1, help="use every n-th frame")]
 ConfigFile = Annotated[Path | None, typer.Option(help="YAML file of settings; options given beside it win")]
-Fast = Annotated[bool, typer.Option("--fast", help="fewer keyframes: a quarter to a third less time, less detail")]
+Fast = Annotated[bool, typer.Option("--fast", help="fewer keyframes: about a quarter less time, less detail")]
 Seed = Annotated[int | None, typer.Option(help="of every random step")]
 Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]

@@ -84,7 +84,7 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     if counts["used"] < MIN_FRAMES:
         raise HaustraError(_too_few(counts))
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
-    cv2.imwrite(str(workspace.masks / "content.png"), content)
+    write_png(workspace.masks / "content.png", content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
     workspace.finish(
         STAGE,
@@ -183,8 +183,7 @@ def _write_frame(
 ) -> None:
     """A used frame's picture, the mask of what is neither border nor highlight, and what was sensed, if anything."""
     write_image(workspace.image_path(index), rgb)
-    mask = np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8)
-    cv2.imwrite(str(workspace.mask_path(index)), mask)
+    write_png(workspace.mask_path(index), np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8))
     write_sensed(workspace.sensor_path(index), depth_mm)
 
 
@@ -205,11 +204,17 @@ def write_image(path: Path, rgb: NDArray[np.uint8]) -> None:
         raise HaustraError(f"cannot write {path}; is the disk full?")
 
 
+def write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Raises `HaustraError` where nothing can be written."""
+    if not cv2.imwrite(str(path), image):
+        raise HaustraError(f"cannot write {path}; is the disk full?")
+
+
 def write_sensed(path: Path, depth_mm: NDArray[np.float64] | None) -> None:
     """Depth (h,w) as 16-bit PNG in steps of `SENSED_MM`; nothing where there is none."""
     if depth_mm is not None:
         path.parent.mkdir(exist_ok=True)
-        cv2.imwrite(str(path), np.clip(np.rint(depth_mm / SENSED_MM), 0, 65535).astype(np.uint16))
+        write_png(path, np.clip(np.rint(depth_mm / SENSED_MM), 0, 65535).astype(np.uint16))
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:

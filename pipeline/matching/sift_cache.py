@@ -1,4 +1,4 @@
-"""Cache of the keyframes' SIFT features, which the last adjustment, merging and self-calibration all read.
+"""Cache of SIFT features of frames: adjustment, merging, self-calibration and the triangulation of points read them.
 
 Finding them takes as long as tracking a frame, and needs nothing of the map, so that a second processor does it while
 tracking goes on. 150 bytes a feature are kept, half of what a keyframe's tracks take.
@@ -19,7 +19,7 @@ ReadFrame = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # fram
 
 
 class SiftCache:
-    """Call it with the number of a frame. What `read` raises is raised by the call.
+    """Call it with the number of a frame. What `read` raises is raised by the call. Leaving it by `with` forgets all.
 
     One thread finds what was begun, so that tracking keeps a processor for itself; who asks for what that thread has
     not come to yet finds it himself, as many at once as ask.
@@ -36,6 +36,8 @@ class SiftCache:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._thread.shutdown(cancel_futures=True)
+        with self._guard:
+            self._found.clear()
 
     def __call__(self, frame: int) -> SiftFeatures:
         with self._guard:

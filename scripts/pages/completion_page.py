@@ -5,11 +5,12 @@ python -m scripts.pages.completion_page > docs/lab/completion.md
 
 import json
 from pathlib import Path
-from statistics import mean, median
+from statistics import mean, median, stdev
 from string import Template
 from typing import Any
 
 from benchmarks.common.record import ROOT, shown
+from completion.inference.resolution import SIDE_FOR_MANY
 
 RESULTS, WORDS = ROOT / "benchmarks/results", Path(__file__).with_name("completion_page.txt")
 RECORDS = ("accuracy", "sizes", "mesh_sizes", "precision", "points", "speed")
@@ -67,15 +68,22 @@ def _variant(row: dict[str, Any], name: str) -> str:
 
 
 def mesh_sizes(record: dict[str, Any]) -> str:
-    """F-score of each film by the size, in percent; then what each size gains over the first."""
+    """F-score of each film by the size, in percent; then what the size that is taken has over each other one."""
     found: dict[str, dict[str, float]] = {}
     for run in record["runs"]:
         found.setdefault(run["sequence"], {})[run["method"]] = run["f_score"]
-    sizes = list(next(iter(found.values())))
+    sizes, taken = list(next(iter(found.values()))), f"{SIDE_FOR_MANY} px"
     rows = [[film, *(f"{of[size]:.2f}" for size in sizes)] for film, of in found.items()]
-    for name, middle in (("median of the differences from the first", median), ("mean of these", mean)):
-        rows.append([name, *(f"{middle(of[size] - of[sizes[0]] for of in found.values()):+.2f}" for size in sizes)])
-    return table(["film", *sizes], rows)
+    lines = [table(["film", *sizes], rows), ""]
+    for other in sizes:
+        more = [of[taken] - of[other] for of in found.values()]
+        if other != taken:
+            about = f"{mean(more):+.2f} +- {stdev(more) / len(more) ** 0.5:.2f} points in the mean, {median(more):+.2f}"
+            higher = f"higher on {sum(m > 0 for m in more)} of {len(more)} films"
+            lines.append(
+                f"- {taken} less {other}: {about} in the median, {min(more):+.2f} to {max(more):+.2f}; {higher}."
+            )
+    return "\n".join(lines)
 
 
 def points(record: dict[str, Any]) -> str:

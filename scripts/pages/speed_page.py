@@ -41,17 +41,18 @@ READ = """
   anew ([points.md](points.md)), which came after `before`. It needs those of some more frames, as the film moves on.
 - **Smaller pictures.** Frames of 600 points and more are completed at 384 px in place of 448
   ([completion.md](completion.md)).
-- **Compiled, or side by side:** the support of the mesh by depth maps is one loop over its vertices; the parts of a map
-  that are adjusted alone to judge it take two threads; a frame is written while the next is judged.
+- **The support of the mesh by depth maps** is one compiled loop over its vertices.
 - **Loaded while frames are read**: torch, the network, Open3D, trimesh, Matplotlib. An import holds Python's
   interpreter, so that reading slows meanwhile.
 - **Decimation by pyfqmr**, which keeps the borders of a mesh where it can: {decimation}.
 
 ## What was not
 
-- Tracking and adjustment, the largest part of a run, are as they were.
-- Completion does not begin while tracking goes on: depth is completed from points that the adjusted poses triangulate,
-  and these are known last.
+- The stage that triangulates points anew takes time that `before` does not need; `reconstruct --profile` says how much.
+  The F-score is higher for it.
+- Tracking and bundle adjustment, the largest part of a run, were not made faster.
+{peer}- Completion does not begin while tracking goes on: depth is completed from points that the adjusted poses
+  triangulate, and these are known last.
 - Not measured: films of 1,500 and 10,000 frames. The peer's accuracy is not measured here.
 """
 
@@ -74,7 +75,7 @@ def page(record: dict[str, Any]) -> str:
     about = {name: environment[name] for name in ("processor", "cores", "python")}
     head = HEAD.format(runs=runs, commit=environment["commit"][:7], before=(record["before"] or "none")[:7], **about)
     rows = [row_of(film, method, frames[film], of) for film, by in films.items() for method, of in by.items()]
-    read = READ.format(decimation=_decimation(json.loads(DECIMATION.read_text())))
+    read = READ.format(decimation=_decimation(json.loads(DECIMATION.read_text())), peer=_peer(films))
     return head + "\n".join([*rows, "", *_means(films)]) + "\n" + read
 
 
@@ -90,6 +91,12 @@ def _decimation(record: dict[str, Any]) -> str:
         f"a mesh of {record['faces']} faces to {faces}, distances in millionths of a scene unit, median time of "
         f"{len(record['figures']['pyfqmr']['seconds']['values'])} (`benchmarks.speed decimation`): " + "; ".join(parts)
     )
+
+
+def _peer(films: dict[str, Any]) -> str:
+    """On which films COLMAP with interpolation and TSDF takes less time; a line, or nothing."""
+    faster = [film for film, by in films.items() if PEER in by and by[PEER]["times_ours"]["median"] < 1]
+    return f"- COLMAP with interpolation and TSDF takes less time on {', '.join(faster)}.\n" if faster else ""
 
 
 def _means(films: dict[str, Any]) -> list[str]:

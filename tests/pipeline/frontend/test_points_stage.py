@@ -7,11 +7,13 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
-from pipeline.config import Config
-from pipeline.frontend.odometry.frame_io import frame_features, frame_reader
+from pipeline import run
+from pipeline.config import Config, FrameSettings
+from pipeline.demo import CAMERA, VIDEO
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.points_stage import find_points, load_points
 from pipeline.frontend.structure_stage import load_structure, solve_structure
-from pipeline.matching.sift_cache import SiftCache
+from pipeline.matching import sift_cache
 from tests.helpers.tubes.textured_tube import camera_at, render, stored
 
 
@@ -48,23 +50,43 @@ def test_the_front_ends_points_stay_beside_the_new_ones(solved):
         np.testing.assert_array_equal(again[0].observations, found[0].observations)
 
 
-def test_features_of_the_front_end_are_not_found_again(tmp_path, film, solved):
+def test_features_of_the_front_end_are_not_found_again(tmp_path, film, solved, monkeypatch):
     (tmp_path / "shared").mkdir()
     workspace, frames = stored(tmp_path / "shared", film)
-    stored_frames, asked = frame_reader(workspace), Counter()
+    found, detect = Counter(), sift_cache.detect_sift
 
-    def read(frame):
-        asked[frame] += 1
-        return stored_frames(frame)
+    def counting(rgb, mask):
+        found[rgb.tobytes()] += 1
+        return detect(rgb, mask)
 
-    with SiftCache(read) as features:
+    monkeypatch.setattr(sift_cache, "detect_sift", counting)
+    with frame_features(workspace) as features:
         submaps = solved_by(features, workspace, frames)
-        of_front_end = set(asked)
+        of_front_end = len(found)
         shared = found_by(workspace, frames, submaps, features)
-    assert of_front_end
-    assert set(asked.values()) == {1}
+    assert of_front_end > 0
+    assert set(found.values()) == {1}
     alone = found_by(*solved)
     np.testing.assert_array_equal(shared[0].points, alone[0].points)
+
+
+def test_a_run_hands_both_stages_the_same_features(tmp_path, monkeypatch):
+    handed = []
+
+    def solve(frames, features, *_):
+        handed.append(features)
+        return []
+
+    def find(frames, features, *_):
+        handed.append(features)
+        raise InterruptedError
+
+    monkeypatch.setattr(run, "solve_structure", solve)
+    monkeypatch.setattr(run, "find_points", find)
+    config = Config(camera=str(CAMERA), frames=FrameSettings(end_s=0.3))
+    with pytest.raises(InterruptedError):
+        run.reconstruct(VIDEO, tmp_path / "run", config)
+    assert handed[0] is handed[1]
 
 
 def test_a_run_whose_depth_was_made_without_the_stage_keeps_its_points(solved):

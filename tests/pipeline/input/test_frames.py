@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
+from pipeline.config import Config
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
+from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
+from pipeline.run_folder.workspace import create_workspace
 from tests.helpers.real_data import shared
 from tests.helpers.videos import textured_frames, write_video
 
@@ -189,3 +193,17 @@ def test_a_colonoscope_s_picture_is_known_by_its_corners(cut, said):
     left = int(np.flatnonzero(shown[cut].any(axis=0))[0])
     area = ContentArea(np.where(shown[cut], 255, 0).astype(np.uint8), (left, 0, 320 - 2 * left, 240))
     assert has_cut_corners(area) == said
+
+
+@pytest.mark.parametrize(
+    "failing", ["images/000000.jpg", "images/000005.jpg", "images/000011.jpg", "masks/000005.jpg.png"]
+)
+def test_a_frame_that_cannot_be_written_ends_the_stage_with_one_sentence(tmp_path, monkeypatch, failing):
+    """Frames are written while the next is read: of the first, of one in the middle and of the last one."""
+    write = cv2.imwrite
+    monkeypatch.setattr(cv2, "imwrite", lambda path, *rest: not path.endswith(failing) and write(path, *rest))
+    film = write_video(tmp_path / "a.mp4", textured_frames(12), fps=25)
+    with create_workspace(tmp_path / "run", film, Config(), False) as workspace:
+        with pytest.raises(HaustraError, match=rf"cannot write .*{failing}; is the disk full"):
+            read_frames(Source(film), "auto", Config().frames, workspace, SilentProgress())
+        assert not workspace.is_done("frames")

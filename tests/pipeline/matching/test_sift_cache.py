@@ -1,6 +1,8 @@
 """Features of keyframes: found once, by whoever asks first, and the same as asked for directly."""
 
+import gc
 import threading
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -33,6 +35,14 @@ def test_each_frame_is_read_once_and_gives_what_sift_gives():
     assert found[0] is found[2]
     for name in ("pixels", "descriptors", "sizes"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(expected, name))
+
+
+def test_what_was_found_is_forgotten_at_the_end():
+    with SiftCache(lambda frame: (IMAGE, MASK)) as find:
+        kept = weakref.ref(find(0))
+        assert kept() is not None
+    gc.collect()
+    assert kept() is None
 
 
 def test_what_has_not_begun_is_found_by_whoever_asks():
