@@ -69,7 +69,7 @@ def doubts(metrics: dict[str, Any]) -> list[str]:
     for number, submap in enumerate(metrics["submaps"]):
         trust = submap["camera"]["trust"]
         if "trust" in trust or "does not determine" in trust:
-            found.append(f"submap {number}, calibration: {trust}")
+            found.append(f"submap {number}, {trust}")
         if submap["contradicted_keyframes"]:
             found.append(f"submap {number}: {_left_out(submap['contradicted_keyframes'])}")
     return found
