@@ -3,7 +3,7 @@
 import contextlib
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -16,11 +16,12 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-def prefetched(make: Callable[[Item], Made], items: Sequence[Item], count: int = 2, threads: int = 1) -> Iterator[Made]:
+def prefetched(make: Callable[[Item], Made], items: Iterable[Item], count: int = 2, threads: int = 1) -> Iterator[Made]:
     """What `make` gives of each item, in their order; up to `count` of them are made before they are asked for, as many
     at once as there are threads.
 
-    What `make` raises is raised where its item would have come. Nothing is made after the iterator is closed.
+    The calling thread asks for the items. What `make` raises is raised where its item would have come. Nothing is made
+    after the iterator is closed.
     """
     with ThreadPoolExecutor(threads, "lookahead") as pool:
         waiting: deque[Future[Made]] = deque()

@@ -4,8 +4,8 @@ import itertools
 import json
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
-from haustra.core.progress import Progress
+from haustra.core.progress import Progress, ProgressCallback
+from haustra.core.threads import prefetched
 from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
@@ -153,11 +154,8 @@ def _store_frames(
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     judge = FrameJudge()
     verdicts: list[tuple[int, float, str]] = []
-    written: Future[None] | None = None
-    with (
-        ThreadPoolExecutor(1, "writing") as writer,
-        progress.bar("reading frames", source.announced or None) as advance,
-    ):
+
+    def used(advance: ProgressCallback) -> Iterator[_Used]:
         for frame in _in_range(source, settings):
             advance(frame.index + 1)
             if frame.index % settings.stride:
@@ -166,25 +164,28 @@ def _store_frames(
             verdict = judge.judge(rgb, content)
             verdicts.append((frame.index, frame.seconds, verdict))
             if verdict == "used":
-                if written is not None:
-                    written.result()  # one frame at most waits to be written
-                written = writer.submit(_write_frame, frame.index, rgb, content, source.depth_mm(), workspace)
-        if written is not None:
-            written.result()
+                yield _Used(frame.index, rgb, source.depth_mm())
+
+    with progress.bar("reading frames", source.announced or None) as advance:
+        for _ in prefetched(partial(_write_frame, workspace, content), used(advance), count=1):
+            pass  # written while the next is judged
     return verdicts
 
 
-def _write_frame(
-    index: int,
-    rgb: NDArray[np.uint8],
-    content: NDArray[np.uint8],
-    depth_mm: NDArray[np.float64] | None,
-    workspace: Workspace,
-) -> None:
+@dataclass(frozen=True)
+class _Used:
+    """A frame that is worth tracking, at the working size; depth_mm where the source measures any."""
+
+    index: int
+    rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.float64] | None
+
+
+def _write_frame(workspace: Workspace, content: NDArray[np.uint8], frame: _Used) -> None:
     """A used frame's picture, the mask of what is neither border nor highlight, and what was sensed, if anything."""
-    write_image(workspace.image_path(index), rgb)
-    write_png(workspace.mask_path(index), np.where(highlight_mask(rgb) > 0, 0, content).astype(np.uint8))
-    write_sensed(workspace.sensor_path(index), depth_mm)
+    write_image(workspace.image_path(frame.index), frame.rgb)
+    write_png(workspace.mask_path(frame.index), np.where(highlight_mask(frame.rgb) > 0, 0, content).astype(np.uint8))
+    write_sensed(workspace.sensor_path(frame.index), frame.depth_mm)
 
 
 def resized(image: NDArray[np.uint8], area: ContentArea, camera: Camera, interpolation: int) -> NDArray[np.uint8]:
@@ -200,13 +201,17 @@ def write_image(path: Path, rgb: NDArray[np.uint8]) -> None:
     """JPEG at 97 without chroma subsampling: a third of PNG's size, and finer than the video's own compression."""
     options = [cv2.IMWRITE_JPEG_QUALITY, 97]
     options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    if not cv2.imwrite(str(path), rgb[..., ::-1], options):
-        raise HaustraError(f"cannot write {path}; is the disk full?")
+    _write(path, rgb[..., ::-1], options)
 
 
 def write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
-    """Raises `HaustraError` where nothing can be written."""
-    if not cv2.imwrite(str(path), image):
+    """An image (H,W) without loss."""
+    _write(path, image, [])
+
+
+def _write(path: Path, image: NDArray[Any], options: list[int]) -> None:
+    """cv2.imwrite, which says nothing where it cannot write."""
+    if not cv2.imwrite(str(path), image, options):
         raise HaustraError(f"cannot write {path}; is the disk full?")
 
 

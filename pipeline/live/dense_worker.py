@@ -19,7 +19,7 @@ from pipeline.depth.completion_stage import MIN_POINTS, inside_of
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sparse_depth import SparseDepthMaker
-from pipeline.input.frames import write_image
+from pipeline.input.frames import write_image, write_png
 from pipeline.live.live_tracking import SettledKeyframe
 from pipeline.live.surface_part import SurfacePart, part_of
 from pipeline.live.warm_up import SIDE, small_camera, small_keyframes
@@ -124,7 +124,7 @@ class DenseWork:
     def _keep(self, keyframe: SettledKeyframe, depth: NDArray[np.float32], confidence: NDArray[np.float32]) -> None:
         """On disk, for the review, which needs old keyframes too."""
         write_image(self._images.image_path(keyframe.frame), keyframe.rgb)
-        cv2.imwrite(str(self._images.mask_path(keyframe.frame)), keyframe.mask)
+        write_png(self._images.mask_path(keyframe.frame), keyframe.mask)
         self._store.write_depth(keyframe.frame, depth, confidence)
 
     def _fused(

@@ -3,12 +3,10 @@
 import shutil
 from pathlib import Path
 
-import cv2
-
 from haustra.core.progress import SilentProgress
 from pipeline.finished_run import Run
 from pipeline.frontend.base import COLMAP_WORKER
-from pipeline.input.frames import write_image
+from pipeline.input.frames import write_image, write_png
 from pipeline.mapping.colmap_io import write_model
 from pipeline.report.folder_exports.keyframe_views import empty_folder, pinhole_submap, point_colours, views
 from pipeline.run_folder.subprocesses import run_isolated
@@ -22,7 +20,7 @@ def export_colmap(run: Run, target: Path) -> Path:
     for view in views(run):
         name = f"{view.number:06d}.jpg"
         write_image(folder / "images" / name, view.rgb)
-        cv2.imwrite(str(folder / "masks" / f"{name}.png"), view.mask)
+        write_png(folder / "masks" / f"{name}.png", view.mask)
         pictures[view.number] = view.rgb
     submap, model = pinhole_submap(run), folder / "sparse" / "0"
     write_model(submap, run.completed_submaps[0].camera, model, point_colours(submap, pictures))

@@ -6,11 +6,10 @@ poses in m, as it puts that): so are the arrays in depth/.
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipeline.finished_run import Run
-from pipeline.input.frames import write_image
+from pipeline.input.frames import write_image, write_png
 from pipeline.report.folder_exports.keyframe_views import empty_folder, pinhole_submap, point_colours, views
 from pipeline.run_folder.workspace import write_json
 from reconstruction.mesh.formats.ply import write_ply
@@ -31,7 +30,7 @@ def export_nerfstudio(run: Run, target: Path) -> Path:
             for part, suffix in zip(("images", "masks", "depth"), ("jpg", "png", "npy"), strict=True)
         )
         write_image(folder / image, view.rgb)
-        cv2.imwrite(str(folder / mask), view.mask)
+        write_png(folder / mask, view.mask)
         np.save(folder / depth, view.depth * np.float32(DEPTH_PER_UNIT), allow_pickle=False)
         matrix = (view.world_from_camera @ OPENGL_FROM_OPENCV).tolist()
         frames.append({"file_path": image, "mask_path": mask, "depth_file_path": depth, "transform_matrix": matrix})
