@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common.living_truth import true_depth
-from benchmarks.common.record import RunTable, print_row
+from benchmarks.common.record import RunTable, in_percent, print_row
 from benchmarks.common.rerun import without_depth
 from benchmarks.common.runner import add_folders, run
 from haustra.core.errors import HaustraError
@@ -92,9 +92,7 @@ def _figures(film: Path, made: Run) -> dict[str, Any]:
         "off_mean_percent": float(100 * error.mean()),
         "far_off_percent": float(100 * (error > FAR_OFF).mean()),
         "keyframes": made.metrics["submaps"][0]["keyframes"],
-        "f_score": 100 * compared.surface.f_score,
-        "precision": 100 * compared.surface.precision,
-        "recall": 100 * compared.surface.recall,
+        **in_percent(compared.surface),
     }
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.record import ROOT, environment, spread
+from benchmarks.common.record import ROOT, environment, in_percent, spread
 from benchmarks.common.runner import add_seeds, run
 
 RECORD, README = ROOT / "benchmarks/results/table.json", ROOT / "README.md"
@@ -61,8 +61,8 @@ def _of_run(source: Path, camera: Path, truth: Path, seed: int) -> Figures:
         reconstruct(source, Path(scratch) / "run", Config(camera=str(camera), seed=seed))
         errors = compare_run(Path(scratch) / "run", truth)
     assert errors.surface is not None
-    surface = {name: 100 * getattr(errors.surface, name) for name in ("f_score", "precision", "recall")}
-    return {"posed": errors.posed, "total": errors.total, "ate_mm": errors.sim3.ate_rmse, **surface}
+    about = {"posed": errors.posed, "total": errors.total, "ate_mm": errors.sim3.ate_rmse}
+    return about | in_percent(errors.surface)
 
 
 def of_completion(seed: int) -> Figures:

@@ -6,7 +6,10 @@ import platform
 import statistics
 import subprocess
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from reconstruction.evaluation.surface_metrics import SurfaceErrors
 
 ROOT = Path(__file__).parents[2]
 
@@ -47,6 +50,11 @@ def environment(checkout: Path = ROOT) -> dict[str, Any]:
 def _cpuinfo() -> list[str]:
     path = Path("/proc/cpuinfo")
     return path.read_text().splitlines() if path.exists() else []
+
+
+def in_percent(surface: "SurfaceErrors") -> dict[str, float]:
+    """F-score, precision and recall of a surface."""
+    return {name: 100 * getattr(surface, name) for name in ("f_score", "precision", "recall")}
 
 
 def print_row(row: dict[str, Any], digits: int = 2) -> None:

@@ -17,4 +17,5 @@ def without_depth(made: Run, folder: Path) -> Workspace:
     workspace = open_workspace(folder)
     for stage in LATER:
         workspace.record["stages"].pop(stage, None)
+    workspace.save()
     return workspace

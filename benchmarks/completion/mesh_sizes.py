@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common.record import RunTable, print_row
+from benchmarks.common.record import RunTable, in_percent, print_row
 from benchmarks.common.rerun import without_depth
 from benchmarks.common.runner import add_folders
 from completion.inference import resolution
@@ -46,7 +46,7 @@ def figures_of(film: Path) -> dict[str, dict[str, Any]]:
         made = reconstruct(film, Path(scratch) / "run", Config(camera=str(film / "camera.json")))
         for size in SIZES:
             folder = Path(scratch) / str(size)
-            without_depth(made, folder).save()
+            without_depth(made, folder)
             try:
                 resolution.SIDE_FOR_MANY = size
                 reconstruct(film, folder, made.workspace.config, resume=True)
@@ -54,9 +54,5 @@ def figures_of(film: Path) -> dict[str, dict[str, Any]]:
                 resolution.SIDE_FOR_MANY = chosen
             compared = compare_run(folder, film).surface
             assert compared is not None
-            found[f"{size} px"] = {
-                "f_score": 100 * compared.f_score,
-                "precision": 100 * compared.precision,
-                "recall": 100 * compared.recall,
-            }
+            found[f"{size} px"] = in_percent(compared)
     return found

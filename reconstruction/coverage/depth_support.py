@@ -74,7 +74,7 @@ def _add_votes(
     seen_through: Array,
     best_cosine: Array,
 ) -> None:
-    """One keyframe's say on every vertex that lies in its picture; the last three (V,) are added to in place.
+    """One keyframe's votes on the vertices that lie in its picture: the last three (V,) are changed in place.
 
     nearest (H,W): least depth in each 3x3 window. Reprojection may miss a fold's crest by a pixel: a vertex is seen
     through only if all nine pixels look past it.

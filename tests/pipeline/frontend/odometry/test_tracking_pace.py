@@ -14,13 +14,12 @@ from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frontend.odometry import front_end, initialization, tracking
 from pipeline.frontend.odometry.chunk_worker import track
 from pipeline.frontend.odometry.chunks import jobs_of
-from pipeline.frontend.odometry.frame_io import frame_features, frame_reader
+from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.frontend.structure_stage import solve_structure
 from pipeline.mapping.local_map import WINDOW
 from pipeline.mapping.map_adjustment import adjust_window
 from pipeline.mapping.map_io import load_maps
-from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.tubes.textured_tube import CAMERA, MASK, camera_at, render, stored
 
 
@@ -96,7 +95,7 @@ def test_keyframe_motion_reaches_the_tracker_in_one_go_and_in_chunks(tmp_path):
     count = {}
     for motion in (OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION):
         config = Config(odometry=OdometrySettings(keyframe_motion=motion))
-        with SiftCache(frame_reader(workspace)) as features:
+        with frame_features(workspace) as features:
             (whole,), _ = front_end._tracked(frames, features, config.front_end_settings, workspace, SilentProgress())
         (job,) = jobs_of(frames.index, CAMERA, [range(50)], config.front_end_settings, workspace)
         job["output"] = str(tmp_path / "chunks" / "0.npz")
