@@ -13,7 +13,15 @@ from tests.helpers.videos import textured_frames
 pydicom = pytest.importorskip("pydicom", reason="pydicom is not installed")
 
 FRAMES = textured_frames(8, size=96)
-SYNTAX = {"h264": "1.2.840.10008.1.2.4.102", "mp4": "1.2.840.10008.1.2.4.102", "mjpeg": "1.2.840.10008.1.2.4.50"}
+SYNTAX = {
+    "h264": "1.2.840.10008.1.2.4.102",
+    "mp4": "1.2.840.10008.1.2.4.102",
+    "hevc": "1.2.840.10008.1.2.4.107",
+    "mpeg2video": "1.2.840.10008.1.2.4.100",
+    "mpegts": "1.2.840.10008.1.2.4.101",
+    "mjpeg": "1.2.840.10008.1.2.4.50",
+}
+CODEC = {"h264": "libx264", "mp4": "libx264", "hevc": "libx265", "mpegts": "mpeg2video"}  # others: of the kind's name
 PATIENT = "Doe^Jane"
 
 
@@ -21,7 +29,7 @@ def encoded(kind):
     """A bare stream of the frames, and its frames' bytes one by one."""
     buffer, packets = io.BytesIO(), []
     with av.open(buffer, "w", format=kind) as container:
-        stream = container.add_stream("mjpeg" if kind == "mjpeg" else "libx264", rate=20)
+        stream = container.add_stream(CODEC.get(kind, kind), rate=20)
         stream.height, stream.width = FRAMES[0].shape[:2]
         stream.pix_fmt = "yuvj420p" if kind == "mjpeg" else "yuv420p"
         for frame in FRAMES:
@@ -34,7 +42,7 @@ def encoded(kind):
     return buffer.getvalue(), packets
 
 
-def dicom(path, kind, syntax=None, **fields):
+def dicom(path, kind, syntax=None, fragments=1, **fields):
     from pydicom.encaps import encapsulate
 
     stream, packets = encoded(kind)
@@ -46,7 +54,7 @@ def dicom(path, kind, syntax=None, **fields):
     data.PhotometricInterpretation, data.NumberOfFrames = "YBR_PARTIAL_420", len(FRAMES)
     for name, value in fields.items():
         setattr(data, name, value)
-    data.PixelData = encapsulate(packets if kind == "mjpeg" else [stream])
+    data.PixelData = encapsulate(packets if kind == "mjpeg" else [stream], fragments_per_frame=fragments)
     data["PixelData"].is_undefined_length = True
     data.file_meta = pydicom.dataset.FileMetaDataset()
     data.file_meta.TransferSyntaxUID = syntax or SYNTAX[kind]
@@ -56,7 +64,7 @@ def dicom(path, kind, syntax=None, **fields):
     return path, stream
 
 
-@pytest.mark.parametrize("kind", ["h264", "mp4", "mjpeg"])
+@pytest.mark.parametrize("kind", sorted(SYNTAX))
 def test_the_film_is_that_of_the_stream(tmp_path, kind):
     path, stream = dicom(tmp_path / "a.dcm", kind, FrameTime=50.0)
     with av.open(io.BytesIO(stream), format=kind if kind == "mjpeg" else None) as container:
@@ -66,6 +74,13 @@ def test_the_film_is_that_of_the_stream(tmp_path, kind):
     for mine, theirs in zip(found, expected, strict=True):
         np.testing.assert_array_equal(mine.rgb, theirs)
     np.testing.assert_allclose([frame.seconds for frame in found], 0.05 * np.arange(len(FRAMES)))
+
+
+def test_a_stream_in_several_fragments(tmp_path):
+    whole, _ = dicom(tmp_path / "a.dcm", "hevc")
+    cut, _ = dicom(tmp_path / "b.dcm", "hevc", fragments=3)
+    for mine, theirs in zip(Source(cut), Source(whole), strict=True):
+        np.testing.assert_array_equal(mine.rgb, theirs.rgb)
 
 
 def test_without_its_name_s_ending_and_by_cine_rate(tmp_path):
