@@ -266,13 +266,16 @@ def _warnings(candidates: list[Candidate], doubts: list[MapDoubt | None], untrie
 
 
 def _doubt_of_lens(submap: Submap, camera: Camera, settings: FrontEndSettings, workspace: Workspace) -> list[str]:
-    """Of a lens that a user named by --camera, where nothing else holds the poses."""
+    """Of a lens that a user named by --camera."""
     named = workspace.record.get("config", {}).get("camera", "auto")  # frames need not come from a film
-    asked = camera.trusted and camera.lens.in_colmap and named != "auto"
-    if not asked or settings.poses.file is not None:
+    if not (camera.trusted and camera.lens.in_colmap and named != "auto"):
         return []
+    advice = "without --camera the lens is found from the film"
+    if settings.poses.file is not None:  # which hold the frames between keyframes, that see nothing, and any lens
+        advice = "give by --camera the lens that these poses were found with"
+        submap = submap.without_frames(set(submap.frames) - set(submap.frames[submap.observations[:, 0]]))
     sentence = doubt_of_lens(submap, camera, settings.seed, workspace.log)
-    return [sentence] if sentence else []
+    return [f"{sentence}; {advice}"] if sentence else []
 
 
 def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:

@@ -167,7 +167,7 @@ def doubt_of_lens(submap: Submap, given: Camera, seed: int, temp_dir: Path) -> s
     return (
         f"the lens that was given may be another endoscope's, or of another zoom: its focal length is {wanted:.0f} px, "
         f"and the film's motion says {focal:.0f} px (sigma {found.sigma[0]:.2g} px), which moves what is seen by "
-        f"{100 * shift:.1f} % of the width; without --camera the lens is found from the film"
+        f"{100 * shift:.1f} % of the width"
     )
 
 

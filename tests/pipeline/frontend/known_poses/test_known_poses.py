@@ -1,6 +1,7 @@
 """Poses that are given for the views of a tube: its wall is where the poses put it, and wrong ones are named."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,18 +29,27 @@ def pictures():
     return [render(world_from_camera) for world_from_camera in POSES]
 
 
-def solved(tmp_path, pictures, poses, refine=False):
+def filmed(tmp_path, pictures, poses, refine=False, **settings):
+    """Workspace and frames of the pictures, with a file of their poses."""
     workspace, frames = stored(tmp_path, pictures)
-    listed = [[k, k / 30, "used"] for k in range(COUNT)]
+    listed = [[k, k / 30, "used"] for k in range(len(poses))]
     workspace.frames.write_text(json.dumps({"camera": frames.camera.to_dict(), "frames": listed}))
     workspace.record["source"] = {"path": "film.mp4"}
-    write_tum(tmp_path / "poses.txt", np.arange(COUNT) / 30, poses)
-    config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt"), refine=refine))
+    write_tum(tmp_path / "poses.txt", np.arange(len(poses)) / 30, poses)
+    config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt"), refine=refine), **settings)
     workspace.record["config"] = config.model_dump(mode="json")
     check_front_end(config.front_end, config.front_end_settings)
-    found = solve_structure(
-        frames, frame_features(workspace), "auto", config.front_end_settings, workspace, SilentProgress()
-    )
+    return workspace, frames
+
+
+def solve(workspace, frames):
+    settings = workspace.config.front_end_settings
+    return solve_structure(frames, frame_features(workspace), "auto", settings, workspace, SilentProgress())
+
+
+def solved(tmp_path, pictures, poses, refine=False):
+    workspace, frames = filmed(tmp_path, pictures, poses, refine)
+    found = solve(workspace, frames)
     (submap,) = find_points(frames, frame_features(workspace), found, 0.012, workspace, SilentProgress())
     unit = scene_unit(workspace)
     return submap.scaled(unit), unit
@@ -64,16 +74,8 @@ def test_the_wall_is_where_the_poses_put_it(tmp_path, pictures):
 def test_a_slow_film_has_points_in_all_its_keyframes(tmp_path):
     """Keyframes are many frames apart, and the others see nothing."""
     poses = np.stack([camera_at(0.12 * k) for k in range(80)])
-    workspace, frames = stored(tmp_path, [render(world_from_camera) for world_from_camera in poses])
-    listed = [[k, k / 30, "used"] for k in range(80)]
-    workspace.frames.write_text(json.dumps({"camera": frames.camera.to_dict(), "frames": listed}))
-    workspace.record["source"] = {"path": "film.mp4"}
-    write_tum(tmp_path / "poses.txt", np.arange(80) / 30, poses)
-    config = Config(poses=PoseSettings(file=str(tmp_path / "poses.txt")))
-    workspace.record["config"] = config.model_dump(mode="json")
-    (before,) = solve_structure(
-        frames, frame_features(workspace), "auto", config.front_end_settings, workspace, SilentProgress()
-    )
+    workspace, frames = filmed(tmp_path, [render(world_from_camera) for world_from_camera in poses], poses)
+    (before,) = solve(workspace, frames)
     (after,) = find_points(frames, frame_features(workspace), [before], 0.012, workspace, SilentProgress())
     keyframes = np.unique(before.observations[:, 0])
     assert 3 < len(keyframes) < 40
@@ -94,6 +96,22 @@ def test_rough_poses_are_refined_in_their_own_world_and_unit(tmp_path, pictures)
 
     assert off(submap.world_from_camera) < 0.5 * off(rough)
     assert radius_error(submap) < 0.01  # the unit has not slid away
+
+
+@pytest.mark.parametrize(("longer", "doubted"), [(1.0, False), (0.92, True)])
+def test_a_lens_of_another_endoscope_is_doubted_at_given_poses(tmp_path, longer, doubted):
+    def with_another_lens(frames):
+        focal, *others = frames.camera.params
+        return replace(frames, camera=replace(frames.camera, params=(longer * focal, *others)))
+
+    poses = POSES.copy()  # turning is what tells a focal length
+    turns = Rotation.from_euler("y", 15 * np.sin(0.3 * np.arange(COUNT))[:, None], degrees=True)
+    poses[:, :3, :3] = poses[:, :3, :3] @ turns.as_matrix()
+    workspace, frames = filmed(tmp_path, [render(one) for one in poses], poses, camera="lens.yaml")
+    solve(workspace, with_another_lens(frames))
+    said = [sentence for sentence in workspace.result("structure")["warnings"] if "another endoscope" in sentence]
+    assert len(said) == doubted
+    assert all("the lens that these poses were found with" in sentence for sentence in said)
 
 
 def inverted(poses):
