@@ -190,7 +190,6 @@ def _coverage(metrics: dict[str, Any]) -> str:
 
 def _caution(metrics: dict[str, Any]) -> str:
     """Said with success, so that nobody overlooks it."""
-    of_lens = dict.fromkeys(submap["camera"]["trust"] for submap in metrics["submaps"])
-    doubts = [*metrics["warnings"], *(one for one in of_lens if "trust" in one or "does not determine" in one)]
+    doubts = metrics["warnings"]
     more = f"; {len(doubts) - MOST_SAID} more on the report" if len(doubts) > MOST_SAID else ""
     return "; CAUTION: " + "; ".join(doubts[:MOST_SAID]) + more if doubts else ""

@@ -127,8 +127,8 @@ def _solve(
         )
     _keep(kept, workspace)
     doubts = doubts_of(kept, mapper, len(by_mapper[mapper]), frames)
-    warnings = _warnings(kept, doubts, [other for other in (FIRST, SECOND) if other not in results])
-    warnings += _doubt_of_lens(kept[0].submap, frames.camera, settings, workspace)
+    warnings = _doubt_of_lens(kept[0].submap, frames.camera, settings, workspace)
+    warnings += _warnings(kept, doubts, [other for other in (FIRST, SECOND) if other not in results])
     name = next(name for name, result in results.items() if mapper in result.candidates)
     if results[name].mixed:  # loops between the submaps of two front ends are still open
         name = FIRST

@@ -15,6 +15,7 @@ from pipeline.frontend.base import COLMAP_WORKER
 from pipeline.frontend.structure_stage import camera_trust, front_end_of
 from pipeline.input.frames import Frames, camera_origin
 from pipeline.loop_closing.close_loops import model_sources
+from pipeline.report.cautions import reasons_for_doubt
 from pipeline.report.page.page import write_page
 from pipeline.report.page.pictures import PagePictures
 from pipeline.run_folder.subprocesses import run_isolated
@@ -147,17 +148,14 @@ def collect_metrics(
         "camera": camera_origin(workspace),
         "front_end": front_end_of(workspace),
         "mapper": structure["mapper"],
-        "warnings": [*structure["warnings"], *refinement["warnings"], *sentences(motion), *_scale_doubts(surfaces)],
+        "warnings": reasons_for_doubt(
+            [*structure["warnings"], *refinement["warnings"], *sentences(motion)], surfaces, records
+        ),
         "loops": refinement["submaps"],
         "model": workspace.record["config"]["model"],
         "submaps": records,
         "meshes": [mesh_path(workspace, number).name for number in range(len(surfaces))],
     }
-
-
-def _scale_doubts(surfaces: list[Surface]) -> list[str]:
-    """That of the first submap with one; the others' have the same reason."""
-    return [surface.scale.doubt for surface in surfaces if surface.scale.doubt][:1]
 
 
 def _submap_metrics(

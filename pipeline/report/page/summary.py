@@ -4,6 +4,7 @@ import html
 from collections.abc import Callable
 from typing import Any
 
+from pipeline.report.cautions import left_out
 from pipeline.report.page.keyframe_gallery import data_uri
 from pipeline.report.page.scene import clock_words
 from pipeline.surface.coverage_stage import CoverageResult
@@ -63,21 +64,11 @@ def _card(title: str, figure: str, note: str) -> str:
     )
 
 
-def doubts(metrics: dict[str, Any]) -> list[str]:
-    """Reasons not to trust a run: its warnings, a lens that the film does not fix, keyframes that others contradict."""
-    found = [*metrics["warnings"]]
-    for number, submap in enumerate(metrics["submaps"]):
-        trust = submap["camera"]["trust"]
-        if "trust" in trust or "does not determine" in trust:
-            found.append(f"submap {number}, {trust}")
-        if submap["contradicted_keyframes"]:
-            found.append(f"submap {number}: {_left_out(submap['contradicted_keyframes'])}")
-    return found
-
-
 def cautions(metrics: dict[str, Any]) -> str:
     """What must not be overlooked, above everything else; then what is only good to know."""
-    boxes = [("caution", text) for text in doubts(metrics)] + [("note", text) for text in metrics["frames"]["notes"]]
+    boxes = [("caution", text) for text in metrics["warnings"]] + [
+        ("note", text) for text in metrics["frames"]["notes"]
+    ]
     return "".join(f'<p class="{kind}" role="note">{html.escape(text)}</p>' for kind, text in boxes)
 
 
@@ -126,7 +117,7 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         *_doubt_rows(submap.get("doubt")),
         ("scale", submap["scale"]),
-        ("left out", _left_out(submap["contradicted_keyframes"])),
+        ("left out", left_out(submap["contradicted_keyframes"])),
         ("calibration", submap["camera"]["trust"] + _cut(submap["rectified_share"])),
     ]
 
@@ -147,12 +138,6 @@ def _loops(record: dict[str, Any]) -> str:
     if record["supported"]:
         return f"{joined}{record['supported']} found; the path fulfils them already, or see the warnings"
     return joined + "none: no revisited place was confirmed by two matches"
-
-
-def _left_out(frames: list[int]) -> str:
-    if not frames:
-        return "no keyframe: none is contradicted by its neighbours in most of its pixels"
-    return f"keyframes {', '.join(map(str, frames))}: their neighbours contradict their depth in most pixels"
 
 
 def _cut(kept: float) -> str:

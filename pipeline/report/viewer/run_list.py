@@ -7,7 +7,6 @@ from typing import Any
 
 import yaml
 
-from pipeline.report.page.summary import doubts
 from pipeline.run_folder.workspace import RECORD_NAME, REFUSED
 from pipeline.surface.scale import unit_label
 
@@ -75,7 +74,7 @@ def row_of(name: str, folder: Path) -> RunRow:
 
 def _finished(name: str, metrics: dict[str, Any], settings: str, picture: int | None, changed: float) -> RunRow:
     main, frames = metrics["submaps"][0], metrics["frames"]
-    seen, doubted = main["coverage"], doubts(metrics)
+    seen, doubted = main["coverage"], metrics["warnings"]
     return RunRow(
         name,
         "finished",

@@ -1,0 +1,31 @@
+"""Reasons not to trust a run: the one list that `metrics.json`, report, terminal, batch and viewer show."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from pipeline.surface.fusion_stage import Surface
+
+
+def reasons_for_doubt(
+    of_stages: Iterable[str], surfaces: Sequence[Surface], submaps: Sequence[dict[str, Any]]
+) -> list[str]:
+    """Every reason once: a lens that the film does not fix first, then what stages found, what surfaces contradict.
+
+    submaps: their records in `metrics.json`, with "camera" and "contradicted_keyframes".
+    """
+    lens = [submap["camera"]["trust"] for submap in submaps]
+    of_lens = [text for text in lens if "trust" in text or "does not determine" in text]
+    of_scale = [surface.scale.doubt for surface in surfaces if surface.scale.doubt][:1]  # the others' is the same
+    of_depth = [
+        f"submap {number}: {left_out(submap['contradicted_keyframes'])}"
+        for number, submap in enumerate(submaps)
+        if submap["contradicted_keyframes"]
+    ]
+    return list(dict.fromkeys([*of_lens, *of_stages, *of_scale, *of_depth]))
+
+
+def left_out(frames: Sequence[int]) -> str:
+    """Which keyframes took no part in the surface, since their neighbours contradict them."""
+    if not frames:
+        return "no keyframe: none is contradicted by its neighbours in most of its pixels"
+    return f"keyframes {', '.join(map(str, frames))}: their neighbours contradict their depth in most pixels"
