@@ -56,8 +56,13 @@ def display_matrix(frame: "VideoFrame") -> NDArray[np.float64]:
     """(2,2) by which a player moves a frame's pixels: (x, y) of what is shown from (x, y) of what is stored.
 
     ISO 14496-12, 6.2.2: nine numbers a b u c d v x y w, of which x' = a x + c y and y' = b x + d y.
+    Of a frame with data of a kind that PyAV has no name for, as EXIF of motion JPEG, the turn alone is known.
     """
-    stored: Any = frame.side_data.get("DISPLAYMATRIX")
+    try:
+        stored: Any = frame.side_data.get("DISPLAYMATRIX")
+    except ValueError:
+        angle = np.deg2rad(frame.rotation)  # against the clock
+        return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     if stored is not None:
         a, b, _, c, d = np.frombuffer(bytes(stored), np.int32)[:5] / 65536
         return np.array([[a, c], [b, d]])

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -80,6 +81,19 @@ def test_a_recorder_that_pauses_keeps_its_clock(pause: float) -> None:
     times[20:] += pause
     np.testing.assert_allclose([clock.seconds(float(time)) for time in times], times, atol=1e-6)
     assert not clock.notes
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+def test_motion_jpeg_is_turned_as_its_exif_says(tmp_path: Path, orientation: int, turns: int) -> None:
+    """Frames of a camera's film, each with EXIF, which PyAV has no name for; turns: of 90 degrees against the clock."""
+    stored = np.repeat(np.repeat(np.array([[250, 170], [90, 10]], np.uint8), 32, axis=0), 48, axis=1)
+    jpeg = cv2.imencode(".jpg", np.dstack([stored] * 3))[1].tobytes()
+    exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0" + bytes([orientation]) + b"\0" * 7
+    film = tmp_path / "film.mjpeg"
+    film.write_bytes(3 * (jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + jpeg[2:]))
+    frames = [frame.rgb[..., 0] for frame in Source(film)]
+    assert len(frames) == 3
+    np.testing.assert_allclose(frames[0], np.rot90(stored, turns), atol=12)
 
 
 def encode(path: Path, sizes: list[int], shade: int = 0, start: int = 0) -> Path:
