@@ -38,7 +38,7 @@ SIMCOL_FULL_MM = 200.0  # full scale is 20 cm ...
 SIMCOL_STEPS = 256 * 255  # ... at this value, not at 65535: SimCol3D's own reader
 SIMCOL_LENS = (227.60416, 227.60416, 237.5, 237.5)  # cam.txt's third number is a known slip; 237.5 is half of 475
 C3VD_FULL_MM, C3VD_STEPS = 100.0, 65535  # the last step itself means "100 mm or more": no depth
-CCD_PICTURES = "*_FrameBuffer_*.png"
+CCD_PICTURES = "[!.]*_FrameBuffer_*.png"
 CSD_MM = 5.0  # per unit of the EXR
 CSD_LENS = (232.5045, 232.5045, 240.0, 320.0)
 CSD_CASES_LENS = (155.0029785575049, 155.0029785575049, 120.0, 160.0)  # at 240 x 320
@@ -73,14 +73,14 @@ def _simcol3d(folder: Path) -> Iterator[EvaluationFrame]:
 
 def _c3vd(folder: Path) -> Iterator[EvaluationFrame]:
     # Not every clip pads its numbers with zeros: sort by value.
-    for path in sorted(folder.glob("*_color.png"), key=lambda path: int(path.stem.split("_")[0])):
+    for path in sorted(folder.glob("[!.]*_color.png"), key=lambda path: int(path.stem.split("_")[0])):
         number = path.stem.split("_")[0]
         raw = read_depth16(partner(path, folder, f"{number}_depth.tiff"))
         yield EvaluationFrame(number, read_rgb(path), _c3vd_depth(raw), "mm", None, _segment(folder.name))
 
 
 def _c3vdv2(folder: Path) -> Iterator[EvaluationFrame]:
-    for path in sorted((folder / "rgb").glob("*.png")):
+    for path in sorted((folder / "rgb").glob("[!.]*.png")):
         raw = read_depth16(partner(path, folder / "depth", f"{path.stem}_depth.tiff"))
         yield EvaluationFrame(path.stem, read_rgb(path), _c3vd_depth(raw), "mm", None, _segment(folder.name))
 
@@ -96,7 +96,7 @@ def _unitycam(folder: Path) -> Iterator[EvaluationFrame]:
 
 
 def _vrcaps(folder: Path) -> Iterator[EvaluationFrame]:
-    for path in sorted((folder / "rgb").glob("*.png")):
+    for path in sorted((folder / "rgb").glob("[!.]*.png")):
         depth = _positive(read_exr(partner(path, folder / "depth", f"{path.stem}.exr")))
         # info.txt says decimetres, users doubt it.
         yield EvaluationFrame(path.stem, read_rgb(path), depth, "scene", _lens(VRCAPS_LENS), folder.name)
@@ -104,7 +104,7 @@ def _vrcaps(folder: Path) -> Iterator[EvaluationFrame]:
 
 def _ccd(folder: Path) -> Iterator[EvaluationFrame]:
     """Layout as users describe it, since none is documented: 256 x 256, depth PNG with 20 cm at full scale."""
-    for path in sorted((folder / "images").glob("*.png")):
+    for path in sorted((folder / "images").glob("[!.]*.png")):
         raw = read_depth16(partner(path, folder / "depths", path.name))
         depth = raw.astype(np.float32) * np.float32(SIMCOL_FULL_MM / 65535)
         lens = np.array(SIMCOL_LENS) * raw.shape[1] / 475  # the same virtual camera at another size
@@ -125,7 +125,7 @@ def _ccd_flat(folder: Path) -> Iterator[EvaluationFrame]:
 def _csd_cases(folder: Path) -> Iterator[EvaluationFrame]:
     """zsustc/synthetic_colonoscopy_datasets: Case#/rgb and Case#/depth_gt, in order of their names."""
     pictures, depths = (
-        sorted((folder / name).glob(end)) for name, end in (("rgb", "[!.]*.png"), ("depth_gt", "*.exr"))
+        sorted((folder / name).glob(end)) for name, end in (("rgb", "[!.]*.png"), ("depth_gt", "[!.]*.exr"))
     )
     if len(pictures) != len(depths):
         raise CompletionError(f"{folder} has {len(pictures)} pictures in rgb/ and {len(depths)} in depth_gt/")
@@ -151,18 +151,18 @@ class Reader:
 
 READERS = {
     "simcol3d": Reader("FrameBuffer_*.png", _simcol3d),
-    "c3vd": Reader("*_depth.tiff", _c3vd),
-    "c3vdv2": Reader("depth/*_depth.tiff", _c3vdv2),
+    "c3vd": Reader("[!.]*_depth.tiff", _c3vd),
+    "c3vdv2": Reader("depth/[!.]*_depth.tiff", _c3vdv2),
     "unitycam": Reader("Pixelwise Depths/aov_image_*.png", _unitycam),
-    "vrcaps": Reader("depth/*.exr", _vrcaps),
-    "ccd": Reader("depths/*.png", _ccd),
+    "vrcaps": Reader("depth/[!.]*.exr", _vrcaps),
+    "ccd": Reader("depths/[!.]*.png", _ccd),
     "ccd_flat": Reader(CCD_PICTURES, _ccd_flat),
-    "csd_cases": Reader("depth_gt/*.exr", _csd_cases),
+    "csd_cases": Reader("depth_gt/[!.]*.exr", _csd_cases),
     "csd": Reader("SUK_L_depth*.exr", _csd),
     "scared": Reader("keyframe_*/left_depth_map.tiff", scared),
     "scared_frames": Reader("image_02/data/groundtruth/scene_points*.tiff", scared_frames),
-    "hamlyn": Reader("depth01/*.png", hamlyn),
-    "hamlyn_tracking": Reader("color/*.jpg", hamlyn),
+    "hamlyn": Reader("depth01/[!.]*.png", hamlyn),
+    "hamlyn_tracking": Reader("color/[!.]*.jpg", hamlyn),
     "rgbd": Reader("camera.json", _rgbd),  # last: others have such a file too, for `reconstruct`
 }
 
@@ -172,7 +172,7 @@ def recognise(folder: Path) -> str:
     for name, reader in READERS.items():
         if next(folder.glob(reader.pattern), None) is not None:
             return name
-    known = ", ".join(f"{name} ({reader.pattern})" for name, reader in READERS.items())
+    known = ", ".join(f"{name} ({reader.pattern.replace('[!.]', '')})" for name, reader in READERS.items())
     raise CompletionError(f"{folder} is no data set that can be read; looked for {known}")
 
 

@@ -25,9 +25,9 @@ def read_c3vd(folder: Path) -> DataSetTruth | None:
     if np.abs(stored[:, :3, 3]).max() > 1e-6:
         raise HaustraError(f"{folder / 'pose.txt'} has its translations in the last column; C3VD's are in the last row")
     world_from_camera, wall = np.swapaxes(stored, 1, 2), read_coverage_mesh(folder / "coverage_mesh.obj")
-    flat = next(folder.glob("*_depth.tiff"), None) is not None
+    flat = next(folder.glob("[!.]*_depth.tiff"), None) is not None
     kind = "c3vd" if flat else "c3vdv2"
-    if not flat and next(folder.glob("depth/*_depth.tiff"), None) is None:
+    if not flat and next(folder.glob("depth/[!.]*_depth.tiff"), None) is None:
         return DataSetTruth(world_from_camera, wall=wall)
     lens = "c3vd" if flat or folder.name.startswith("c0_") else "c3vd-v2"  # c0_: the first C3VD, released again
     depths = (frame.depth for frame in read_evaluation_frames(folder, kind))

@@ -117,7 +117,7 @@ def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
     camera, unit_mm = _read_camera(folder / "camera.json")
     rays, valid = _rays(camera)
     _, world_from_camera = read_tum(folder / "trajectory.txt")
-    files = sorted((folder / "depth").glob("*.png"))
+    files = sorted((folder / "depth").glob("[!.]*.png"))
     if len(files) != len(world_from_camera):
         raise ReconstructionError(f"{folder} has {len(files)} depth images for {len(world_from_camera)} poses")
     for path, transform in list(zip(files, world_from_camera, strict=True))[::every]:

@@ -92,6 +92,15 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("kind", EXPECTED)
+def test_companions_of_macos_are_no_frames(kind: str, tmp_path: Path) -> None:
+    make(kind, tmp_path)
+    for path in [path for path in tmp_path.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")
+    assert recognise(tmp_path) == kind
+    assert len(list(read_evaluation_frames(tmp_path))) == 2
+
+
+@pytest.mark.parametrize("kind", EXPECTED)
 def test_each_layout_is_recognised_and_decoded(kind: str, tmp_path: Path) -> None:
     folder = tmp_path / "cecum_t1_a"
     make(kind, folder)
