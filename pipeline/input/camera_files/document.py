@@ -1,6 +1,7 @@
 """A camera file as text and, where it is JSON, YAML or OpenCV's storage, as names and values."""
 
 import json
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ def open_document(path: Path) -> CameraDocument:
         return CameraDocument(path)
     text = read_text(path)
     if text.lstrip().startswith(OPENCV_MARKS):
-        return CameraDocument(path, text, _opencv_fields(text))
+        return CameraDocument(path, text, _opencv_fields(path, text))
     return CameraDocument(path, text, _fields(path, text))
 
 
@@ -58,7 +59,7 @@ def _fields(path: Path, text: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _opencv_fields(text: str) -> dict[str, Any]:
+def _opencv_fields(path: Path, text: str) -> dict[str, Any]:
     """Of OpenCV's own YAML and XML, whose tags no other library knows; nothing where it is other XML."""
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
@@ -66,12 +67,15 @@ def _opencv_fields(text: str) -> dict[str, Any]:
         return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 - a FileNode is no dict
     except (cv2.error, SystemError, UnicodeDecodeError):
         return {}
+    except ValueError as error:
+        raise HaustraError(f"{path} has {error}") from error
 
 
 def _value(node: cv2.FileNode) -> Any:
     if node.isMap():
         names = set(node.keys())
         if names >= MATRIX:
+            _check_matrix(node)
             return node.mat()
         return {name: _value(node.getNode(name)) for name in names}
     if node.isSeq():
@@ -79,3 +83,12 @@ def _value(node: cv2.FileNode) -> Any:
     if node.isString():
         return node.string()
     return node.real()
+
+
+def _check_matrix(node: cv2.FileNode) -> None:
+    """ValueError where a matrix has not as many numbers as its sides say: OpenCV would write past its memory."""
+    rows, columns = (node.getNode(name).real() for name in ("rows", "cols"))
+    channels = re.match(r"\d*", node.getNode("dt").string())
+    numbers = node.getNode("data").size()
+    if not 0 < rows * columns * int((channels and channels[0]) or 1) == numbers or rows < 0:
+        raise ValueError(f"a matrix of {rows:g}x{columns:g} with {numbers} numbers")

@@ -188,6 +188,14 @@ def test_what_is_missing_is_one_sentence(tmp_path, name, text, message):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(("old", "new"), [("cols: 1", "cols: -1"), ("rows: 5", "rows: 4000"), (", 0.01 ]", " ]")])
+def test_a_matrix_of_other_sides_than_its_numbers_never_reaches_opencv(tmp_path, old, new):
+    """OpenCV writes past its memory there, which ends the process."""
+    (tmp_path / "lens.yaml").write_text(OPENCV_YAML.replace(old, new))
+    with pytest.raises(HaustraError, match=r"lens.yaml has a matrix of [-0-9]+x[-0-9]+ with [45] numbers"):
+        read_lens(tmp_path / "lens.yaml")
+
+
 def test_a_lens_that_colmap_lacks_is_kept_from_it():
     camera = Camera("SCARAMUZZA", 10, 10, (5.0, 5.0, 5.0, 0, 0, 0, 1, 0, 0))
     with pytest.raises(HaustraError, match="no lens model SCARAMUZZA; take --front-end odometry"):
