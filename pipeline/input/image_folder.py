@@ -106,7 +106,7 @@ def folder_fps(folder: Path) -> float:
         fps = FOLDER_FPS if said is None else float(said)
     except HaustraError:
         return FOLDER_FPS
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         fps = 0.0
     if not 0 < fps < MOST_FPS or isinstance(said, bool):
         raise HaustraError(f"fps in {folder / 'camera.json'} is {said!r}, no number of frames a second")

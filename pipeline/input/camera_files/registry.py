@@ -23,6 +23,8 @@ from pipeline.input.camera_files.text_matrix import read_text_matrix
 # A reader gives None for a file of another format, and raises where the file is of its own but cannot be read.
 Reader = Callable[[CameraDocument], CalibratedLens | None]
 
+MOST_PX = 100_000  # of a picture's side
+
 # The first that knows the file is taken: those whose marks others could have too come last.
 CAMERA_FORMATS: dict[str, Reader] = {
     "nerfstudio transforms.json": read_transforms,
@@ -47,6 +49,8 @@ def read_lens(path: Path) -> tuple[str, CalibratedLens]:
         try:
             lens = read(document)
             if lens is not None:
+                if max(lens.size or (1, 1)) > MOST_PX:
+                    raise HaustraError(f"its pictures have over {MOST_PX} pixels a side, which none has")
                 Camera(lens.model, *(lens.size or (1, 1)), lens.params)  # its numbers must be possible
                 return name, lens
         except HaustraError as error:

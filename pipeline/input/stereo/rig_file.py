@@ -71,7 +71,7 @@ def read_rig(path: Path) -> StereoRig:
         raise
     except KeyError as error:
         raise HaustraError(f"{path} is no stereo calibration: it lacks {error.args[0]}") from error
-    except (ValueError, TypeError, configparser.Error) as error:
+    except (ValueError, TypeError, OverflowError, configparser.Error) as error:
         raise HaustraError(f"{path} is no stereo calibration that can be read: a value has another form") from error
     if not np.allclose(rig.turn @ rig.turn.T, np.eye(3), atol=1e-3):
         raise HaustraError(f"{path}: the rotation between the cameras is none")

@@ -178,6 +178,7 @@ def test_a_file_without_a_size(tmp_path):
         ("a.txt", "all about my camera\n", "no camera file that is known"),
         ("a.mat", "MATLAB 5.0 MAT-file", "jsonencode"),
         ("a.yaml", ROS.replace("410.0", "-410.0"), "focal length positive"),
+        ("a.yaml", ROS.replace("640", "1" + 400 * "0"), "over 100000 pixels a side"),
     ],
 )
 def test_what_is_missing_is_one_sentence(tmp_path, name, text, message):

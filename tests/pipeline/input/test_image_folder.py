@@ -112,7 +112,7 @@ def test_a_folder_of_pictures_of_other_numbers_is_one_sentence(tmp_path: Path, d
         list(Source(tmp_path))
 
 
-@pytest.mark.parametrize("fps", ["0", "-5", "NaN", "1e400", "true", "[30]", '"fast"'])
+@pytest.mark.parametrize("fps", ["0", "-5", "NaN", "1e400", "1" + 400 * "0", "true", "[30]", '"fast"'])
 def test_a_rate_that_is_none_is_one_sentence(tmp_path: Path, fps: str) -> None:
     write_pictures(tmp_path, list("12345"))
     (tmp_path / "camera.json").write_text(f'{{"fps": {fps}}}')

@@ -157,6 +157,12 @@ def test_a_file_of_one_camera_is_no_rig(tmp_path):
         read_rig(tmp_path / "mono.yaml")
 
 
+def test_a_number_of_a_rig_that_is_too_large_is_one_sentence(tmp_path):
+    (tmp_path / "rig.json").write_text('{"M1": 1%s}' % (400 * "0"))
+    with pytest.raises(HaustraError, match="a value has another form"):
+        read_rig(tmp_path / "rig.json")
+
+
 def test_the_three_text_files_of_hamlyn(tmp_path):
     rows = lambda matrix: "\n".join(" ".join(map(str, row)) for row in matrix)  # noqa: E731
     (tmp_path / "camera_extrinsic.txt").write_text(rows(np.vstack([TURN, SHIFT])) + "\n")
