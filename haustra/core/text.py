@@ -1,4 +1,4 @@
-"""Text and JSON that a user wrote, in what editors save: UTF-8 with or without a mark, UTF-16 with one."""
+"""Text and JSON that a user wrote, in what editors and shells save: UTF-8 and UTF-16, with a mark or without."""
 
 import codecs
 import json
@@ -21,11 +21,22 @@ def read_text(path: Path | str) -> str:
         data = Path(path).read_bytes()
     except OSError as error:
         raise HaustraError(f"cannot read {path}: {error.strerror}") from error
-    encoding = next((name for mark, name in MARKS if data.startswith(mark)), "utf-8")
+    encoding = next((name for mark, name in MARKS if data.startswith(mark)), None) or _unmarked(data)
     try:
-        return data.decode(encoding)
+        text = data.decode(encoding)
     except UnicodeDecodeError as error:
         raise HaustraError(f"{path} is no text in {encoding}: byte {error.start} is none; save it as UTF-8") from error
+    if "\0" in text:
+        raise HaustraError(f"{path} is no text in {encoding}: character {text.index(chr(0))} is zero; save it as UTF-8")
+    return text
+
+
+def _unmarked(data: bytes) -> str:
+    """UTF-16 without a mark shows by its zeros: every other byte of Latin letters and digits is one."""
+    first, second = data[:256:2].count(0), data[1:256:2].count(0)
+    if max(first, second) > 32 * min(first, second) and 4 * max(first, second) > len(data[:256]):
+        return "utf-16-be" if first > second else "utf-16-le"
+    return "utf-8"
 
 
 def read_json(path: Path | str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.text import read_json, read_text
 from reconstruction.evaluation.trajectory_io import read_tum
 
-ENCODINGS = ["utf-8", "utf-8-sig", "utf-16"]
+ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"]
 CAMERA = {"model": "PINHOLE", "width": 64, "height": 48, "params": [50, 50, 32, 24], "note": "Länge µm"}
 TUM = "# Zeit, mm\n0.0 1 2 3 0 0 0 1\n0.1 1 2 3 0 0 0 1\n"
 
@@ -27,7 +27,9 @@ def test_every_encoding_reads_the_same(tmp_path: Path, encoding: str) -> None:
     assert read_tum(path)[0].tolist() == [0.0, 0.1]
 
 
-@pytest.mark.parametrize("data", [b"\xff\x00\x12garbage\x81", b"\xc3\x28", "0 1 2 3 0 0 0 1".encode("utf-32-be")])
+@pytest.mark.parametrize(
+    "data", [b"\xff\x00\x12garbage\x81", b"\xc3\x28", b"0 1 2 3 0 0 0 1\n\0\0\0", "0 1 2 3 0 0 0 1".encode("utf-32-be")]
+)
 def test_what_is_no_text_is_one_sentence(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "truth.txt"
     path.write_bytes(data)
