@@ -148,7 +148,9 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
             others = ", ".join(TRUTH_READERS)
             raise HaustraError(f"{truth} has no truth: neither trajectory.txt of an RGB-D folder, nor one of {others}")
         return read_tum(trajectory)
-    if truth.suffix in (".tum", ".txt") and truth.is_file():
+    if not truth.exists():
+        raise HaustraError(f"there is no file or folder {truth}")
+    if truth.suffix.lower() in (".tum", ".txt", ".csv", "") and truth.is_file():
         return read_tum(truth)
     if truth.suffix.lower() in MESH_FORMATS and truth.is_file():
         raise HaustraError(f"{truth} is a mesh without a path to align by; put trajectory.txt beside a mesh.ply")

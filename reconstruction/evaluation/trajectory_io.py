@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from haustra.core.text import read_text
 Array = NDArray[np.float64]
 
 MAX_QUATERNION_ERROR = 1e-3  # deviation of a quaternion's length from 1 that a file's rounding may leave
+SHOWN = 120  # characters of a line that is none
 
 
 def read_tum(path: Path | str) -> tuple[Array, Array]:
     """Seconds (N,) and `world_from_camera` (N,4,4) of a file with lines `seconds tx ty tz qx qy qz qw`.
 
-    Blank lines and lines that begin with # are skipped; anything else that is not a pose raises
-    `ReconstructionError`, and so does time that stands still or runs backwards.
+    Blanks, commas or semicolons part the numbers. Blank lines and lines that begin with # are skipped; anything else
+    that is not a pose raises `ReconstructionError`, and so does time that stands still or runs backwards.
     """
     rows: list[list[float]] = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -50,15 +52,20 @@ def write_tum(path: Path | str, seconds: Array, world_from_camera: Array) -> Non
 def _tum_row(line: str, where: str) -> list[float]:
     """The eight numbers of a line; `ReconstructionError` names `where` if they are no pose."""
     try:
-        values = [float(word) for word in line.split()]
+        values = [float(word) for word in numbers_of(line)]
     except ValueError as error:
-        raise ReconstructionError(f"{where}: a pose is eight numbers, got {line.strip()!r}") from error
+        raise ReconstructionError(f"{where}: a pose is eight numbers, got {line.strip()[:SHOWN]!r}") from error
     if len(values) != 8 or not np.isfinite(values).all():
-        raise ReconstructionError(f"{where}: a pose is eight finite numbers, got {line.strip()!r}")
+        raise ReconstructionError(f"{where}: a pose is eight finite numbers, got {line.strip()[:SHOWN]!r}")
     length = float(np.linalg.norm(values[4:]))
     if abs(length - 1) > MAX_QUATERNION_ERROR:
         raise ReconstructionError(f"{where}: the quaternion's length is {length:.4g}, not 1")
     return values
+
+
+def numbers_of(line: str) -> list[str]:
+    """The words of a line that blanks, commas or semicolons part, as tools and spreadsheets save them."""
+    return re.split(r"\s*[,;]\s*|\s+", line.strip())
 
 
 def checked_poses(world_from_camera: Array) -> Array:

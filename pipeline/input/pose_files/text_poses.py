@@ -7,7 +7,7 @@ import numpy as np
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from pipeline.input.pose_files.pose_table import PoseTable, rigid
-from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_io import numbers_of, read_tum
 
 TUM, KITTI = 8, 12
 
@@ -17,7 +17,7 @@ def read_text_poses(path: Path) -> PoseTable | None:
     if not path.is_file() or path.suffix.lower() not in (".tum", ".txt", ".kitti", ""):
         return None
     lines = [
-        line.split() for line in read_text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")
+        numbers_of(line) for line in read_text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")
     ]
     counts = {len(words) for words in lines}
     if counts == {TUM}:

@@ -178,7 +178,7 @@ def test_written_paths_are_read_back_and_by_evo(tmp_path):
         ("# only a comment\n", "no poses"),
         ("0 1 2 3 0 0 0 1\n0.1 1 2 3 0 0 0\n", "line 2: a pose is eight"),
         ("0 1 2 nan 0 0 0 1\n", "line 1: a pose is eight finite"),
-        ("0,1,2,3,0,0,0,1\n", "line 1: a pose is eight numbers"),
+        ("0,5 1 2 3 0 0 0 1\n", "line 1: a pose is eight finite numbers"),
         ("\n0 1 2 3 0 0 0 2\n", "line 2: the quaternion's length is 2"),
         ("0 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "line 2: time must increase"),
     ],
@@ -188,6 +188,13 @@ def test_bad_paths_are_refused_with_the_line(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ReconstructionError, match=message):
         read_tum(path)
+
+
+@pytest.mark.parametrize("between", [",", ", ", ";", "\t", "  "])
+def test_numbers_may_be_parted_as_spreadsheets_do(tmp_path, between):
+    path = tmp_path / "path.txt"
+    path.write_text(between.join(["0.5", *"1230001"]) + "\n")
+    assert read_tum(path)[1][0, :3, 3].tolist() == [1, 2, 3]
 
 
 def test_association_is_one_to_one_and_within_reach():
