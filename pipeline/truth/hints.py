@@ -1,22 +1,27 @@
-"""What would explain a bad comparison: true times of another clock, true lengths in another unit.
+"""What would explain a bad comparison: true poses of another convention, another clock, another unit.
 
 Nothing is corrected: a figure under a clock that was fitted would hide a wrong one. It is said what fits better.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
+from haustra.core.se3 import inverse
 from haustra.core.sim3 import umeyama
-from reconstruction.evaluation.trajectory_metrics import associate
+from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
 Array = NDArray[np.float64]
 BAD_FIT = 0.05  # of the path's own spread: better ones are not asked about
 BETTER = 0.4  # of the residual as given: what another clock must bring it to
 MOST_SHIFTS = 400
 UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the number that stands for it / 1000
+BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
+AXES, MIRROR = np.diag([1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
 SHORTEST_MM = 1.0  # a path over which nothing could be triangulated: its numbers are of another unit
 
 
@@ -48,6 +53,48 @@ def clock_hint(run: Timed, truth: Timed) -> str:
         f"the path fits {residual / max(best, 1e-6):.0f} times better with the true times {shift:+.3g} s: the clocks "
         "may be off by that"
     )
+
+
+def pose_hint(estimated: Array, true: Array) -> str:
+    """A sentence on another reading of the true poses, paired with ours (K,4,4) each, under which they fit where they
+    do not as given; "" where there is none."""
+    given = _misfit(estimated, true)
+    if given[0] < BAD_FIT and given[1] < BAD_TURN_DEG:
+        return ""
+    for reading, meaning in READINGS.items():
+        off, turned = _misfit(estimated, meaning(true))
+        if off < BAD_FIT and turned < BETTER * max(given[1], BAD_TURN_DEG):
+            return (
+                f"the poses fit if the truth's {reading}: rotation median {turned:.2g} deg for {given[1]:.3g}, centres "
+                f"{100 * off:.2g} % of their spread off for {100 * given[0]:.2g} %"
+            )
+    return ""
+
+
+def _misfit(estimated: Array, true: Array) -> tuple[float, float]:
+    """RMS of centres after Sim(3) over the true ones' spread, and the median angle between rotations, degrees."""
+    spread = float(np.sqrt(true[:, :3, 3].var(axis=0).sum()))
+    try:
+        errors = trajectory_errors(estimated, true, "sim3", "mm")
+    except HaustraError:
+        return np.inf, np.inf
+    return errors.ate_rmse / spread, errors.rotation_median_deg
+
+
+def _w_first(poses: Array) -> Array:
+    """Poses whose quaternions were stored w x y z and read as x y z w."""
+    stored = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    read = poses.copy()
+    read[:, :3, :3] = Rotation.from_quat(stored[:, [1, 2, 3, 0]]).as_matrix()
+    return read
+
+
+READINGS: dict[str, Callable[[Array], Array]] = {
+    "quaternions are w x y z, and x y z w is read": _w_first,
+    "camera has OpenGL's axes (y up, z backwards), and OpenCV's are read": lambda poses: poses @ AXES,
+    "poses are camera_from_world, and world_from_camera is read": lambda poses: np.stack([*map(inverse, poses)]),
+    "world is left-handed, as Unity's": lambda poses: MIRROR @ poses @ MIRROR,
+}
 
 
 def _residual(run: Timed, truth: Timed, shift: float, spacing: float) -> tuple[float, int]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from pipeline.truth.hints import Timed, clock_hint, unit_hint
+from haustra.core.se3 import inverse
+from pipeline.truth.hints import AXES, MIRROR, Timed, clock_hint, pose_hint, unit_hint
 
 RATE, FRAMES = 30, 300
 
@@ -59,3 +61,38 @@ def test_metres_are_guessed_at_where_the_run_has_none(seed: int) -> None:
     assert "metres" in unit_hint(Timed(np.arange(FRAMES) / RATE, 1e-3 * winding(seed)), 1e-3, False)
     assert unit_hint(Timed(np.arange(FRAMES) / RATE, winding(seed)), 31.0, False) == ""
     assert unit_hint(Timed(np.arange(FRAMES) / RATE, winding(seed)), 1.03, True) == ""
+
+
+def posed(seed: int) -> np.ndarray:
+    """True poses (N,4,4) of a camera that looks about while it goes along a winding path."""
+    poses = np.tile(np.eye(4), (FRAMES, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(winding(seed + 7) / 12).as_matrix()
+    poses[:, :3, 3] = winding(seed)
+    return poses
+
+
+def stored_w_first(poses: np.ndarray) -> np.ndarray:
+    stored = poses.copy()
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    stored[:, :3, :3] = Rotation.from_quat(quaternions[:, [3, 0, 1, 2]]).as_matrix()
+    return stored
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("stored", "reading"),
+    [
+        (stored_w_first, "quaternions are w x y z"),
+        (lambda poses: poses @ AXES, "OpenGL's axes"),
+        (lambda poses: np.stack([inverse(pose) for pose in poses]), "camera_from_world"),
+        (lambda poses: MIRROR @ poses @ MIRROR, "left-handed"),
+        (lambda poses: poses, ""),
+        (lambda poses: np.roll(poses, 60, axis=0), ""),
+    ],
+)
+def test_poses_of_another_convention_are_named(seed: int, stored, reading: str) -> None:
+    run = posed(seed)
+    run[:, :3, 3] = 0.03 * (run[:, :3, 3] + np.random.default_rng(seed).normal(0, 0.05, (FRAMES, 3)))
+    hint = pose_hint(run, stored(posed(seed)))
+    assert reading in hint
+    assert bool(hint) == bool(reading)
