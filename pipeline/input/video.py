@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 SMALLEST = 32  # px of a picture's side that is looked at for faults
+STILLS = 0.1  # of another stream's number of pictures: one with fewer is a cover, or slides
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
 # FFmpeg's names of formats that store a frame rate at most, and no times: what it derives runs backwards, or is none.
 NO_TIMES = ("h264", "hevc", "mjpeg")
@@ -65,7 +66,7 @@ class Source:
             self._rate = read_dicom_video(path).rate if is_dicom(path) else 0.0
             self._stream, streams, self.announced = film_stream(path)
             if streams > 1:
-                self._note(f"of {streams} video streams number {self._stream} was taken, which has most pictures")
+                self._note(f"of {streams} video streams number {self._stream} was taken, the largest that moves")
 
     @property
     def camera(self) -> Camera | None:
@@ -235,8 +236,8 @@ def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | 
 
 
 def film_stream(path: Path) -> tuple[int, int, int]:
-    """Number, among a file's video streams, of the one with most pictures, which is no cover and no still of a label;
-    how many streams there are; and how many frames that one claims."""
+    """Number, among a file's video streams, of the film: the largest picture of those that move, first in the file of
+    equal ones; how many streams there are; and how many frames that one claims."""
     with open_video(path) as container:
         streams = list(container.streams.video)
         number = 0
@@ -245,5 +246,14 @@ def film_stream(path: Path) -> tuple[int, int, int]:
             for packet in packets_of(container, streams):
                 if packet is not None:
                     pictures[packet.stream.index] += packet.size > 0
-            number = max(range(len(streams)), key=lambda place: (pictures[streams[place].index], -place))
-        return number, len(streams), streams[number].frames
+            most = max(pictures.values())
+            moving = [place for place, one in enumerate(streams) if pictures[one.index] >= STILLS * most]
+            number = max(moving, key=lambda place: (streams[place].width * streams[place].height, -place))
+        return number, len(streams), _claimed_frames(container, streams[number])
+
+
+def _claimed_frames(container: "InputContainer", stream: "VideoStream") -> int:
+    """Frames that a file announces, 0 where it does not; of MP4 no more than its edit list leaves of them."""
+    if "mp4" not in container.format.name or not (stream.duration and stream.time_base and stream.average_rate):
+        return stream.frames
+    return min(stream.frames, round(stream.duration * stream.time_base * stream.average_rate))

@@ -139,26 +139,47 @@ def test_a_shape_that_changes_is_one_sentence(tmp_path: Path) -> None:
         source._of_size(np.zeros((96, 160, 3), np.uint8), (96, 96), 7)
 
 
-def test_the_film_is_taken_not_the_still_before_it(tmp_path: Path) -> None:
-    path = tmp_path / "cover.mkv"
+@pytest.mark.parametrize(("size", "count"), [(64, 1), (192, 1), (64, 20), (64, 60)])
+def test_the_film_is_taken_not_the_still_or_the_small_view_before_it(tmp_path: Path, size: int, count: int) -> None:
+    """A label, a large cover, and a small view that is as long as the film or longer."""
+    path = tmp_path / "film.mkv"
     with av.open(str(path), "w") as file:
-        still, film = file.add_stream("mjpeg", rate=25), file.add_stream("mpeg4", rate=25)
-        for stream, size, form in ((still, 64, "yuvj420p"), (film, 96, "yuv420p")):
-            stream.width = stream.height = size
-            stream.pix_fmt = form
-        for number in range(20):
-            for stream, size in ((still, 64), (film, 96)):
-                if stream is film or number == 0:
-                    frame = av.VideoFrame.from_ndarray(np.full((size, size, 3), 9 * number, np.uint8), format="rgb24")
+        streams = [(file.add_stream("mpeg4", rate=25), *of) for of in ((size, count), (96, 20))]
+        for stream, side, _ in streams:
+            stream.width = stream.height = side
+            stream.pix_fmt = "yuv420p"
+        for number in range(max(20, count)):
+            for stream, side, last in streams:
+                if number < last:
+                    shade = np.full((side, side, 3), 4 * number, np.uint8)
+                    frame = av.VideoFrame.from_ndarray(shade, format="rgb24")
                     frame.pts = number
                     file.mux(stream.encode(frame))
-        for stream in (still, film):
+        for stream, _, _ in streams:
             file.mux(stream.encode())
     source = Source(path)
     frames = list(source)
     assert len(frames) == 20
     assert frames[0].rgb.shape == (96, 96, 3)
-    assert any("video streams" in note for note in source.notes)
+    assert any("of 2 video streams number 1 was taken" in note for note in source.notes)
+
+
+def test_an_edit_list_that_cuts_the_beginning_is_no_early_end(tmp_path: Path) -> None:
+    """As phones and players trim without coding anew: FFmpeg starts at a time before the first that is shown."""
+    whole, cut = encode(tmp_path / "whole.ts", [96] * 50), tmp_path / "cut.mp4"
+    with av.open(str(whole)) as given, av.open(str(cut), "w", options={"avoid_negative_ts": "disabled"}) as file:
+        stream = file.add_stream_from_template(given.streams.video[0])
+        first = None
+        for packet in given.demux(video=0):
+            if packet.dts is None:
+                continue
+            first = packet.pts if first is None else first
+            late = first + round(0.8 / packet.time_base)
+            packet.pts, packet.dts, packet.stream = packet.pts - late, packet.dts - late, stream
+            file.mux(packet)
+    source = Source(cut)
+    assert 25 <= len(list(source)) <= 32
+    assert not source.notes
 
 
 def test_a_name_with_a_colon_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
