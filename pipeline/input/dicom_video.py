@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from haustra.core.errors import HaustraError
+from pipeline.input.image_folder import MOST_FPS
 
 PREAMBLE, MAGIC = 128, b"DICM"
 MOTION_JPEG = ("1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.70")
@@ -53,14 +56,14 @@ def read_dicom_video(path: Path) -> DicomVideo:
         found = list(_frames(path, generate_frames, pixels, count))
         if len(found) < count:
             raise HaustraError(f"{path} is cut off: it holds {len(found)} of {count} frames")
-        return DicomVideo(io.BytesIO(b"".join(found)), "mjpeg", _rate(data))
+        return DicomVideo(io.BytesIO(b"".join(found)), "mjpeg", _rate(data, path))
     if not syntax.startswith(VIDEO):
         raise HaustraError(
             f"{path} holds single pictures ({data.file_meta.TransferSyntaxUID.name}) and no H.264, HEVC, MPEG-2 or "
             "motion JPEG film; convert it to one, or to a folder of pictures"
         )
     stream = b"".join(_frames(path, generate_frames, pixels, 1))
-    return DicomVideo(io.BytesIO(stream), None, _rate(data))
+    return DicomVideo(io.BytesIO(stream), None, _rate(data, path))
 
 
 def _frames(path: Path, generate: Any, pixels: bytes, count: int) -> list[bytes]:
@@ -70,9 +73,20 @@ def _frames(path: Path, generate: Any, pixels: bytes, count: int) -> list[bytes]
         raise HaustraError(f"{path} is a DICOM file whose film is cut off or damaged ({error})") from error
 
 
-def _rate(data: Any) -> float:
-    """Of CineRate, RecommendedDisplayFrameRate or FrameTime (ms)."""
-    for name in ("CineRate", "RecommendedDisplayFrameRate"):
-        if data.get(name):
-            return float(data[name].value)
-    return 1000 / float(data["FrameTime"].value) if data.get("FrameTime") else 0.0
+def _rate(data: Any, path: Path) -> float:
+    """Of CineRate, RecommendedDisplayFrameRate, FrameTime or the mean of FrameTimeVector (ms)."""
+    name = ""
+    try:
+        for name in ("CineRate", "RecommendedDisplayFrameRate", "FrameTime", "FrameTimeVector"):
+            said = np.ravel(data[name].value if data.get(name) else 0).astype(float)
+            times = said[1:] if len(said) > 1 else said  # the first of a vector is zero
+            if times.any():
+                rate = float(1000 / times.mean() if name.startswith("FrameTime") else times.mean())
+                break
+        else:
+            return 0.0
+    except (ValueError, TypeError, OverflowError):
+        rate = 0.0
+    if not 0 < rate < MOST_FPS:
+        raise HaustraError(f"{name} of {path} gives no number of frames a second; correct it, or take the film out")
+    return rate

@@ -112,3 +112,16 @@ def test_single_pictures_are_refused(tmp_path):
     path, _ = dicom(tmp_path / "a.dcm", "mjpeg", syntax="1.2.840.10008.1.2.5")
     with pytest.raises(HaustraError, match=r"single pictures \(RLE Lossless\)"):
         Source(path)
+
+
+def test_the_times_of_a_vector(tmp_path):
+    path, _ = dicom(tmp_path / "a.dcm", "mjpeg", FrameTimeVector=[0.0] + [100.0] * 7)
+    np.testing.assert_allclose([frame.seconds for frame in Source(path)], 0.1 * np.arange(len(FRAMES)))
+
+
+@pytest.mark.parametrize(("old", "new"), [(b"50.0", b"-5.0"), (b"50.0", b"fast"), (b"50.0", b" nan")])
+def test_a_rate_that_is_none_is_one_sentence(tmp_path, old, new):
+    path, _ = dicom(tmp_path / "a.dcm", "mjpeg", FrameTime=50.0)
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(HaustraError, match=r"FrameTime of .*a.dcm gives no number of frames a second"):
+        Source(path)
