@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from haustra.core.text import read_json
 JPEG = {".jpg", ".jpeg", ".jpe", ".jfif"}
 IMAGE_SUFFIXES = JPEG | {".png", ".bmp", ".dib", ".tif", ".tiff", ".ppm", ".pgm", ".pnm", ".webp", ".jp2"}
 FILM_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".mpg", ".ts", ".wmv", ".webm", ".m4v"}
+JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
 FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
 MOST_FPS = 100_000.0
@@ -22,11 +24,18 @@ PROBED = 8  # pictures from which the bits of deep ones are found
 
 
 def read_picture(path: Path) -> NDArray | None:
-    """(H,W,3) uint8 or uint16 RGB; None if it is no readable picture."""
+    """(H,W,3) uint8 or uint16 RGB; None if it is no readable picture, or a JPEG that is cut off."""
+    if path.suffix.lower() in JPEG and path.is_file() and _is_cut_off(path.read_bytes()):
+        return None
     image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if image is None or image.dtype not in (np.uint8, np.uint16):
         return None
     return np.ascontiguousarray(image[..., ::-1])
+
+
+def _is_cut_off(data: bytes) -> bool:
+    """Of a JPEG: whether no end follows its last scan. OpenCV fills what is missing with grey and says nothing."""
+    return data.startswith(JPEG_START) and data.rfind(JPEG_END) < data.rfind(JPEG_SCAN)
 
 
 def bits_of(images: list[Path]) -> int:
@@ -49,10 +58,9 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     Data sets mix colour frames with depth, normals and masks of the same size (SimCol3D, C3VD). Names are grouped by
     what is left without their numbers; of several groups the one that says colour is taken, and none is guessed.
     """
-    inner = folder / "rgb" if (folder / "rgb").is_dir() else folder
+    inner = next((one for one in (folder / "rgb", folder) if one.is_dir() and any(_pictures(one))), folder)
     groups: dict[str, list[Path]] = {}
-    # macOS leaves a "._" companion beside every file that it copies.
-    images = [p for p in inner.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    images = list(_pictures(inner))
     count, twice = len(images), len({path.stem for path in images}) < len(images)  # each frame in two formats
     for path in images:
         kind = re.sub(r"\d+", "#", path.stem).lower() + (path.suffix.lower() if twice else "")
@@ -68,6 +76,11 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     left_out = count - len(groups.get(chosen, []))
     note = f"{left_out} images of other kinds in {inner.name} were left out" if left_out else ""
     return in_natural_order(groups.get(chosen, [])), note
+
+
+def _pictures(folder: Path) -> Iterator[Path]:
+    """By their names; macOS leaves a "._" companion, which is none, beside every file that it copies."""
+    return (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
 
 def what_else_is_in(folder: Path) -> str:

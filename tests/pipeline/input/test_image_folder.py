@@ -102,6 +102,25 @@ def test_pictures_that_cannot_be_read_are_counted_in_one_sentence(tmp_path: Path
     assert sum("2 of 6 images, 2.png the first, are no pictures" in note for note in source.notes) == len(source.notes)
 
 
+@pytest.mark.parametrize("progressive", [0, 1])
+@pytest.mark.parametrize("left", [0.3, 0.6, 0.95])
+def test_a_jpeg_that_is_cut_off_is_left_out(tmp_path: Path, progressive: int, left: float) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (96, 96, 3), np.uint8)
+    data = cv2.imencode(".jpg", noise, [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive])[1].tobytes()
+    for number in range(5):
+        whole = data if number != 2 else data[: int(left * len(data))]
+        (tmp_path / f"{number}.jpg").write_bytes(whole + (b"trailer" if number == 4 else b""))
+    source = Source(tmp_path)
+    assert [frame.index for frame in source] == [0, 1, 3, 4]
+    assert any("2.jpg the first" in note for note in source.notes)
+
+
+def test_an_empty_folder_rgb_beside_the_pictures_hides_none(tmp_path: Path) -> None:
+    write_pictures(tmp_path, list("12345"))
+    (tmp_path / "rgb").mkdir()
+    assert len(list(Source(tmp_path))) == 5
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.int32])
 def test_a_folder_of_pictures_of_other_numbers_is_one_sentence(tmp_path: Path, dtype: type) -> None:
     from PIL import Image
