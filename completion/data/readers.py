@@ -52,10 +52,12 @@ def _rgbd(folder: Path) -> Iterator[EvaluationFrame]:
         raise CompletionError(f"{folder}/camera.json names no depth_unit_mm: no folder of true depth")
     try:
         lens = np.array([float(value) for value in about["params"][:4]]) if "params" in about else None
-        unit_mm = np.float32(about["depth_unit_mm"])
-    except (TypeError, ValueError) as error:
+        unit_mm = np.float32(float(about["depth_unit_mm"]))
+    except (TypeError, ValueError, OverflowError) as error:
         numbers = "params and depth_unit_mm as numbers"
         raise CompletionError(f"{folder}/camera.json must give {numbers} ({error})") from error
+    if not 0 < unit_mm < np.inf:
+        raise CompletionError(f"depth_unit_mm in {folder}/camera.json is {unit_mm:g}, no length of a step of the depth")
     pictures = (path for path in (folder / "rgb").glob("[!.]*") if path.suffix.lower() in PICTURES)
     for path in sorted(pictures):
         depth = read_depth16(partner(path, folder / "depth", f"{path.stem}.png")).astype(np.float32) * unit_mm

@@ -130,8 +130,10 @@ def _read_camera(path: Path) -> tuple[Camera, float]:
     """Camera, and the unit of its depth images in mm."""
     try:
         unit_mm = float(read_json(path)["depth_unit_mm"])
+        if not 0 < unit_mm < np.inf:
+            raise ValueError(f"depth_unit_mm is {unit_mm:g}")
         return read_camera(path), unit_mm
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         message = f"{path} is not a camera file with model, params, size and depth unit ({error})"
         raise ReconstructionError(message) from error
 

@@ -246,5 +246,16 @@ def _unit(source: Path, folder: Path, settings: SensorSettings) -> float:
         return settings.unit_mm
     for described in (source / "camera.json", folder.parent / "camera.json", folder / "camera.json"):
         if described.is_file() and "depth_unit_mm" in (about := read_json(described)):
-            return float(about["depth_unit_mm"])
+            return _length(about["depth_unit_mm"], described)
     raise HaustraError(f"the unit of the depth in {folder} is not known: say it by --depth-unit-mm")
+
+
+def _length(said: object, path: Path) -> float:
+    """Of a step, mm, as a file says it. HaustraError where that is no length."""
+    try:
+        unit_mm = 0.0 if isinstance(said, bool) else float(said)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        unit_mm = 0.0
+    if not 0 < unit_mm < np.inf:
+        raise HaustraError(f"depth_unit_mm in {path} is {str(said)[:20]}, no length of a step of the depth")
+    return unit_mm

@@ -158,6 +158,14 @@ def test_wrong_folders_are_one_sentence(tmp_path: Path) -> None:
         list(read_evaluation_frames(tmp_path))
 
 
+@pytest.mark.parametrize("unit", ["0", "-1", "NaN", "1e400", "null", '"ten"', "1" + 400 * "0"])
+def test_a_depth_unit_that_is_none_is_one_sentence(tmp_path: Path, unit: str) -> None:
+    make("rgbd", tmp_path)
+    (tmp_path / "camera.json").write_text(f'{{"depth_unit_mm": {unit}}}')
+    with pytest.raises(CompletionError, match="depth_unit_mm"):
+        list(read_evaluation_frames(tmp_path))
+
+
 def test_a_camera_file_without_depth_unit_is_no_folder_of_depth(tmp_path: Path) -> None:
     (tmp_path / "camera.json").write_text("{}")
     with pytest.raises(CompletionError, match="depth_unit_mm"):

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from haustra.core.errors import HaustraError
 from pipeline.config import SensorSettings
-from pipeline.input.sensor.sensor_depth import SensorDepth
+from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor
 
 SIDE, TRUE_MM, UNIT_MM = 300, 40.0, 0.001
 
@@ -53,3 +54,12 @@ def test_where_there_is_no_depth_there_is_none(tmp_path):
     assert not depth.any()
     assert not sigma.any()
     assert not sensor.for_adjustment(7, pixels)[0].any()
+
+
+@pytest.mark.parametrize("unit", ["0", "-1", "NaN", "1e400", "null", '"ten"', "[]", "true", "1" + 400 * "0"])
+def test_a_unit_that_is_none_is_one_sentence(tmp_path, unit):
+    (tmp_path / "depth").mkdir()
+    cv2.imwrite(str(tmp_path / "depth/0.png"), np.full((8, 8), 3000, np.uint16))
+    (tmp_path / "camera.json").write_text(f'{{"depth": "sensor", "depth_unit_mm": {unit}}}')
+    with pytest.raises(HaustraError, match=r"depth_unit_mm in .*camera.json is .*no length"):
+        check_sensor(tmp_path, SensorSettings())
