@@ -4,6 +4,8 @@ Nothing here must be set to run. A YAML file given with `--config` overrides wha
 Lengths in the image are shares of the working width, so that they hold at any resolution.
 """
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -203,15 +205,23 @@ def _flat(values: dict[str, Any], section: str = "") -> dict[str, Any]:
     return found
 
 
+def _names(values: dict[Any, Any]) -> Iterator[Any]:
+    """Of all settings and sections, as a file has them."""
+    for name, value in values.items():
+        yield name
+        yield from _names(value) if isinstance(value, dict) else ()
+
+
 def load_config(path: Path | None, **overrides: object) -> Config:
     """Defaults, then the YAML file, then the command line's overrides that are not None; a section's one by one."""
     values: dict[str, object] = {}
     if path is not None:
         try:
             values = yaml.safe_load(read_text(path)) or {}
-        except yaml.YAMLError as error:
+            json.dumps(values, default=str)  # an alias within itself has no end
+        except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
             raise HaustraError(f"cannot read the configuration {path}: {str(error).splitlines()[0]}") from error
-        if not isinstance(values, dict):
+        if not isinstance(values, dict) or not all(isinstance(name, str) for name in _names(values)):
             raise HaustraError(f"the configuration {path} is not a mapping of settings")
     for name, value in overrides.items():
         if isinstance(value, dict):

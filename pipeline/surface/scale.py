@@ -100,8 +100,10 @@ def check_scale_file(path: Path) -> dict[str, float]:
     try:
         values = yaml.safe_load(read_text(path))
         numbers = {str(name): float(value) for name, value in values.items()}
-    except (yaml.YAMLError, AttributeError, TypeError, ValueError) as error:
-        raise HaustraError(f"cannot read the scale file {path}: it must name numbers ({error})") from error
+    except (yaml.YAMLError, AttributeError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise HaustraError(
+            f"cannot read the scale file {path}: it must name numbers, as mm_per_unit: 12.5 does"
+        ) from error
     lengths = [numbers.get(name, 1.0) for name in ("mm_per_unit", "distance_mm")]
     known = set(numbers) in ({"mm_per_unit"}, {"frame_a", "frame_b", "distance_mm"})
     if not known or not np.isfinite(list(numbers.values())).all() or min(lengths) <= 0:

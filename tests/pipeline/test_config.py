@@ -69,3 +69,14 @@ def test_a_replaced_setting_is_named_with_its_successor_and_left_out_of_old_reco
     with pytest.raises(HaustraError, match=r"'fusion.max_depth_ratio' any more, 'fusion.max_error_voxels' has taken"):
         validate_config({"fusion": {"max_depth_ratio": 2.0}})
     assert read_recorded({"fusion": {"max_depth_ratio": 3.0, "min_observations": 1}}).fusion.min_observations == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["&a {b: *a}", "frames: &a\n  b: *a", "seed: " + 5000 * "1", "3: 4", "frames: {12: 5}", "- frames", "[" * 3000],
+)
+def test_a_settings_file_of_other_yaml_is_one_sentence(tmp_path, text):
+    (tmp_path / "settings.yaml").write_text(text)
+    with pytest.raises(HaustraError, match=r"the configuration .*settings.yaml") as told:
+        load_config(tmp_path / "settings.yaml")
+    assert "\n" not in str(told.value)

@@ -26,6 +26,9 @@ def read_colmap_poses(path: Path) -> PoseTable | None:
         return None
     if not found:
         raise HaustraError(f"{path} holds a COLMAP model without images")
+    none = next((name for name, (turn, _) in found.items() if not 0 < np.linalg.norm(turn) < np.inf), None)
+    if none is not None:
+        raise HaustraError(f"{path}: the quaternion of {none} is none: {found[none][0]}")
     names = sorted(found)
     return PoseTable(path, np.stack([_world_from_camera(*found[name]) for name in names]), names=tuple(names))
 

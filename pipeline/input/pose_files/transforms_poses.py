@@ -21,6 +21,6 @@ def read_transforms_poses(path: Path) -> PoseTable | None:
     try:
         matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64)
         names = [str(frame["file_path"]) for frame in frames]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise HaustraError(f"{file}: each frame needs file_path and a transform_matrix of 4x4 numbers") from error
     return PoseTable(file, rigid(matrices, str(file)) @ OPENCV_FROM_OPENGL, names=tuple(names))

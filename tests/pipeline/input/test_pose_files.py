@@ -145,3 +145,17 @@ def test_what_is_no_pose_file(tmp_path):
     ):
         with pytest.raises(HaustraError, match=message):
             read_poses(tmp_path / name)
+
+
+@pytest.mark.parametrize("turn", ["0 0 0 0", "nan 0 0 0", "inf 0 0 0"])
+def test_a_quaternion_of_colmap_that_is_none(tmp_path, turn):
+    (tmp_path / "images.txt").write_text(f"1 {turn} 0 0 0 1 0001.png\n\n")
+    with pytest.raises(HaustraError, match=r"the quaternion of 0001.png is none"):
+        read_poses(tmp_path / "images.txt")
+
+
+def test_a_number_of_transforms_that_is_too_large(tmp_path):
+    matrix = f"[[1{400 * '0'}, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
+    (tmp_path / "transforms.json").write_text(f'{{"frames": [{{"file_path": "1.png", "transform_matrix": {matrix}}}]}}')
+    with pytest.raises(HaustraError, match="transform_matrix of 4x4 numbers"):
+        read_poses(tmp_path / "transforms.json")

@@ -73,6 +73,8 @@ def test_scale_files(tmp_path):
         ("mm_per_unit: .nan", "positive numbers"),
         ("width: 3", "must give mm_per_unit"),
         ("mm_per_unit: wide", "must name numbers"),
+        ("12.5", "must name numbers, as"),
+        ("mm_per_unit: 1" + 400 * "0", "must name numbers"),
     ):
         path.write_text(text)
         with pytest.raises(HaustraError, match=words):
