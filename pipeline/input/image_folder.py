@@ -20,7 +20,7 @@ MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its 
 FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
 MOST_FPS = 100_000.0
 DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras store in 16
-PROBED = 8  # pictures from which the bits of deep ones are found
+PROBED = 40  # pictures from which the bits of deep ones are found, each with the one after it
 
 
 def read_picture(path: Path) -> NDArray | None:
@@ -40,7 +40,8 @@ def _is_cut_off(data: bytes) -> bool:
 
 def bits_of(images: list[Path]) -> int:
     """Bits that the values of a folder's pictures need, 8 to 16, by the brightest of some spread over it."""
-    probed = images[:: max(1, len(images) // PROBED)]
+    step = max(1, len(images) // PROBED)
+    probed = [path for number, path in enumerate(images) if number % step < 2]  # lamps may alternate
     brightest = max((int(picture.max()) for picture in map(read_picture, probed) if picture is not None), default=0)
     return next(bits for bits in DEPTHS if brightest < 2**bits)
 

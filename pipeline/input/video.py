@@ -102,6 +102,8 @@ class Source:
             if image.dtype != np.uint8:
                 bits = bits or bits_of(self.images)
                 self._note(f"the pictures hold values of {bits} bits: they were brought to 8")
+                if int(image.max()) >> bits:
+                    self._note(f"some pictures hold values of more than {bits} bits, which were cut")
             yield RawFrame(index, index / fps, in_8_bits(image, bits))
         which = f"{len(unread)} of {len(self.images)} images, {unread[0]} the first," if unread else ""
         if size is None:

@@ -33,6 +33,26 @@ def test_deep_pictures_are_brought_to_8_bits_by_their_own_range(tmp_path: Path, 
     assert any(f"{bits} bits" in note for note in source.notes)
 
 
+def deep(folder: Path, brightest: list[int]) -> Source:
+    """A folder of 16-bit pictures with these brightest values."""
+    for number, value in enumerate(brightest):
+        cv2.imwrite(str(folder / f"{number}.png"), np.full((64, 64, 3), value, np.uint16))
+    return Source(folder)
+
+
+@pytest.mark.parametrize("every", [2, 3, 5])
+def test_the_bits_are_those_of_the_brightest_where_lamps_alternate(tmp_path: Path, every: int) -> None:
+    source = deep(tmp_path, [800 if number % every == 0 else 4000 for number in range(40 * every)])
+    assert [int(frame.rgb.max()) for frame in source][:2] == [50, 250]
+    assert source.notes == ["the pictures hold values of 12 bits: they were brought to 8"]
+
+
+def test_values_beyond_the_bits_that_were_found_are_told(tmp_path: Path) -> None:
+    source = deep(tmp_path, [4000 if number == 113 else 800 for number in range(150)])
+    list(source)
+    assert any("more than 10 bits, which were cut" in note for note in source.notes)
+
+
 def test_companions_of_macos_are_no_pictures(tmp_path: Path) -> None:
     for number in range(5):
         cv2.imwrite(str(tmp_path / f"frame_{number}.png"), np.full((64, 64, 3), 90, np.uint8))
