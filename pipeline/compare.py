@@ -62,9 +62,9 @@ class Comparison:
                 )
         chained = self.simcol3d
         lines.append(
-            f"SimCol3D    ATE {chained.ate_median:.4f}, RTE {chained.rte_median:.4f} {chained.unit}, "
-            f"ROT {chained.rot_median_deg:.3f} deg (medians over {chained.count} motions between neighbouring posed "
-            "frames, chained from the first pose, one scale, no rotation fitted)"
+            f"SimCol3D    by its protocol: ATE {chained.ate_median:.4f} {chained.unit}, RTE {chained.rte_median:.4f} "
+            f"{chained.unit}, ROT {chained.rot_median_deg:.3f} deg (medians over {chained.count} motions between "
+            "neighbouring posed frames, chained from the first pose, one scale, no rotation fitted)"
         )
         if self.surface is not None:
             lines.append(f"surface     {self.surface}")

@@ -66,9 +66,16 @@ def _left_lens(folder: Path) -> NDArray[np.float64] | None:
     if not (folder / "endoscope_calibration.yaml").is_file():
         return None
     storage = cv2.FileStorage(str(folder / "endoscope_calibration.yaml"), cv2.FILE_STORAGE_READ)
-    matrix = storage.getNode("M1").mat()
-    storage.release()
-    return None if matrix is None else _lens_of(matrix)
+    stored = storage.getNode("M1")
+    if stored.empty():
+        return None
+    data = stored.getNode("data")  # not `mat()`, which writes past its memory where the sides are wrong
+    numbers = [data.at(k).real() for k in range(data.size())]
+    if len(numbers) != 9:
+        raise CompletionError(
+            f"M1 of {folder / 'endoscope_calibration.yaml'} has {len(numbers)} numbers; nine are needed"
+        )
+    return _lens_of(np.array(numbers).reshape(3, 3))
 
 
 def _hamlyn_lens(path: Path) -> NDArray[np.float64] | None:

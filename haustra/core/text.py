@@ -25,9 +25,13 @@ def read_text(path: Path | str) -> str:
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
-        raise HaustraError(f"{path} is no text in {encoding}: byte {error.start} is none; save it as UTF-8") from error
+        raise HaustraError(
+            f"{path} is no text in {encoding}: byte {error.start} is none; give a text file, saved as UTF-8"
+        ) from error
     if "\0" in text:
-        raise HaustraError(f"{path} is no text in {encoding}: character {text.index(chr(0))} is zero; save it as UTF-8")
+        raise HaustraError(
+            f"{path} is no text in {encoding}: character {text.index(chr(0))} is zero; give one in UTF-8"
+        )
     return text
 
 

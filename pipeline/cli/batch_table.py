@@ -88,7 +88,7 @@ def print_table(outcomes: list[Outcome]) -> None:
             Text(o.status, style="red" if o.status == "failed" else ""),
             _shown(o.minutes, "{:.1f}"),
             "" if o.posed is None else f"{o.posed}/{o.frames}",
-            _shown(o.area, "{:.4g} " + ("mm²" if o.unit == "mm" else "units²")),
+            _shown(o.area, "{:.4g} " + ("mm²" if o.unit == "mm" else "scene units²")),
             _shown(o.covered_percent, "{:.0f} %"),
             Text(o.message),
         )

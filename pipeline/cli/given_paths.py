@@ -4,12 +4,15 @@ from pathlib import Path
 
 from haustra.core.errors import HaustraError
 
+STREAMS = ("http", "https", "rtsp", "rtmp", "udp", "tcp")  # first part of their addresses
+
 
 def must_exist(*paths: Path | str | None) -> None:
     """HaustraError for the first that is not there; None is one that was not given."""
     for path in paths:
         if path is not None and not Path(path).exists():
-            raise HaustraError(f"there is no file or folder {path}")
+            advice = "; a stream is taken by haustra live" if str(path).split(":")[0] in STREAMS else ""
+            raise HaustraError(f"there is no file or folder {path}{advice}")
 
 
 def must_be_run(folder: Path) -> None:
@@ -17,6 +20,20 @@ def must_be_run(folder: Path) -> None:
     must_exist(folder)
     if not (folder / "run.yaml").is_file():
         raise HaustraError(f"{folder} is not a run folder: it has no run.yaml")
+
+
+def must_be_outside(target: Path, run: Path) -> None:
+    """HaustraError for a file or folder to write that lies in the run folder, whose own files it could replace."""
+    if target.resolve().is_relative_to(run.resolve()):
+        raise HaustraError(
+            f"{target} is inside the run folder {run}, whose files are the run's own; write it elsewhere"
+        )
+
+
+def must_have_folder(target: Path | None) -> None:
+    """HaustraError where the folder of a file to write is not there; None is one that was not given."""
+    if target is not None and not target.parent.is_dir():
+        raise HaustraError(f"there is no folder {target.parent} to write {target.name} into")
 
 
 def must_be_named_or_exist(option: str, choice: str | None) -> None:

@@ -15,7 +15,7 @@ from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
 from pipeline.cli.climb import climb
 from pipeline.cli.doctor import doctor
-from pipeline.cli.given_paths import must_be_run, must_exist
+from pipeline.cli.given_paths import must_be_outside, must_be_run, must_exist, must_have_folder
 from pipeline.cli.live import live
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
@@ -23,11 +23,13 @@ from pipeline.run_folder.malloc import keep_freed_memory
 FILE_SYSTEM_SAYS_NO = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.ENOENT, errno.ENOTDIR)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    help="Dense colon reconstruction from endoscope video, on a CPU.",
-)
+app = typer.Typer(no_args_is_help=True, add_completion=False)
+
+
+@app.callback()
+def of_all_commands(version: cli_runs.Version = False) -> None:
+    """Dense colon reconstruction from endoscope video, on a CPU."""
+
 
 for command in (cli_runs.reconstruct, live, cli_runs.view, cli_runs.batch, doctor, climb):
     app.command()(command)
@@ -61,6 +63,8 @@ def export(
 ) -> None:
     """Write a run's mesh in another format, or the whole run for another program."""
     must_be_run(run)
+    must_be_outside(target, run)
+    must_have_folder(target)
     from pipeline.climb import write_submission
     from pipeline.report.exporters import export_folder, export_run
 
@@ -90,6 +94,7 @@ def compare(
     """Errors of a run against truth: path (ATE, RTE, ROT) and surface (accuracy, completeness, F-score)."""
     must_be_run(run)
     must_exist(truth)
+    must_have_folder(json_file)
     from pipeline.climb import compare_climb
     from pipeline.compare import compare_run
     from pipeline.run_folder.workspace import write_json
@@ -266,10 +271,8 @@ def run_cleanly(command: Callable[[], Any]) -> int:
         if error.errno not in FILE_SYSTEM_SAYS_NO:
             raise
         where = f" ({error.filename})" if error.filename else ""
-        print(
-            f"error: {os.strerror(error.errno)}{where}; what was finished is kept",
-            file=sys.stderr,
-        )
+        way_on = "mend that, and the same command goes on (reconstruct: --resume)"
+        print(f"error: {os.strerror(error.errno)}{where}; what was finished is kept: {way_on}", file=sys.stderr)
         return 1
     return 0
 

@@ -1,6 +1,7 @@
 """The commands that make runs and show them: `reconstruct`, `haustra batch` and `haustra view`."""
 
 import os
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +12,14 @@ from pipeline.cli.given_paths import must_be_named_or_exist, must_exist
 
 if TYPE_CHECKING:
     from pipeline.config import Config
+
+
+def print_version(wanted: bool) -> None:
+    """The installed version on standard output, and no more."""
+    if wanted:
+        print(metadata.version("haustra"))
+        raise typer.Exit
+
 
 Camera = Annotated[str | None, typer.Option(help="auto, a preset's name, or a calibration file")]
 FrontEnd = Annotated[str | None, typer.Option(help="auto: odometry, and sfm if that is doubtful; or one by name")]
@@ -23,13 +32,16 @@ ConfigFile = Annotated[Path | None, typer.Option(help="YAML file of settings; op
 Fast = Annotated[bool, typer.Option("--fast", help="fewer keyframes: about a quarter less time, less detail")]
 Seed = Annotated[int | None, typer.Option(help="of every random step")]
 Device = Annotated[str | None, typer.Option(help="auto, cpu or cuda")]
+Version = Annotated[
+    bool, typer.Option("--version", callback=print_version, is_eager=True, help="print the version and exit")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but errors")]
 
 
 def reconstruct(
     source: Annotated[Path | None, typer.Argument(help="video file, image folder or RGB-D folder")] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="run folder; NAME_run beside you if not given")
+        Path | None, typer.Option("--output", "-o", help="run folder; NAME_run in the current folder if not given")
     ] = None,
     demo: Annotated[bool, typer.Option("--demo", help="reconstruct the embedded clip and print its error")] = False,
     camera: Camera = None,
@@ -71,6 +83,7 @@ def reconstruct(
     resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
     quiet: Quiet = False,
+    version: Version = False,
 ) -> None:
     """Video in, coloured colon mesh, camera path, dense depth and report out."""
     if (source is None) == (not demo):

@@ -102,8 +102,8 @@ def _from_preset(name: str, size: tuple[int, int]) -> Calibration:
     scaled = scaled_to(camera, size)
     if scaled is None:
         raise HaustraError(
-            f"preset {name} is for {camera.width}x{camera.height} pixels; "
-            f"frames of {size[0]}x{size[1]} are cropped otherwise and need a camera file"
+            f"preset {name} is for {camera.width}x{camera.height} pixels; frames of {size[0]}x{size[1]} are cropped "
+            "otherwise: leave --camera out, and the lens is found from the film, or give a camera file"
         )
     return Calibration(scaled, f"preset {name}: {PRESETS[name].source}")
 

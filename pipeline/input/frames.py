@@ -83,7 +83,7 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     verdicts = _store_frames(source, settings, area, camera, workspace, progress)
     counts = Counter(verdict for _, _, verdict in verdicts)
     if counts["used"] < MIN_FRAMES:
-        raise HaustraError(_too_few(counts))
+        raise HaustraError(_too_few(counts, source.notes))
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     write_png(workspace.masks / "content.png", content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
@@ -230,10 +230,10 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def _too_few(verdicts: Counter[str]) -> str:
+def _too_few(verdicts: Counter[str], notes: list[str]) -> str:
     counted = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
     tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
-    return f"{tracked}, at least {MIN_FRAMES} are needed ({counted})"
+    return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({counted})", *notes])
 
 
 def guessed_by(workspace: Workspace) -> str | None:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_json
 
+TIFF = {".tif", ".tiff"}
 JPEG = {".jpg", ".jpeg", ".jpe", ".jfif"}
-IMAGE_SUFFIXES = JPEG | {".png", ".bmp", ".dib", ".tif", ".tiff", ".ppm", ".pgm", ".pnm", ".webp", ".jp2"}
+IMAGE_SUFFIXES = JPEG | TIFF | {".png", ".bmp", ".dib", ".ppm", ".pgm", ".pnm", ".webp", ".jp2"}
 FILM_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".mpg", ".ts", ".wmv", ".webm", ".m4v"}
 JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
@@ -31,6 +32,15 @@ def read_picture(path: Path) -> NDArray | None:
     if image is None or image.dtype not in (np.uint8, np.uint16):
         return None
     return np.ascontiguousarray(image[..., ::-1])
+
+
+def refuse_stack(path: Path) -> None:
+    """HaustraError for a TIFF file that holds several pictures, of which readers give the first."""
+    if path.suffix.lower() in TIFF and path.is_file() and (pages := cv2.imcount(str(path))) > 1:
+        raise HaustraError(
+            f"{path} is a stack of {pages} pictures in one TIFF file: save it as a folder of single pictures (ImageJ: "
+            "Save As, Image Sequence), or as a film"
+        )
 
 
 def _is_cut_off(data: bytes) -> bool:
@@ -67,7 +77,11 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
         kind = re.sub(r"\d+", "#", path.stem).lower() + (path.suffix.lower() if twice else "")
         groups.setdefault(kind, []).append(path)
     if len(groups) > MIN_GROUP and max(map(len, groups.values())) == 1:
-        raise HaustraError(f"the names of the images in {inner} have no number that says their order; number them")
+        films = _films(folder)
+        instead = f", or give the film {films[0]} that lies beside them" if films else ""
+        raise HaustraError(
+            f"the names of the images in {inner} have no number that says their order; number them{instead}"
+        )
     if max(map(len, groups.values()), default=0) >= MIN_GROUP:
         groups = {name: paths for name, paths in groups.items() if len(paths) >= MIN_GROUP}
     named = {name for name in groups if any(word in name for word in ("color", "colour", "rgb", "framebuffer"))}
@@ -75,8 +89,10 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
         raise HaustraError(f"{inner} holds several kinds of images ({', '.join(sorted(groups))}); give one in a folder")
     chosen = named.pop() if len(groups) > 1 else next(iter(groups), "")
     left_out = count - len(groups.get(chosen, []))
-    note = f"{left_out} images of other kinds in {inner.name} were left out" if left_out else ""
-    return in_natural_order(groups.get(chosen, [])), note
+    notes = [f"{left_out} images of other kinds in {inner.name} were left out"] if left_out else []
+    if count and inner == folder and (films := _films(folder)):
+        notes.append(f"{inner.name} also holds the film {films[0]}, which was passed over for its {count} images")
+    return in_natural_order(groups.get(chosen, [])), "; ".join(notes)
 
 
 def _pictures(folder: Path) -> Iterator[Path]:
@@ -84,10 +100,14 @@ def _pictures(folder: Path) -> Iterator[Path]:
     return (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
 
+def _films(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir() if p.suffix.lower() in FILM_SUFFIXES and not p.name.startswith("."))
+
+
 def what_else_is_in(folder: Path) -> str:
     """A sentence's end about a folder without pictures: which to give instead, or what its files are."""
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    films = [path.name for path in inside if path.suffix.lower() in FILM_SUFFIXES]
+    films = _films(folder)
     for path in inside:
         if path.is_dir() and any(one.suffix.lower() in IMAGE_SUFFIXES for one in path.iterdir()):
             return f"there are some in {path.name} inside it: give that folder"

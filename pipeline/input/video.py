@@ -1,7 +1,7 @@
 """Frames out of a video file, an image folder or an RGB-D folder: index, time in seconds, RGB pixels."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,16 @@ from haustra.core.errors import HaustraError
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
-from pipeline.input.image_folder import bits_of, folder_fps, images_of, in_8_bits, read_picture, what_else_is_in
+from pipeline.input.image_folder import (
+    bits_of,
+    folder_fps,
+    images_of,
+    in_8_bits,
+    read_picture,
+    refuse_stack,
+    what_else_is_in,
+)
+from pipeline.run_folder.workspace import RECORD_NAME
 
 if TYPE_CHECKING:
     from av import Packet, VideoFrame
@@ -23,9 +32,11 @@ if TYPE_CHECKING:
 
 SMALLEST = 32  # px of a picture's side that is looked at for faults
 STILLS = 0.1  # of another stream's number of pictures: one with fewer is a cover, or slides
+MOST_ASPECT = 4  # width over height of a pixel, or the other way round: DV's widest is 1.46
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
 # FFmpeg's names of formats that store a frame rate at most, and no times: what it derives runs backwards, or is none.
 NO_TIMES = ("h264", "hevc", "mjpeg")
+PALETTES = ("gif", "apng")
 BY_PACKET = ("avi",)  # as those, but each packet has its place in the film, lost ones too
 
 
@@ -51,11 +62,14 @@ class Source:
         self.path = path
         self.notes: list[str] = []
         self.is_folder = path.is_dir()
+        if self.is_folder and (path / RECORD_NAME).is_file():
+            raise HaustraError(f"{path} is a run folder; give the film that it was made of")
         self.images, left_out = images_of(path) if self.is_folder else ([], "")
         if left_out:
             self._note(left_out)
         if self.is_folder and not self.images:
             raise HaustraError(f"the folder {path} holds no images that are read; {what_else_is_in(path)}")
+        refuse_stack(self.images[0] if self.is_folder else path)
         if not self.is_folder and path.stat().st_size == 0:
             raise HaustraError(f"the file {path} is empty")
         self.announced = len(self.images)
@@ -118,6 +132,7 @@ class Source:
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
+            claimed_s = _claimed_seconds(container)
             has_times = container.format.name not in NO_TIMES
             # Of a bare stream the average is FFmpeg's default; what the stream itself says is in its headers.
             rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
@@ -129,7 +144,7 @@ class Source:
                 stamp: float | None = frame.time
                 if container.format.name in BY_PACKET:
                     stamp = None if frame.dts is None else float(frame.dts * (stream.time_base or 1 / rate))
-                yield RawFrame(count, clock.seconds(stamp), self._of_size(rgb, size, count))
+                yield RawFrame(count, clock.seconds(stamp), self._of_size(rgb, size, count, aspect))
                 count += 1
             for sentence in clock.notes:
                 self._note(sentence)
@@ -139,6 +154,8 @@ class Source:
             ends_early = clock.last < 0.98 * (self.announced - 1) * clock.step
             what = "the video ends early" if ends_early else "the video has gaps"
             self._note(f"{what}: {count} of {self.announced} announced frames could be decoded")
+        elif not self.announced and clock.last + clock.step < 0.9 * claimed_s:
+            self._note(f"the video ends early: {clock.last + clock.step:.1f} of {claimed_s:.1f} s could be decoded")
 
     def _find_faults(self) -> FilmFaults:
         """What the beginning of the film shows, which no file says."""
@@ -149,6 +166,8 @@ class Source:
             faults = look_at(
                 self._of_one_time(frame) for frame in decoded if min(frame.width, frame.height) >= SMALLEST
             )
+            if stream.codec_context.name in PALETTES:  # whose dither alternates from row to row
+                faults = replace(faults, combed=False)
         for sentence in faults.notes:
             self._note(sentence)
         return faults
@@ -158,13 +177,16 @@ class Source:
         rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
         return upper_field(rgb) if frame.interlaced_frame or self.rows_are_eyes else rgb
 
-    def _of_size(self, rgb: NDArray[np.uint8], size: tuple[int, int], index: int) -> NDArray[np.uint8]:
+    def _of_size(
+        self, rgb: NDArray[np.uint8], size: tuple[int, int], index: int, aspect: Fraction = Fraction(1)
+    ) -> NDArray[np.uint8]:
         """A frame in the size (width, height) of the film's first one; HaustraError where its shape is another."""
         sized = in_size(rgb, size)
         if sized is rgb:
             return rgb
         change = f"from {size[0]}x{size[1]} to {rgb.shape[1]}x{rgb.shape[0]} px"
         if sized is None:
+            change += f" (if its pixels are {aspect} all along)" if aspect != 1 else ""
             raise HaustraError(
                 f"the film's picture changes {change} at frame {index}: cut it there, and reconstruct the parts"
             )
@@ -197,6 +219,9 @@ class Source:
             self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")
         if flagged or (self._faults is not None and self._faults.combed and row_change(rgb) > WHOLE_ROWS):
             rgb = upper_field(rgb)
+        if not 1 / MOST_ASPECT <= aspect <= MOST_ASPECT:
+            self._note(f"pixels are said to be {aspect} times as wide as high, which none are: taken for square")
+            aspect = Fraction(1)
         if aspect != 1:
             self._note(f"pixels are not square ({aspect}): frames were stretched to make them so")
         return square_and_upright(rgb, aspect, display_matrix(frame))
@@ -252,6 +277,11 @@ def film_stream(path: Path) -> tuple[int, int, int]:
             moving = [place for place, one in enumerate(streams) if pictures[one.index] >= STILLS * most]
             number = max(moving, key=lambda place: (streams[place].width * streams[place].height, -place))
         return number, len(streams), _claimed_frames(container, streams[number])
+
+
+def _claimed_seconds(container: "InputContainer") -> float:
+    """Length that a Matroska file announces, which counts no frames; 0 of others, whose length FFmpeg infers."""
+    return (container.duration or 0) / 1e6 if "matroska" in container.format.name else 0.0
 
 
 def _claimed_frames(container: "InputContainer", stream: "VideoStream") -> int:

@@ -4,7 +4,8 @@ Nothing is corrected: a figure under a clock that was fitted would hide a wrong 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 BAD_FIT = 0.05  # of the path's own spread: better ones are not asked about
 BETTER = 0.4  # of the residual as given: what another clock must bring it to
 MOST_SHIFTS = 400
+RATES = (1 / 2, 2.0, 24 / 25, 25 / 24, 24 / 30, 30 / 24, 25 / 30, 30 / 25)  # of a film's frames/s and those assumed
 UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the number that stands for it / 1000
 BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
 AXES, MIRROR = np.diag([1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
@@ -34,7 +36,8 @@ class Timed:
 
 
 def clock_hint(run: Timed, truth: Timed) -> str:
-    """A sentence on the shift of the true times under which the path fits far better; "" where there is none."""
+    """A sentence on the shift or the pace of the true times under which the path fits far better; "" where there is
+    none."""
     spacing = float(np.median(np.diff(truth.seconds)))
     residual, count = _residual(run, truth, 0.0, spacing)
     if residual < BAD_FIT:
@@ -43,16 +46,21 @@ def clock_hint(run: Timed, truth: Timed) -> str:
     step = spacing * max(1, round(2 * reach / spacing / MOST_SHIFTS))
     shifts = step * np.arange(-int(reach / step), int(reach / step) + 1)
     fits = [(*_residual(run, truth, shift, spacing), shift) for shift in shifts if shift]
-    fits = [fit for fit in fits if fit[1] >= max(3, count // 2)]
-    if not fits:
+    truths = [(rate, replace(truth, seconds=rate * truth.seconds)) for rate in RATES]
+    paced = [(*_residual(run, at_rate, 0.0, rate * spacing), rate) for rate, at_rate in truths]
+    (best, shift), (best_paced, rate) = _best_of(fits, count), _best_of(paced, count)
+    if min(best, best_paced) > BETTER * residual:
         return ""
-    best, _, shift = min(fits)
-    if best > BETTER * residual:
-        return ""
-    return (
-        f"the path fits {residual / max(best, 1e-6):.0f} times better with the true times {shift:+.3g} s: the clocks "
-        "may be off by that"
-    )
+    better = f"the path fits {residual / max(min(best, best_paced), 1e-6):.0f} times better with the true times"
+    if best_paced < best:
+        return f"{better} times {rate:.3g}: they may be of another frame rate"
+    return f"{better} {shift:+.3g} s: the clocks may be off by that"
+
+
+def _best_of(fits: list[tuple[float, int, float]], count: int) -> tuple[float, float]:
+    """Residual and change of the best of (residual, pairs, change) that pairs half of `count` at least."""
+    enough = [(residual, change) for residual, pairs, change in fits if pairs >= max(3, count // 2)]
+    return min(enough, default=(np.inf, 0.0))
 
 
 def pose_hint(estimated: Array, true: Array) -> str:
@@ -89,11 +97,20 @@ def _w_first(poses: Array) -> Array:
     return read
 
 
+def _mirrored_centres(poses: Array, axis: int) -> Array:
+    read = poses.copy()
+    read[:, axis, 3] *= -1
+    return read
+
+
 READINGS: dict[str, Callable[[Array], Array]] = {
     "quaternions are w x y z, and x y z w is read": _w_first,
     "camera has OpenGL's axes (y up, z backwards), and OpenCV's are read": lambda poses: poses @ AXES,
     "poses are camera_from_world, and world_from_camera is read": lambda poses: np.stack([*map(inverse, poses)]),
     "world is left-handed, as Unity's": lambda poses: MIRROR @ poses @ MIRROR,
+} | {
+    f"{name} of the centres has the other sign": partial(_mirrored_centres, axis=axis)
+    for axis, name in enumerate("xyz")
 }
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -22,7 +26,8 @@ def write_mesh(mesh: SurfaceMesh, path: Path | str) -> Path:
     if not len(mesh.faces) and not row.without_faces:
         able = ", ".join(suffix for suffix, other in MESH_FORMATS.items() if other.without_faces)
         raise ReconstructionError(f"{path.name}: a mesh without faces can be written as {able} only")
-    row.write(mesh, path)
+    with _in_place_of(path) as beside:
+        row.write(mesh, beside)
     return path
 
 
@@ -33,8 +38,27 @@ def check_textured(path: Path) -> None:
 
 def write_textured(mesh: TexturedMesh, path: Path) -> Path:
     """Write a textured mesh in the format of the path's suffix; returns the path."""
-    _textured_writer(path)(mesh, path)
+    write = _textured_writer(path)
+    with _in_place_of(path) as beside:
+        write(mesh, beside)
     return path
+
+
+@contextmanager
+def _in_place_of(path: Path) -> Iterator[Path]:
+    """A path of the same name to write to: what lies there then replaces `path`, with files beside it such as an OBJ's
+    picture, when all is written. A disk that is full leaves what was there before.
+
+    Files beside it must not exist yet unless an export of the same name made them: the user did not name them.
+    """
+    with TemporaryDirectory(dir=path.parent, prefix=".partial-") as folder:
+        yield Path(folder) / path.name
+        written = sorted(one.name for one in Path(folder).iterdir())
+        taken = [name for name in written if not path.exists() and (path.parent / name).exists()]
+        if taken:
+            raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
+        for name in written:
+            os.replace(Path(folder) / name, path.parent / name)
 
 
 def read_mesh(path: Path | str) -> SurfaceMesh:

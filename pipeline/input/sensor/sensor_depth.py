@@ -26,6 +26,7 @@ LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
 MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is of second order
 CACHED = 8
 UNIT_OPTION = "depth's unit (--depth-unit-mm)"
+LEAST_COVERED = 0.05  # of a film's frames: a slower sensor than the camera has fewer images
 LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
 NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
 # Where most views' are. It is a factor of ten: a view between them whose unit is off by ten is always outside.
@@ -153,8 +154,8 @@ def depth_folder(source: Path, settings: SensorSettings) -> Path | None:
     return None
 
 
-def check_sensor(source: Path, settings: SensorSettings) -> None:
-    """Refuse what cannot work before any work is done."""
+def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None:
+    """Refuse what cannot work before any work is done. announced: frames that the source claims, 0 = unknown."""
     folder = depth_folder(source, settings)
     if folder is None:
         return
@@ -166,6 +167,12 @@ def check_sensor(source: Path, settings: SensorSettings) -> None:
     if len(known) == 0:
         raise HaustraError(f"the {len(looked_at)} images of {folder} that were looked at hold no depth: all are 0")
     check_unit(unit_mm * float(np.median(known)), stereo=False)
+    of_frames = sum(number < announced for number in _by_frame(source, folder, True))
+    if of_frames < LEAST_COVERED * announced:
+        raise HaustraError(
+            f"{of_frames} of the {len(images)} depth images of {folder} are of the film's {announced} frames, by the "
+            "numbers in their names: give those of this film"
+        )
 
 
 def _known(path: Path) -> Array:

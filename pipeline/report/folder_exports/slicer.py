@@ -27,7 +27,10 @@ MOST_CURVE_POINTS = 500  # Slicer draws a handle at each
 def export_slicer(run: Run, target: Path) -> Path:
     """Write mesh.ply, path.mrk.json and, where there are any, missed_regions.mrk.json; returns the folder."""
     if run.unit() != "mm":
-        raise HaustraError("Slicer measures in mm, and this run has no scale: make it with --lumen-mm or --scale")
+        raise HaustraError(
+            "Slicer measures in mm, and this run has no scale: make it anew with --overwrite and "
+            "--lumen-mm or --scale, or with the depth of --stereo or --depth sensor"
+        )
     folder = empty_folder(target)
     write_ply(run.surfaces[0].mesh, folder / "mesh.ply", comments=("SPACE=LPS",))
     seconds, world_from_camera = run.trajectory()

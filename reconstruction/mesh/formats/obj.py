@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from haustra.core.errors import ReconstructionError
 from reconstruction.mesh.formats.trimesh_export import as_textured_trimesh, as_trimesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 from reconstruction.mesh.textured_mesh import TexturedMesh
@@ -18,17 +17,11 @@ def write_obj(mesh: SurfaceMesh, path: Path) -> None:
 
 
 def write_textured_obj(mesh: TexturedMesh, path: Path) -> None:
-    """Write with `NAME.mtl` and `NAME_texture.png` beside it.
-
-    These must not exist yet unless an export of the same name made them: the user did not name them.
-    """
+    """Write with `NAME.mtl` and `NAME_texture.png` beside it."""
     import trimesh
     from PIL import Image
 
     image: Any = Image.fromarray(mesh.texture)
     material = trimesh.visual.material.SimpleMaterial(image=image, diffuse=[255, 255, 255, 255])
     material.name = f"{path.stem}_texture"
-    beside = [path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")]
-    if not path.exists() and (taken := [p.name for p in beside if p.exists()]):
-        raise ReconstructionError(f"{taken[0]} lies beside {path.name} already; give another name")
     as_textured_trimesh(mesh, material).export(path, include_normals=True, mtl_name=f"{path.stem}.mtl")

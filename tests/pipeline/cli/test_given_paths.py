@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.cli.given_paths import must_be_named_or_exist
+from pipeline.cli.given_paths import must_be_named_or_exist, must_exist
 
 COMMANDS = [
     ["reconstruct", "no.mp4"],
@@ -26,6 +26,8 @@ COMMANDS = [
     ["compare", "no", "film.mp4"],
     ["compare", "run", "no"],
     ["export", "no", "colon.obj"],
+    ["export", "run", "no/colon.obj"],
+    ["compare", "run", "film.mp4", "--json", "no/figures.json"],
     ["evaluate", "film.mp4", "no"],
     ["train", "no", "--out", "weights.safetensors"],
     ["view", "no"],
@@ -53,12 +55,18 @@ def test_every_command_names_what_is_not_there_at_once(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     for words, (code, error, heavy) in zip(COMMANDS, json.loads(done.stdout), strict=True):
-        wrong = next(word for word in words if word.split(".")[0] == "no")
+        wrong = next(word.split("/")[0] for word in words if word.replace("/", ".").split(".")[0] == "no")
         assert code == 1, words
         assert len(error.splitlines()) == 1, words
         assert f"{wrong}\n" in error or f"{wrong} " in error, words
         assert not heavy, words
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "run"]
+
+
+@pytest.mark.parametrize("address", ["http://host/film.mp4", "rtsp://10.0.0.5/scope"])
+def test_the_address_of_a_stream_is_sent_to_the_command_that_takes_it(address: str) -> None:
+    with pytest.raises(HaustraError, match=r"there is no file .*; a stream is taken by haustra live"):
+        must_exist(Path(address))
 
 
 @pytest.mark.parametrize("choice", [None, "auto", "colonoscope", "endomapper-03", __file__])

@@ -79,7 +79,10 @@ def test_fast_means_fewer_keyframes_and_leaves_the_files_word_otherwise(monkeypa
 
 def test_an_end_before_the_start_is_refused(monkeypatch, tmp_path, runs, capsys):
     assert command(monkeypatch, VIDEO, "-o", tmp_path, "--start", 3, "--end", 2) == 1
-    assert capsys.readouterr().err == "error: setting 'frames': end_s must be after start_s\n"
+    assert (
+        capsys.readouterr().err
+        == "error: setting 'frames': the end (--end), 2 s, is not after the start (--start), 3 s\n"
+    )
     assert runs == []
 
 

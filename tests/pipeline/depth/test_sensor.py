@@ -1,5 +1,6 @@
 """Depth of a sensor in a tube whose wall is known: its scale, its points, and what it says when it cannot be right."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import cv2
@@ -183,9 +184,19 @@ def test_a_unit_off_by_ten_is_never_silent(median_mm):
 @pytest.mark.parametrize("unit_mm", [0.005, 1.0])
 def test_a_wrong_unit_is_refused_before_any_work(tmp_path, unit_mm):
     write_sensor(tmp_path / "depth")
-    check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05))
+    check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05), 0)
     with pytest.raises(HaustraError, match="endoscopes look from 4 to 250 mm: check the depth's unit"):
-        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=unit_mm))
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=unit_mm), 0)
+
+
+@pytest.mark.parametrize(("frames", "refused"), [(4, False), (60, False), (400, True)])
+def test_depth_of_another_film_is_told_by_its_count(tmp_path, frames, refused):
+    (tmp_path / "depth").mkdir()
+    for number in range(4):
+        cv2.imwrite(str(tmp_path / f"depth/{number:05d}.png"), np.full((8, 8), 800, np.uint16))
+    settings = SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05)
+    with pytest.raises(HaustraError, match=r"4 of the 4 depth images .* 400 frames") if refused else nullcontext():
+        check_sensor(tmp_path, settings, frames)
 
 
 @pytest.mark.parametrize(
@@ -223,18 +234,18 @@ def test_a_confidence_image_weighs_and_drops(sensor, tmp_path):
 def test_what_a_sensor_must_have(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(HaustraError, match="unit of the depth"):
-        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty")))
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty")), 0)
     with pytest.raises(HaustraError, match="no depth images"):
-        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty"), unit_mm=1))
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty"), unit_mm=1), 0)
     with pytest.raises(HaustraError, match="no depth/ of a sensor"):
-        check_sensor(tmp_path, SensorSettings(depth="sensor"))
+        check_sensor(tmp_path, SensorSettings(depth="sensor"), 0)
     (tmp_path / "camera.json").write_text('{"depth": "sensor", "depth_unit_mm": 0.1}')
     with pytest.raises(HaustraError, match="no depth images"):
-        check_sensor(tmp_path, SensorSettings())
-    check_sensor(tmp_path, SensorSettings(depth="none"))
+        check_sensor(tmp_path, SensorSettings(), 0)
+    check_sensor(tmp_path, SensorSettings(depth="none"), 0)
     cv2.imwrite(str(tmp_path / "empty/000.png"), np.zeros((4, 4), np.uint16))
     with pytest.raises(HaustraError, match="hold no depth: all are 0"):
-        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty"), unit_mm=1))
+        check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "empty"), unit_mm=1), 0)
 
 
 def test_a_sensor_that_sees_nothing_gives_no_scale(sensor):

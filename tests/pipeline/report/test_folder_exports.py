@@ -132,6 +132,14 @@ def test_a_run_without_scale_is_not_for_slicer(made, tmp_path, monkeypatch, caps
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("words", [["mesh.ply"], ["depth/x", "--colmap"], ["new.obj"]])
+def test_nothing_is_exported_into_the_run(made, monkeypatch, capsys, words):
+    before = sorted(path.name for path in made.workspace.root.rglob("*"))
+    assert export(monkeypatch, made, made.workspace.root / words[0], *words[1:]) == 1
+    assert "is inside the run folder" in capsys.readouterr().err
+    assert sorted(path.name for path in made.workspace.root.rglob("*")) == before
+
+
 def test_one_program_at_a_time(made, tmp_path, monkeypatch, capsys):
     assert export(monkeypatch, made, tmp_path / "out", "--slicer", "--colmap") == 1
     assert export(monkeypatch, made, tmp_path / "out", "--slicer", "--texture") == 1

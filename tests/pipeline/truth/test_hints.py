@@ -37,6 +37,13 @@ def test_a_clock_that_is_off_is_named(shift: float) -> None:
     assert f"the true times {-round(shift * RATE) / RATE:+.3g} s" in hint
 
 
+@pytest.mark.parametrize("rate", [0.5, 2.0, 24 / 25, 30 / 25, 24 / 30])
+@pytest.mark.parametrize("seed", range(3))
+def test_times_of_another_frame_rate_are_named(rate: float, seed: int) -> None:
+    hint = clock_hint(seen(seed), Timed(np.arange(FRAMES) / RATE / rate, winding(seed)))
+    assert f"the true times times {rate:.3g}: they may be of another frame rate" in hint
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_the_right_clock_is_left_alone(seed: int) -> None:
     assert clock_hint(seen(seed), Timed(np.arange(FRAMES) / RATE, winding(seed))) == ""
@@ -71,6 +78,12 @@ def posed(seed: int) -> np.ndarray:
     return poses
 
 
+def mirrored_centres(poses: np.ndarray, axis: int) -> np.ndarray:
+    stored = poses.copy()
+    stored[:, axis, 3] *= -1
+    return stored
+
+
 def stored_w_first(poses: np.ndarray) -> np.ndarray:
     stored = poses.copy()
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
@@ -86,6 +99,8 @@ def stored_w_first(poses: np.ndarray) -> np.ndarray:
         (lambda poses: poses @ AXES, "OpenGL's axes"),
         (lambda poses: np.stack([inverse(pose) for pose in poses]), "camera_from_world"),
         (lambda poses: MIRROR @ poses @ MIRROR, "left-handed"),
+        (lambda poses: mirrored_centres(poses, 0), "x of the centres has the other sign"),
+        (lambda poses: mirrored_centres(poses, 2), "z of the centres has the other sign"),
         (lambda poses: poses, ""),
         (lambda poses: np.roll(poses, 60, axis=0), ""),
     ],

@@ -1,7 +1,9 @@
 """Mesh files read back by us, by trimesh, by Open3D and by VTK."""
 
 import base64
+import errno
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -165,6 +167,25 @@ def test_files_that_cannot_be_used_are_named(mesh, tmp_path):
     trimesh.PointCloud(mesh.vertices).export(tmp_path / "points.ply")
     with pytest.raises(ReconstructionError, match="no faces"):
         read_mesh(tmp_path / "points.ply")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb", ".vtp", ".pcd"])
+def test_a_disk_that_is_full_leaves_what_was_there(mesh, tmp_path, monkeypatch, suffix):
+    target = tmp_path / f"colon{suffix}"
+    write_mesh(mesh, target)
+    before = target.read_bytes()
+    row = MESH_FORMATS[suffix]
+
+    def half_written(what, path):
+        row.write(what, path)
+        path.write_bytes(path.read_bytes()[:100])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setitem(MESH_FORMATS, suffix, replace(row, write=half_written))
+    with pytest.raises(OSError, match="No space left"):
+        write_mesh(mesh, target)
+    assert target.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == [target.name]
 
 
 def test_arrays_that_do_not_belong_together_are_refused(mesh):

@@ -62,4 +62,4 @@ def test_a_unit_that_is_none_is_one_sentence(tmp_path, unit):
     cv2.imwrite(str(tmp_path / "depth/0.png"), np.full((8, 8), 3000, np.uint16))
     (tmp_path / "camera.json").write_text(f'{{"depth": "sensor", "depth_unit_mm": {unit}}}')
     with pytest.raises(HaustraError, match=r"depth_unit_mm in .*camera.json is .*no length"):
-        check_sensor(tmp_path, SensorSettings())
+        check_sensor(tmp_path, SensorSettings(), 0)
