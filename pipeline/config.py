@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import Field, PositiveInt, ValidationError, field_validator, model_validator
+from pydantic import Field, PositiveInt, ValidationError, model_validator
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
-from pipeline.given_settings import PoseSettings, SensorSettings, Settings, StereoSettings
+from pipeline.given_settings import LumenMm, PoseSettings, SensorSettings, Settings, StereoSettings
 
-LUMEN_MM = (1, 200)  # median diameter, from a bronchus to a stomach
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
 
@@ -163,7 +162,7 @@ class Config(Settings):
     model: str = Field("mscsa", description="completion network: a shipped name or a weight file")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where completion runs")
     seed: int = Field(0, description="of every random step; the same seed gives the same bytes")
-    lumen_mm: float | None = Field(None, description="mm, median diameter of the lumen, sets the scale")
+    lumen_mm: LumenMm | None = Field(None, description="mm, median diameter of the lumen, sets the scale")
     scale_file: str | None = Field(
         None, description="YAML file with `mm_per_unit`, or with `frame_a`, `frame_b` and `distance_mm`"
     )
@@ -176,16 +175,6 @@ class Config(Settings):
     loop_closing: LoopClosingSettings = LoopClosingSettings()
     consistency: ConsistencySettings = ConsistencySettings()
     fusion: FusionSettings = FusionSettings()
-
-    @field_validator("lumen_mm")
-    @classmethod
-    def _is_a_lumen(cls, diameter: float | None) -> float | None:
-        if diameter is not None and not LUMEN_MM[0] <= diameter <= LUMEN_MM[1]:
-            low, high = LUMEN_MM
-            raise ValueError(
-                f"no endoscope films a lumen of {diameter:g} mm, but {low} to {high}; is it in another unit?"
-            )
-        return diameter
 
     @property
     def front_end_settings(self) -> FrontEndSettings:

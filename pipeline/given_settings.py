@@ -1,12 +1,27 @@
-"""Settings of what is given beside the pictures: poses, a sensor's depth, a second eye. Part of `pipeline.config`."""
+"""Settings of what is given beside the pictures: poses, a sensor's depth, a second eye, the lumen's diameter.
 
-from typing import Literal
+Part of `pipeline.config`.
+"""
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+LUMEN_MM = (1, 200)  # median diameter, from a bronchus to a stomach
 
 
 class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _lumen(diameter: float) -> float:
+    low, high = LUMEN_MM
+    if not low <= diameter <= high:
+        raise ValueError(f"no endoscope films a lumen of {diameter:g} mm, but {low} to {high}; is the unit another?")
+    return diameter
+
+
+LumenMm = Annotated[float, AfterValidator(_lumen)]
 
 
 class PoseSettings(Settings):

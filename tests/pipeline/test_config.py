@@ -80,3 +80,10 @@ def test_a_settings_file_of_other_yaml_is_one_sentence(tmp_path, text):
     with pytest.raises(HaustraError, match=r"the configuration .*settings.yaml") as told:
         load_config(tmp_path / "settings.yaml")
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("diameter", [0.05, 0, -3, 5000])
+def test_a_lumen_of_another_unit_is_refused(diameter):
+    with pytest.raises(HaustraError, match=f"setting 'lumen_mm': no endoscope films a lumen of {diameter:g} mm"):
+        load_config(None, lumen_mm=diameter)
+    assert load_config(None, lumen_mm=50).lumen_mm == 50
