@@ -194,7 +194,9 @@ def run_job(job: Job, arguments: list[str], processes: ChildProcesses | None = N
         return _run_job(job, arguments, processes or ChildProcesses(), begin)
     except Exception as error:  # noqa: BLE001 # the other videos go on
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        return Outcome(str(job.video), str(job.folder), "failed", (time.monotonic() - begin) / 60, message=reason)
+        return Outcome(
+            str(job.video), str(job.folder), "failed", round((time.monotonic() - begin) / 60, 2), message=reason
+        )
 
 
 def _run_job(job: Job, arguments: list[str], processes: ChildProcesses, begin: float) -> Outcome:
@@ -203,7 +205,7 @@ def _run_job(job: Job, arguments: list[str], processes: ChildProcesses, begin: f
         code = processes.run(
             parent_bound_command(MODULE, str(job.video), "-o", str(job.folder), "-q", *how, *arguments), log.fileno()
         )
-    minutes = (time.monotonic() - begin) / 60
+    minutes = round((time.monotonic() - begin) / 60, 2)
     if code == 0:
         return finished_outcome(job.video, job.folder, "done", minutes)
     status = "stopped" if processes.stopping else "failed"

@@ -73,14 +73,14 @@ def write_table(outcomes: list[Outcome], output: Path) -> None:
 
 
 def print_table(outcomes: list[Outcome]) -> None:
-    """On standard output."""
+    """On standard output; what is said of each video in lines of its own below, where there is room."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text  # unlike a string, it holds no markup
 
     counts = ", ".join(f"{n} {status}" for status, n in Counter(outcome.status for outcome in outcomes).items())
     table = Table(title=f"{len(outcomes)} videos: {counts}", title_justify="left")
-    for name in ("video", "status", "min", "posed", "area", "seen", "message"):
+    for name in ("video", "status", "min", "posed", "area", "seen"):
         table.add_column(name, justify="right" if name in ("min", "posed", "area", "seen") else "left")
     for o in outcomes:
         table.add_row(
@@ -90,9 +90,12 @@ def print_table(outcomes: list[Outcome]) -> None:
             "" if o.posed is None else f"{o.posed}/{o.frames}",
             _shown(o.area, "{:.4g} " + ("mm²" if o.unit == "mm" else "scene units²")),
             _shown(o.covered_percent, "{:.0f} %"),
-            Text(o.message),
         )
-    Console(highlight=False).print(table)
+    console = Console(highlight=False)
+    console.print(table)
+    for o in outcomes:
+        if o.message:
+            console.print(Text.assemble((o.name, "bold"), f": {o.message}"))
 
 
 def _printable(text: str) -> str:

@@ -15,6 +15,13 @@ def must_exist(*paths: Path | str | None) -> None:
             raise HaustraError(f"there is no file or folder {path}{advice}")
 
 
+def must_match(*patterns: Path) -> None:
+    """HaustraError for a pattern that a shell hands on because no name matches it."""
+    for pattern in patterns:
+        if "*" in pattern.name and not pattern.exists():
+            raise HaustraError(f"no file or folder matches {pattern}")
+
+
 def must_be_run(folder: Path) -> None:
     """HaustraError where a folder holds no record of a run."""
     must_exist(folder)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from haustra.core.errors import HaustraError
-from pipeline.cli.given_paths import must_be_named_or_exist, must_exist
+from pipeline.cli.given_paths import must_be_named_or_exist, must_exist, must_match
 
 if TYPE_CHECKING:
     from pipeline.config import Config
@@ -182,6 +182,7 @@ def batch(
 ) -> None:
     """Reconstruct many videos; one that fails never stops the rest, and the same command goes on where it stopped."""
     must_exist(config)
+    must_match(*videos)
     must_be_named_or_exist("--camera", camera)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.cli.batch import process_pool, resume_hint, run_batch
