@@ -160,8 +160,9 @@ def _fits(source: Array, target: Array) -> Array:
     if source.shape[0] == 0 or source.shape[1] < 3:
         return np.zeros((0, 4, 4))
     found = umeyama_batch(np.asarray(source, np.float64), np.asarray(target, np.float64), with_scale=True)
+    found = found[np.isfinite(found).all(axis=(1, 2))]
     scale = scale_of(found)
-    return found[np.isfinite(found).all(axis=(1, 2)) & (scale > 1 / MAX_SCALE) & (scale < MAX_SCALE)]
+    return found[(scale > 1 / MAX_SCALE) & (scale < MAX_SCALE)]
 
 
 def _errors_of_each(transforms: Array, first: Correspondences, second: Correspondences) -> Array:

@@ -1,10 +1,13 @@
 """Similarities of two maps by sample consensus, against those that made the points."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.sim3 import scale_of, transform_points
+from pipeline.matching import sim3_ransac
 from pipeline.matching.sim3_ransac import (
     Correspondences,
     StackedCorrespondences,
@@ -107,3 +110,12 @@ def test_one_generator_gives_one_similarity():
     np.testing.assert_array_equal(found[0][0], found[1][0])
     np.testing.assert_array_equal(found[0][1], found[1][1])
     assert len({one[0].tobytes() for one in found}) > 1  # it does depend on what is drawn
+
+
+def test_points_in_one_place_give_no_similarity_and_no_warning():
+    """As of a submap whose tracks all triangulated to one point."""
+    points = np.random.default_rng(0).normal(size=(2, 4, 3))
+    points[0] = points[0, 0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(sim3_ransac._fits(points, points)) == 1
