@@ -30,6 +30,9 @@ MARGIN = 10  # and frames on either side of them that go with them
 MAPPER_IN_DOUBT = "odometry"  # the one on whose maps `map_doubt` was fitted,
 MIN_JUDGED = 20  # and the fewest frames that they had
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
+# Probability that a map is wrong above which one that the light contradicts is dropped. Of 131 maps with truth
+# (docs/lab/map_doubt.md) the light contradicted two that were not the largest: both were wrong, by 92 and 100 %.
+MOST_DOUBT = 0.75
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated
 
 
@@ -115,23 +118,36 @@ def frames_in_doubt(candidates: list[Candidate], frames: Frames) -> Frames:
     return replace(frames, index=frames.index[wanted], seconds=frames.seconds[wanted])
 
 
-def accepted(candidates: list[Candidate]) -> list[Candidate]:
-    """The largest submap, and of the others those that pass the lighting check."""
-    return candidates[:1] + [c for c in candidates[1:] if c.check.inconsistent_share <= MAX_INCONSISTENT]
+def accepted(
+    candidates: list[Candidate], doubts: list[MapDoubt | None]
+) -> tuple[list[Candidate], list[MapDoubt | None]]:
+    """The largest submap, and of the others all but those that the light contradicts, and nothing else speaks for; each
+    with its doubt."""
+    kept = [
+        (one, doubt)
+        for number, (one, doubt) in enumerate(zip(candidates, doubts, strict=True))
+        if number == 0 or passes_light(one) or (doubt is not None and doubt.probability < MOST_DOUBT)
+    ]
+    return [one for one, _ in kept], [doubt for _, doubt in kept]
 
 
-def doubts_of(kept: list[Candidate], mapper: str, submaps: int, frames: Frames) -> list[MapDoubt | None]:
-    """Of each one kept of the `submaps` that a mapper found; None of those of another mapper than odometry, of which
-    the probability is not known, and of those that are too short for it."""
+def passes_light(one: Candidate) -> bool:
+    """Whether so few frames contradict the lamp as in right maps."""
+    return one.check.inconsistent_share <= MAX_INCONSISTENT
+
+
+def doubts_of(found: list[Candidate], mapper: str, frames: Frames) -> list[MapDoubt | None]:
+    """Of each submap that a mapper found; None of those of another mapper than odometry, of which the probability is
+    not known, and of those that are too short for it."""
     if mapper != MAPPER_IN_DOUBT:
-        return [None] * len(kept)
+        return [None] * len(found)
     total, asked = len(frames.index), coefficients()["weights"]
 
     def doubt(one: Candidate) -> MapDoubt:
         camera = refined_camera(frames.camera, one.submap)
-        return judge(gather_evidence(one.submap, camera, one.check, total, submaps, asked=asked))
+        return judge(gather_evidence(one.submap, camera, one.check, total, len(found), asked=asked))
 
-    return [doubt(one) if len(one.submap.frames) >= MIN_JUDGED else None for one in kept]
+    return [doubt(one) if len(one.submap.frames) >= MIN_JUDGED else None for one in found]
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:

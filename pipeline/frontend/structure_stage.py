@@ -119,14 +119,14 @@ def _solve(
     by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
     total = len(frames.index)
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
-    kept = accepted(by_mapper[mapper]) if by_mapper else []
-    if not kept:
+    found = by_mapper.get(mapper, [])
+    if not found:
         raise HaustraError(
             f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
             f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
+    kept, doubts = accepted(found, doubts_of(found, mapper, frames))
     _keep(kept, workspace)
-    doubts = doubts_of(kept, mapper, len(by_mapper[mapper]), frames)
     warnings = _doubt_of_lens(kept[0].submap, frames.camera, settings, workspace)
     warnings += _warnings(kept, doubts, [other for other in (FIRST, SECOND) if other not in results])
     name = next(name for name, result in results.items() if mapper in result.candidates)

@@ -224,14 +224,26 @@ def test_where_there_is_a_probability_light_alone_says_nothing():
     assert structure_stage._warnings([DARK], [likely], []) == ["is probably wrong"]
 
 
+@pytest.mark.parametrize(
+    ("light", "probability", "stays"),
+    [(0.0, 0.9, True), (0.06, 0.6, True), (0.06, 0.9, False), (0.06, None, False), (0.0, None, True)],
+)
+def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_nothing_speaks_for_it(light, probability, stays):
+    other, doubt = map_of(range(30), light), None if probability is None else SimpleNamespace(probability=probability)
+    assert scoring.accepted([GOOD, other], [None, doubt]) == (
+        ([GOOD, other], [None, doubt]) if stays else ([GOOD], [None])
+    )
+    assert scoring.accepted([other], [doubt]) == ([other], [doubt]), "the largest always stays"
+
+
 def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
     monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
     monkeypatch.setattr(scoring, "judge", lambda evidence: f"judged by {evidence}")
     short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path())
     kept, frames = [GOOD, short], many_frames(100)
-    assert scoring.doubts_of(kept, "odometry", 2, frames) == ["judged by evidence", None]
-    assert scoring.doubts_of(kept, "global", 2, frames) == [None, None]
+    assert scoring.doubts_of(kept, "odometry", frames) == ["judged by evidence", None]
+    assert scoring.doubts_of(kept, "global", frames) == [None, None]
 
 
 def test_choices_that_cannot_work_are_refused_at_once():
