@@ -1,5 +1,6 @@
 """RANSAC of the similarity between two maps from matched 3-D points, with inliers counted in both images."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,12 +93,16 @@ def robust_similarity(
     rng: np.random.Generator,
     most_rounds: int = 300,
     max_error_px: float = MAX_ERROR_PX,
+    fewest: int = 4,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
-    """The 4x4 `second_from_first` with scale, and which pairs of points (N,) agree; None if no sample gave any."""
+    """The 4x4 `second_from_first` with scale, and which pairs of points (N,) agree; None if no sample gave any.
+
+    fewest: pairs that must agree to be of use; samples are drawn until so many would surely have been met."""
     count = len(first.points)
-    if count < 4:
+    if count < max(4, fewest):
         return None
-    best, most, rounds, done = None, 3, most_rounds, 0
+    best, most, done = None, 3, 0
+    rounds = min(most_rounds, rounds_needed((fewest / count) ** 3))
     while done < rounds:
         size = min(BATCH, rounds - done)
         done += size
@@ -109,7 +114,7 @@ def robust_similarity(
         agreeing = (_errors_of_each(found, first, second) < max_error_px).sum(axis=1)
         if agreeing.max() > most:
             best, most = found[agreeing.argmax()], int(agreeing.max())
-            rounds = min(most_rounds, rounds_needed((most / count) ** 3))
+            rounds = min(rounds, rounds_needed((most / count) ** 3))
     return None if best is None else _refitted(best, first, second, max_error_px)
 
 
@@ -197,7 +202,8 @@ def verified_similarity(
     """
     if len(first.points) < MIN_INLIERS:
         return None
-    found = robust_similarity(first, second, rng, most_rounds)
+    fewest = max(MIN_INLIERS, math.ceil(min_share * len(first.points)))
+    found = robust_similarity(first, second, rng, most_rounds, fewest=fewest)
     return found if found is not None and is_well_conditioned(found[1], pixels, width, min_share) else None
 
 
