@@ -15,8 +15,9 @@ HIDDEN = "(hidden)"  # in place of paths and of names of files: they may name a 
 SUFFIXES = {".json", ".yaml", ".yml", ".txt", ".xml", ".ini", ".csv", ".mp4", ".safetensors", ".png", ".jpg", ".dcm"}
 SHORTEST_NAME = 4  # letters of a folder's name that is hidden where it stands alone, too
 ADVICE = (
-    "For a bug report: this text, the command, and what it printed. It holds no path, no file name and no picture; "
-    "`haustra doctor RUN` adds settings and counts of a run. Send no film of a patient."
+    "For a bug report: this text, the command, and what the command printed. This text holds no path, no file name and "
+    "no picture. The command and its output do hold names of films and folders, which may be a patient's: replace "
+    "them. `haustra doctor RUN` adds settings and counts of a run. Send no film of a patient."
 )
 
 
