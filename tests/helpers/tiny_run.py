@@ -52,7 +52,7 @@ def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
     for folder in (root, workspace.images, workspace.depth, workspace.confidence):
         folder.mkdir(exist_ok=True)
     workspace.record |= {"config": Config().model_dump(mode="json"), "versions": {"haustra": "0"}}
-    workspace.record["source"] = {"path": "tiny <b>&</b> video.mp4", "sha256": {"source": "0"}}
+    workspace.record["source"] = {"path": "/films/of somebody/tiny <b>&<b> video.mp4", "sha256": {"source": "0"}}
     total = first + 5 + second + len(LEFT_OUT)
     verdicts = [(index, index / 30, LEFT_OUT.get(index, "used")) for index in range(total)]
     write_json(workspace.frames, {"camera": CAMERA.to_dict(), "frames": verdicts})
@@ -69,7 +69,7 @@ def make_tiny_run(root: Path, first: int = 90, second: int = 30) -> TinyRun:
         _figures(part, surface, result) for part, surface, result in zip(completed, surfaces, coverage, strict=True)
     ]
     metrics = {
-        "source": "tiny <b>&</b> video.mp4",
+        "source": "/films/of somebody/tiny <b>&<b> video.mp4",
         "frames": {"total": total, "posed": first + second, "verdicts": frames.verdicts, "notes": ["a <i>note</i>"]},
         "camera": "given",
         "mapper": "global",

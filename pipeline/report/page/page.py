@@ -18,7 +18,7 @@ from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
 from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_surfaces
 from pipeline.report.page.scene import scene_data
-from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details
+from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details, source_name
 from pipeline.report.page.timeline import frame_states, timeline_section
 from pipeline.run_folder.workspace import Workspace, write_text
 from pipeline.surface.coverage_stage import CoverageResult
@@ -56,7 +56,7 @@ def write_page(
     page = _asset("report.html")
     for mark, text in {
         "TITLE": name,
-        "SOURCE": html.escape(str(metrics["source"])),
+        "SOURCE": html.escape(source_name(metrics)),
         "VERSION": html.escape(workspace.record["versions"]["haustra"]),
         "CAUTIONS": cautions(metrics),
         "CARDS": cards(metrics),

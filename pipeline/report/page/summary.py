@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from pipeline.report.cautions import left_out
@@ -64,6 +65,11 @@ def _card(title: str, figure: str, note: str) -> str:
     )
 
 
+def source_name(metrics: dict[str, Any]) -> str:
+    """The film's name alone: a report is passed on, and folders may name a patient, too."""
+    return Path(str(metrics["source"])).name
+
+
 def cautions(metrics: dict[str, Any]) -> str:
     """What must not be overlooked, above everything else; then what is only good to know."""
     boxes = [("caution", text) for text in metrics["warnings"]] + [
@@ -77,7 +83,7 @@ def details(metrics: dict[str, Any]) -> str:
     frames = metrics["frames"]
     left_out = ", ".join(f"{n} {why}" for why, n in frames["verdicts"].items() if why != "used") or "none"
     rows = [
-        ("source", metrics["source"]),
+        ("source", source_name(metrics)),
         ("frames posed", f"{frames['posed']} of {frames['total']} ({len(metrics['submaps'])} submap(s))"),
         ("frames left out before tracking", left_out),
         ("camera", metrics["camera"]),
