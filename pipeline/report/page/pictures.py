@@ -11,6 +11,7 @@ from pipeline.report.figures import path_figure, webp
 from pipeline.report.page.keyframe_gallery import Shown, browser_section, choose_shown, data_uri
 from pipeline.report.page.scene import finite
 from pipeline.surface.fusion_stage import Surface
+from pipeline.surface.scale import unit_label
 from reconstruction.mesh.rendering import render_mesh
 
 MOST_STATIC = 3  # submaps, largest first, that have pictures for a browser without scripts
@@ -40,7 +41,7 @@ def finite_surfaces(surfaces: list[Surface]) -> list[Surface]:
 
 def _static(frames: Frames, completed: CompletedSubmap, surface: Surface) -> str:
     """For a browser without scripts or WebGL: the surface from outside and from within, and the path."""
-    centres, unit = completed.submap.centres * surface.scale.factor, surface.scale.unit
+    centres, unit = completed.submap.centres * surface.scale.factor, unit_label(surface.scale.unit)
     seconds = np.array([frames.seconds_of(int(index)) for index in completed.submap.frames])
     path = _image(path_figure(centres, completed.rows, seconds, unit), "png", "camera path")
     if len(surface.mesh.faces) == 0:

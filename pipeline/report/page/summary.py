@@ -11,6 +11,7 @@ from pipeline.report.page.scene import clock_words
 from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.scale import unit_label
 
+STRUCTURE = {"odometry": "visual odometry", "global": "COLMAP, all frames at once", "incremental": "COLMAP, one by one"}
 Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
 
 
@@ -84,10 +85,10 @@ def details(metrics: dict[str, Any]) -> str:
     left_out = ", ".join(f"{n} {why}" for why, n in frames["verdicts"].items() if why != "used") or "none"
     rows = [
         ("source", source_name(metrics)),
-        ("frames posed", f"{frames['posed']} of {frames['total']} ({len(metrics['submaps'])} submap(s))"),
+        ("frames posed", f"{frames['posed']} of {frames['total']} in {_count(len(metrics['submaps']), 'submap')}"),
         ("frames left out before tracking", left_out),
         ("camera", metrics["camera"]),
-        ("structure", f"{metrics['mapper']} mapper"),
+        ("path and points", STRUCTURE.get(metrics["mapper"], metrics["mapper"])),
         ("completion model", metrics["model"]),
     ]
     for number, submap in enumerate(metrics["submaps"]):
@@ -98,6 +99,10 @@ def details(metrics: dict[str, Any]) -> str:
     return f'<table class="facts">{cells}</table>'
 
 
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" if number == 1 else f"{number} {word}s"
+
+
 def _time_of_stage(one: dict[str, Any]) -> str:
     return (
         f"{one['seconds']:.1f} s, {one['cpu_seconds']:.1f} s of processor time; peak memory until its end "
@@ -106,8 +111,11 @@ def _time_of_stage(one: dict[str, Any]) -> str:
 
 
 def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
-    unit, check = submap["unit"], submap["evidence"]
-    light = f"of {check['voters']} frames (Spearman {check['spearman']:.2f} in the median)"
+    unit, check = unit_label(submap["unit"]), submap["evidence"]
+    light = (
+        f"of the {check['voters']} frames that tell (rank correlation of brightness with distance: "
+        f"{check['spearman']:.2f} in the median, -1 at best)"
+    )
     return [
         (
             f"submap {number}",
@@ -132,7 +140,8 @@ def _doubt_rows(doubt: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Of submaps of odometry that are long enough."""
     if doubt is None:
         return []
-    return [("probability that it is wrong", f"{100 * doubt['probability']:.0f} %; most by: {doubt['heaviest']}")]
+    told = f"{100 * doubt['probability']:.0f} %; what speaks most against it: {doubt['heaviest']}"
+    return [("probability that this map is wrong", told)]
 
 
 def _loops(record: dict[str, Any]) -> str:
@@ -152,11 +161,24 @@ def _cut(kept: float) -> str:
     return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
+def coverage_words(record: dict[str, Any]) -> str:
+    """What was found of a submap's coverage; why nothing could be judged otherwise."""
+    if not record["judged"]:
+        return str(record["reason"])
+    word, share = unit_label(record["unit"]), record.get("unmeasured_percent")
+    plain = "" if share is None else f" ({share:.1f} % in plain view only, without a surface)"
+    return (
+        f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {word} of visited "
+        f"lumen{plain}; {_count(len(record['missed_regions']), 'missed region')} of {record['listed_from']:.3g} {word} "
+        f"and more, and {record['smaller_regions']} smaller"
+    )
+
+
 def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
     """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
     record = result.record
     if result.picture is None:
-        reason = result.sentence
+        reason = coverage_words(record)
         return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
     unit = unit_label(record["unit"])
     head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
@@ -177,13 +199,14 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
     heads = "".join(f"<th>{title}</th>" for title in (*head, "nearest frame"))
     table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
     return (
-        f"<h2>Coverage</h2><p>{html.escape(result.sentence)}.</p>"
+        f"<h2>Coverage</h2><p>{html.escape(coverage_words(record))}.</p>"
         f'<img class="map" alt="unrolled wall" src="{data_uri(result.picture.read_bytes(), "png")}">'
         f'<div class="wide">{table}</div>'
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
-        "begins, carried along without twisting. Not every listed region is real: docs/guide/coverage.md says how far "
-        "to believe them.</p>"
+        "begins, carried along without twisting. Not every listed region is real: on short rendered films a third were "
+        "false, on long ones a fifth, and on real colons nobody has measured it. Look at the nearest frame before you "
+        "believe one.</p>"
     )
 
 

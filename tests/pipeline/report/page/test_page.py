@@ -16,6 +16,7 @@ from pipeline.report.page import keyframe_gallery as browser
 from pipeline.report.page import scene
 from pipeline.report.page.keyframe_gallery import Shown, choose_shown
 from pipeline.report.page.page import write_page
+from pipeline.report.page.summary import coverage_words, details
 from pipeline.report.page.timeline import MOST_COLUMNS, FrameStates, timeline_section
 from reconstruction.mesh.decimation import decimated
 from reconstruction.mesh.mesh_io import read_mesh
@@ -81,6 +82,20 @@ def test_the_films_folder_is_not_told(page):
     """A report is passed on."""
     assert "of somebody" not in page
     assert "/films" not in page
+
+
+def test_units_and_numbers_are_in_words(run):
+    metrics = json.loads(json.dumps(run.metrics))
+    metrics["mapper"] = "odometry"
+    metrics["submaps"][1]["doubt"] = {"probability": 0.2, "heaviest": "its points lie 2 px beside"}
+    text = details(metrics)
+    assert "scene units² of surface" in text
+    assert " scene²" not in text
+    assert "visual odometry" in text
+    assert "<th>probability that this map is wrong</th><td>20 %; what speaks most against it: its points lie" in text
+    record = run.coverage[0].record
+    assert "; 1 missed region of 5 mm and more" in coverage_words(record)
+    assert "; 0 missed regions of" in coverage_words(record | {"missed_regions": []})
 
 
 def test_the_keyframes_are_counted_and_bounded(run, page):
