@@ -77,14 +77,15 @@ def _with_scripts(page: str) -> str:
     """The page with its scripts inside, and a policy that lets these very scripts run, and nothing be fetched."""
     from plotly.offline import get_plotlyjs
 
-    scripts = [get_plotlyjs(), "\n".join(_asset(name) for name in SCRIPTS)]
-    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
+    first, *scripts = [_asset("theme.js"), get_plotlyjs(), "\n".join(_asset(name) for name in SCRIPTS)]
+    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in (first, *scripts))
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
     policy = (
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
         "base-uri 'none'; form-action 'none'"
     )
     page = page.replace("<!--POLICY-->", f'<meta http-equiv="Content-Security-Policy" content="{policy}">')
+    page = page.replace("<!--FIRST_SCRIPT-->", f"<script>{first}</script>")
     return page.replace("<!--SCRIPTS-->", "".join(f"<script>{script}</script>\n" for script in scripts))
 
 

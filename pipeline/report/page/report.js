@@ -80,10 +80,6 @@ function listen() {
     select(Number(anchor.hash.replace("#keyframe-", "")));
     document.querySelector(".viewer").scrollIntoView({ block: "start" });
   }));
-  page("theme").addEventListener("click", () => {
-    const dark = getComputedStyle(document.documentElement).colorScheme === "dark";
-    document.documentElement.dataset.theme = dark ? "light" : "dark";
-  });
 }
 
 document.documentElement.classList.add("js");

@@ -1,5 +1,5 @@
 "use strict";
-// What the viewer's pages share: their parts by name, answers of the server, figures in words, light and dark.
+// What the viewer's pages share: their parts by name, answers of the server, figures in words.
 
 const part = name => document.getElementById(name);
 const path = (...parts) => "/" + parts.map((text, k) => k ? text.split("/").map(encodeURIComponent).join("/") : text).join("/");
@@ -35,8 +35,4 @@ function hasWebGL() {
   return Boolean(probe.getContext("webgl2") || probe.getContext("webgl"));
 }
 
-part("theme").addEventListener("click", () => {
-  const dark = getComputedStyle(document.documentElement).colorScheme === "dark";
-  document.documentElement.dataset.theme = dark ? "light" : "dark";
-});
 document.documentElement.classList.add("js");

@@ -111,7 +111,7 @@ def _assets() -> dict[str, Answer]:
 
     page, viewer = "pipeline.report.page", "pipeline.report.viewer"
     style = _asset(page, "report.css") + _asset(viewer, "viewer.css")
-    scripts = {"plotly.js": get_plotlyjs(), "scene.js": _asset(page, "scene.js")}
+    scripts = {"plotly.js": get_plotlyjs()} | {name: _asset(page, name) for name in ("theme.js", "scene.js")}
     scripts |= {name: _asset(viewer, name) for name in ("common.js", "runs.js", "player.js", "compare.js")}
     made: dict[str, Answer] = {"style.css": (style.encode(), "text/css; charset=utf-8")}
     return made | {name: (text.encode(), "text/javascript; charset=utf-8") for name, text in scripts.items()}

@@ -179,3 +179,29 @@ def test_it_can_be_read_without_scripts(browser, opened):
     assert page.locator(".stage:visible").count() == 0
     assert page.locator("#static img:visible").count() >= 3
     assert "Without JavaScript" in page.inner_text("noscript")
+
+
+@slow
+def test_light_or_dark_is_kept_where_it_can_be(browser, opened):
+    """Also where the browser gives a page from disk no store: it is switched all the same."""
+    colours = "getComputedStyle(document.documentElement).colorScheme"
+    context = browser.new_context(color_scheme="light")
+    page = context.new_page()
+    page.goto(opened[0].url)
+    page.click("#theme")
+    assert page.evaluate(colours) == "dark"
+    page.reload()
+    assert page.evaluate(colours) == "dark"
+    refusing = context.new_page()
+    refusing.add_init_script(
+        "Object.defineProperty(window, 'localStorage', {get() { throw new DOMException('none', 'SecurityError'); }})"
+    )
+    said = []
+    refusing.on("pageerror", lambda error: said.append(str(error)))
+    refusing.goto(opened[0].url)
+    refusing.wait_for_selector("html[data-ready=yes]")
+    assert refusing.evaluate(colours) == "light"
+    refusing.click("#theme")
+    assert refusing.evaluate(colours) == "dark"
+    assert said == []
+    context.close()

@@ -203,3 +203,9 @@ def test_light_and_dark(opened):
     before = brightness()
     page.click("#theme")
     assert abs(brightness() - before) > 100
+    for path in ("", "play?run=two", "report/one"):
+        opened.open(path)
+        assert abs(brightness() - before) > 100, "it is kept on the next page"
+    page.click("#theme")
+    opened.open()
+    assert abs(brightness() - before) < 30
