@@ -133,11 +133,7 @@ def _draw(
 def _depth_range(completed: CompletedSubmap, factor: float) -> tuple[float, float]:
     """One colour range for the whole submap, so that neighbouring keyframes can be compared; output units."""
     step = max(1, len(completed) // RANGE_SAMPLES)
-    known = [depth[depth > 0] for depth in (completed.depth(int(row))[0] for row in completed.rows[::step])]
-    if not sum(map(len, known)):
-        return 0.0, 1.0
-    low, high = np.percentile(np.concatenate(known), [1, 98]) * factor
-    return float(low), float(max(high, low * 1.01))
+    return colour_range((completed.depth(int(row))[0] for row in completed.rows[::step]), factor)
 
 
 def painted(values: NDArray[np.float32], limits: tuple[float, float], colours: int) -> Image:
@@ -191,12 +187,25 @@ def _legend(number: int, limits: tuple[float, float], unit: str) -> str:
 
 
 def _bar(colours: int, low: str, title: str, high: str) -> str:
-    stops = cv2.applyColorMap(np.linspace(0, 255, BAR_STOPS).astype(np.uint8).reshape(-1, 1), colours).reshape(-1, 3)
-    gradient = ",".join(f"#{r:02x}{g:02x}{b:02x}" for b, g, r in stops.tolist())
     return (
-        f'<div class="bar"><span class="ramp" style="background:linear-gradient(90deg,{gradient})"></span>'
+        f'<div class="bar"><span class="ramp" style="background:{ramp(colours)}"></span>'
         f"<span>{low}</span><span>{title}</span><span>{high}</span></div>"
     )
+
+
+def ramp(colours: int) -> str:
+    """A colour map from its low to its high end, as CSS paints it."""
+    stops = cv2.applyColorMap(np.linspace(0, 255, BAR_STOPS).astype(np.uint8).reshape(-1, 1), colours).reshape(-1, 3)
+    return f"linear-gradient(90deg,{','.join(f'#{r:02x}{g:02x}{b:02x}' for b, g, r in stops.tolist())})"
+
+
+def colour_range(depths: Iterable[NDArray[np.float32]], factor: float) -> tuple[float, float]:
+    """Depths (0 = none) at the two ends of the colours, times `factor`; 0 and 1 where none is known."""
+    known = [depth[depth > 0] for depth in depths]
+    if not sum(map(len, known)):
+        return 0.0, 1.0
+    low, high = np.percentile(np.concatenate(known), [1, 98]) * factor
+    return float(low), float(max(high, low * 1.01))
 
 
 def count_sentence(shown: Iterable[Shown], submaps: list[CompletedSubmap]) -> str:

@@ -147,7 +147,7 @@ def _missed(result: CoverageResult, unit: str, triangles: int) -> dict[str, Any]
                 "frame": region["frame"],
                 "words": f"missed region {region['number']}: {region['area']:.3g} {unit}², as a disc "
                 f"{region['diameter']:.3g} {unit} across; {region['arc']:.3g} {unit} along, {clock_words(region)}; "
-                f"nearest frame {region['frame']}",
+                f"nearest frame {region['frame']} ({region['seconds']:.2f} s)",
             }
             for region in regions
         ],

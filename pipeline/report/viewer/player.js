@@ -27,6 +27,17 @@ function showKeyframe(frame) {
   key = frame;
   part("depth").src = path("depth", name, String(frame));
   part("confidence").src = path("confidence", name, String(frame));
+  const scale = run.depths.find(one => one.keyframes.includes(frame));
+  part("depth-scale").replaceChildren(scale ? bar(run.ramps.depth, figure(scale.low), `depth [${scale.unit}]`, figure(scale.high)) : "depth");
+}
+
+// Colours with what their ends mean, as the report has them.
+function bar(ramp, ...words) {
+  const made = Object.assign(document.createElement("div"), { className: "bar" });
+  const colours = Object.assign(document.createElement("span"), { className: "ramp" });
+  colours.style.background = ramp;
+  made.append(colours, ...words.map(text => Object.assign(document.createElement("span"), { textContent: text })));
+  return made;
 }
 
 // The submap that has the frame, a dot where the camera was, and the nearest keyframe's pyramid of view.
@@ -84,7 +95,7 @@ function goTo(frame) {
 
 function regionWords(region) {
   const clock = region.clock === null ? "all round" : `${region.clock.toFixed(1)} o'clock`;
-  return ` ${figure(region.area)} ${run.unit}², ${figure(region.arc)} ${run.unit} along, ${clock}; nearest frame ${region.frame}`;
+  return ` ${figure(region.area)} ${run.unit}², ${figure(region.arc)} ${run.unit} along, ${clock}; nearest frame ${region.frame} (${region.seconds.toFixed(2)} s)`;
 }
 
 function listRegions() {
@@ -138,8 +149,9 @@ async function start() {
   document.title = `${name} · haustra`;
   part("about").textContent = run.warnings.join("; ");
   part("coverage-words").textContent = run.coverage === null || run.coverage === undefined ? `not judged: ${run.reason}`
-    : `${run.coverage.toFixed(0)} % of the wall along the visited lumen was seen; ${run.regions.length} missed regions are listed`;
+    : `${run.coverage.toFixed(0)} % of the wall along the visited lumen was seen; ${run.regions.length === 1 ? "1 missed region is" : `${run.regions.length} missed regions are`} listed`;
   if (run.coverage !== null && run.coverage !== undefined) Object.assign(part("coverage"), { src: path("coverage", name), hidden: false });
+  part("confidence-scale").replaceChildren(bar(run.ramps.confidence, "0", "confidence", "1"));
   listRegions();
   listen();
   if (hasWebGL()) {

@@ -2,7 +2,6 @@
 
 import json
 import re
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.depth.depth_io import read_confidence, read_depth
-from pipeline.report.page.keyframe_gallery import CONFIDENCE_MAP, painted
+from pipeline.depth.depth_io import read_confidence
+from pipeline.report.page.keyframe_gallery import CONFIDENCE_MAP, DEPTH_MAP, painted, ramp
+from pipeline.report.viewer.depth_colours import depth_scales, painted_depth
 from pipeline.run_folder.workspace import Workspace, open_workspace, report_corruption
 from pipeline.surface.scale import unit_label
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import associate
 
-DEPTH_COLOURS = cv2.COLORMAP_CIVIDIS  # told apart by the colour-blind, too
-RANGE_SAMPLES = 8  # keyframes from which one range of colours is found
 NEAR_S = 1.0  # a missed region is shown while the film is so near to the frame that looked towards it
 SCENE = re.compile(r'<script type="application/json" id="run-data">(.*?)</script>', re.DOTALL)
 
@@ -49,6 +47,8 @@ def player_data(folder: Path) -> dict[str, Any]:
         "frames": used,
         "keyframes": keyframes,
         "unit": unit_label(main["unit"]),
+        "ramps": {"depth": ramp(DEPTH_MAP), "confidence": ramp(CONFIDENCE_MAP)},
+        "depths": [scale.to_dict() for scale in depth_scales(folder)],
         "regions": coverage.get("missed_regions", []),
         "near": NEAR_S,
         "coverage": coverage.get("covered_percent"),
@@ -70,23 +70,10 @@ def picture(folder: Path, kind: str, index: int) -> bytes:
     if kind == "frame":
         return path.read_bytes()
     if kind == "depth":
-        shown = painted(read_depth(path), _depth_limits(folder), DEPTH_COLOURS)
-        shown[read_depth(path) <= 0] = 0
+        shown = painted_depth(folder, index)
     else:
         shown = painted(read_confidence(path), (0.0, 1.0), CONFIDENCE_MAP)
     return bytes(cv2.imencode(".png", shown, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1].tobytes())
-
-
-@lru_cache(maxsize=64)
-def _depth_limits(folder: Path) -> tuple[float, float]:
-    """Of the values that the depth images hold: one range of colours for a run."""
-    paths = sorted(Workspace(folder).depth.glob("*.png"))
-    sampled = [read_depth(path) for path in paths[:: max(1, len(paths) // RANGE_SAMPLES)]]
-    known = np.concatenate([depth[depth > 0] for depth in sampled] or [np.empty(0, np.float32)])
-    if not len(known):
-        return 0.0, 1.0
-    low, high = np.percentile(known, [1, 98])
-    return float(low), float(max(high, low * 1.01))
 
 
 def turn_between(first: Path, second: Path) -> list[list[float]] | None:

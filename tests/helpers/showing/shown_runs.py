@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pipeline.depth.depth_io import DEPTH_STEP
 from pipeline.report.page.page import write_page
 from pipeline.run_folder.workspace import write_json
 from pipeline.surface.coverage_stage import CoverageResult
@@ -31,6 +32,15 @@ def make_shown_run(root: Path, film: str = "0", frames: int = 90, judged: bool =
     write_page(*run.parts)
     write_json(run.workspace.metrics, run.metrics)
     run.workspace.record["stages"]["report"] = {}
+    run.workspace.record["submaps"] = [
+        {
+            "unit": surface.scale.unit,
+            "depth_png_step": DEPTH_STEP * surface.scale.factor,
+            "keyframes": completed.submap.frames[completed.rows].tolist(),
+            "depth_scale": None,
+        }
+        for completed, surface in zip(run.completed, run.surfaces, strict=True)
+    ]
     run.workspace.save()
     submap = run.completed[0].submap
     lines = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import re
 import threading
 from pathlib import Path
 
@@ -14,7 +15,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
+from pipeline.depth.depth_io import read_depth
 from pipeline.report.viewer import run_files
+from pipeline.report.viewer.depth_colours import depth_scales
 from pipeline.report.viewer.folder_server import FolderServer
 from pipeline.report.viewer.run_list import find_runs, row_of
 from pipeline.report.viewer.view_folder import view_folder
@@ -85,6 +88,32 @@ def test_a_run_gives_its_frames_depth_and_report(ask, folder: Path, name: str) -
     assert status == 200
     assert b'id="run-data"' in report
     assert not policy
+
+
+def test_depth_has_the_reports_colours_and_ends(ask, folder: Path) -> None:
+    """As the report's legend says them, in each submap's unit; also where loop closing moved keyframes."""
+    player, report = json.loads(ask("/player/first%20run")[1]), ask("/report/first%20run")[1].decode()
+    bars = re.findall(r"<span>([^<]+)</span><span>depth \[([^]]+)\]</span><span>([^<]+)</span>", report)
+    assert [(f"{d['low']:.3g}", d["unit"], f"{d['high']:.3g}") for d in player["depths"]] == bars
+    assert player["ramps"]["depth"] in report
+    first, second = player["depths"]
+    key, run = first["keyframes"][0], folder / "first run"
+    depth = 25 * read_depth(run / "depth" / f"{key:06d}.png")
+    levels = np.clip((depth - first["low"]) / (first["high"] - first["low"]) * 255, 0, 255).astype(np.uint8)
+    wanted = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
+    shown = cv2.imdecode(np.frombuffer(ask(f"/depth/first%20run/{key}")[1], np.uint8), cv2.IMREAD_COLOR)
+    assert (shown[depth > 0] == wanted[depth > 0]).all()
+    assert second["unit"] == "scene units"
+
+
+def test_a_moved_keyframes_depth_is_painted_as_moved(tmp_path: Path) -> None:
+    make_shown_run(tmp_path / "run")
+    record = yaml.safe_load((tmp_path / "run" / "run.yaml").read_text())
+    still = depth_scales(tmp_path / "run")[1]
+    record["submaps"][1]["depth_scale"] = [2.0] * len(still.keyframes)
+    (tmp_path / "run" / "run.yaml").write_text(yaml.safe_dump(record))
+    moved = depth_scales(tmp_path / "run")[1]
+    assert (moved.low, moved.high) == pytest.approx((2 * still.low, 2 * still.high))
 
 
 @pytest.mark.parametrize(

@@ -103,6 +103,11 @@ def test_depth_follows_the_film_and_a_missed_region_is_found_by_a_click(opened):
     depth = page.get_attribute("#depth", "src")
     page.keyboard.press("End")
     assert page.get_attribute("#depth", "src") != depth
+    assert "scene units" in page.inner_text("#depth-scale"), "the second submap's own"
+    page.keyboard.press("Home")
+    assert [text in page.inner_text("#depth-scale") for text in ("mm", "scene units")] == [True, False]
+    seconds = page.evaluate("run.regions[0].seconds")
+    assert f"({seconds:.2f} s)" in page.inner_text("#regions li")
     page.click("#regions button")
     assert "region 1" in page.inner_text("#missed")
     assert page.locator("#regions li.here").count() >= 1
