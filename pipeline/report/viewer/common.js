@@ -30,6 +30,19 @@ function clockWords(seconds) {
   return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
 }
 
+// Warnings in one line: the first one's first clause and how many there are; all of them when it is opened.
+function folded(words) {
+  const clause = words[0].split(/[:;] /)[0];
+  if (words.length === 1 && clause === words[0]) return Object.assign(document.createElement("div"), { className: "words", textContent: clause });
+  const box = Object.assign(document.createElement("details"), { className: "words" });
+  const line = document.createElement("summary"), list = document.createElement("ul");
+  line.append(Object.assign(document.createElement("span"), { className: "clause", textContent: clause }));
+  if (words.length > 1) line.append(Object.assign(document.createElement("span"), { textContent: ` and ${words.length - 1} more` }));
+  list.append(...words.map(text => Object.assign(document.createElement("li"), { textContent: text })));
+  box.append(line, list);
+  return box;
+}
+
 function hasWebGL() {
   const probe = document.createElement("canvas");
   return Boolean(probe.getContext("webgl2") || probe.getContext("webgl"));

@@ -46,12 +46,12 @@ function table(rows) {
     ["surface", run => `${figure(run.area, 4)} ${run.unit}²`],
     ["submaps", run => String(run.submaps)],
     ["settings", run => run.settings],
-    ["warnings", run => run.words || "none"],
+    ["warnings", run => run.words.length ? folded(run.words) : "none"],
   ];
   for (const [title, words] of kinds) {
     const line = body.insertRow();
     line.append(Object.assign(document.createElement("th"), { scope: "row", textContent: title }));
-    for (const run of rows) line.insertCell().textContent = words(run);
+    for (const run of rows) line.insertCell().append(words(run));
   }
 }
 

@@ -10,7 +10,7 @@ from urllib.parse import unquote, urlsplit
 from haustra.core.errors import HaustraError
 from pipeline.report.server import LocalHandler, LocalServer
 from pipeline.report.viewer import run_files
-from pipeline.report.viewer.run_list import find_runs, row_of
+from pipeline.report.viewer.run_list import find_runs, rows_of
 from pipeline.run_folder.workspace import Workspace
 
 POLICY = (
@@ -47,7 +47,7 @@ class FolderServer(LocalServer):
 
 
 def _list(server: FolderServer, _: str) -> Answer:
-    rows = [row_of(name, folder).to_dict() for name, folder in find_runs(server.folder).items()]
+    rows = [row.to_dict() for row in rows_of(server.folder)]
     return _json({"folder": server.folder.resolve().name, "runs": rows})
 
 

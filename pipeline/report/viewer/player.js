@@ -162,4 +162,16 @@ async function start() {
   ready();
 }
 
-start().catch(fault);
+// Why a run cannot be played, by what the list says of it.
+async function refuse(error) {
+  const row = (await ask("runs")).runs.find(one => one.name === name);
+  if (!row) throw new Error(`the run ${name} is not there`);
+  if (row.status === "finished") throw error;
+  throw new Error(`the run ${name} has no surface to show (${row.status})${row.words.length ? `: ${row.words.join("; ")}` : ""}`);
+}
+
+start().catch(refuse).catch(error => {
+  part("title").textContent = name || "no run";
+  document.querySelectorAll("body > section, body > p:not(#fault)").forEach(one => { one.hidden = true; });
+  fault(error);
+});

@@ -12,15 +12,17 @@ from pipeline.surface.scale import unit_label
 
 DEEPEST = 2  # folders below the one that is shown
 MOST_RUNS = 500
+BATCH_TABLE = "batch.json"  # as `haustra batch` leaves it
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """One line of the list. Figures are None where the run has none yet; `status`: finished, stopped or refused."""
+    """One line of the list. Figures are None where the run has none yet; `status`: finished, stopped, refused, damaged,
+    or failed (a film of a batch that has no run); `words`: why, or the run's warnings."""
 
     name: str
     status: str
-    words: str = ""
+    words: tuple[str, ...] = ()
     posed: int | None = None
     total: int | None = None
     seen_percent: float | None = None
@@ -49,6 +51,35 @@ def find_runs(folder: Path) -> dict[str, Path]:
     return dict(list(found.items())[:MOST_RUNS])
 
 
+def rows_of(folder: Path) -> list[RunRow]:
+    """Of every run, and of every film of a batch that came to none."""
+    runs = find_runs(folder)
+    rows = [row_of(name, path) for name, path in runs.items()]
+    if runs.get(folder.resolve().name) == folder:
+        return rows
+    inner = [path for path in _folders_in(folder) if not (path / RECORD_NAME).is_file()]
+    return rows + [row for batch in (folder, *inner) for row in _without_run(batch, folder) if row.name not in runs]
+
+
+def _without_run(batch: Path, folder: Path) -> list[RunRow]:
+    """Films that the batch's table says have failed; none where there is no table, or one too damaged to say."""
+    table = batch / BATCH_TABLE
+    try:
+        changed, told = table.stat().st_mtime, json.loads(table.read_text())
+        return [
+            RunRow(
+                (batch / Path(one["folder"]).name).relative_to(folder).as_posix(),
+                "failed",
+                (str(one["message"]),),
+                changed=changed,
+            )
+            for one in told
+            if one["status"] == "failed"
+        ]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
 def _folders_in(parent: Path) -> list[Path]:
     """Those that may be read; another user's are passed over."""
     try:
@@ -65,11 +96,11 @@ def row_of(name: str, folder: Path) -> RunRow:
         stages, settings = record["stages"], _settings(record["config"])
         if "report" not in stages or not (folder / "metrics.json").exists():
             status, words = ("refused", str(record[REFUSED])) if REFUSED in record else ("stopped", _stopped(stages))
-            return RunRow(name, status, words, settings=settings, changed=changed)
+            return RunRow(name, status, (words,), settings=settings, changed=changed)
         metrics = json.loads((folder / "metrics.json").read_text())
         return _finished(name, metrics, settings, _middle_keyframe(folder), changed)
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, yaml.YAMLError):
-        return RunRow(name, "damaged", "its record cannot be read", changed=changed)
+        return RunRow(name, "damaged", ("its record cannot be read",), changed=changed)
 
 
 def _finished(name: str, metrics: dict[str, Any], settings: str, picture: int | None, changed: float) -> RunRow:
@@ -78,7 +109,7 @@ def _finished(name: str, metrics: dict[str, Any], settings: str, picture: int | 
     return RunRow(
         name,
         "finished",
-        "; ".join(doubted),
+        tuple(doubted),
         frames["posed"],
         frames["total"],
         seen["covered_percent"] if seen["judged"] else None,

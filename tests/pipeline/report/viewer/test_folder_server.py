@@ -26,7 +26,8 @@ from tests.helpers.showing.shown_runs import make_shown_run, tum_line
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two finished runs, one a folder deeper, one stopped, one refused, one damaged, and things that are no run."""
+    """Two finished runs, one a folder deeper, one stopped, one refused, one damaged, a film of a batch without one, and
+    things that are no run."""
     root = tmp_path_factory.mktemp("runs")
     make_shown_run(root / "first run")
     make_shown_run(root / "seeds" / "é 2")
@@ -39,6 +40,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "damaged").mkdir()
     (root / "damaged" / "run.yaml").write_text("[")
     (root / "notes").mkdir()
+    failed = [{"folder": "/elsewhere/seeds/unread", "status": "failed", "message": "is not a video"}]
+    waits = [{"folder": "/elsewhere/seeds/waits", "status": "not started", "message": ""}]
+    has_run = [{"folder": "/elsewhere/seeds/é 2", "status": "failed", "message": "of another call"}]
+    (root / "seeds" / "batch.json").write_text(json.dumps(failed + waits + has_run))
+    (root / "batch.json").write_text("[{")
     (root / "secret.txt").write_text("secret")
     return root
 
@@ -63,10 +69,12 @@ def ask(folder: Path):
 
 def test_every_run_is_a_line_and_nothing_else(ask) -> None:
     rows = {row["name"]: row for row in json.loads(ask("/runs")[1])["runs"]}
-    assert sorted(rows) == ["damaged", "first run", "refused", "seeds/é 2", "stopped"]
+    assert sorted(rows) == ["damaged", "first run", "refused", "seeds/unread", "seeds/é 2", "stopped"]
+    assert (rows["seeds/unread"]["status"], rows["seeds/unread"]["words"]) == ("failed", ["is not a video"])
+    assert rows["seeds/é 2"]["status"] == "finished"
     assert [rows[name]["status"] for name in ("stopped", "refused", "damaged")] == ["stopped", "refused", "damaged"]
-    assert rows["stopped"]["words"] == "after frames"
-    assert rows["refused"]["words"] == "is black"
+    assert rows["stopped"]["words"] == ["after frames"]
+    assert rows["refused"]["words"] == ["is black"]
     first = rows["first run"]
     assert (first["status"], first["unit"], first["submaps"]) == ("finished", "mm", 2)
     assert first["picture"] is not None

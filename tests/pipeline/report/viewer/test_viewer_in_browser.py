@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from dataclasses import dataclass, field
 
@@ -41,6 +42,7 @@ def opened(tmp_path_factory):
     for name in ("one", "two"):
         make_shown_run(root / name)
     make_shown_run(root / "three", film="another", frames=50, judged=False)
+    (root / "batch.json").write_text(json.dumps([{"folder": "x/unread", "status": "failed", "message": "is: no film"}]))
     server = FolderServer(root)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with sync_api.sync_playwright() as playwright:
@@ -68,7 +70,7 @@ def test_the_list_is_searched_sorted_and_leads_to_the_player(opened):
     assert names.all_inner_texts() == ["two", "three", "one"]
     page.fill("#find", "thr")
     assert names.all_inner_texts() == ["three"]
-    assert page.inner_text("#count") == "1 of 3 runs"
+    assert page.inner_text("#count") == "1 of 4 runs"
     page.click("#runs tbody a[href^='/play']")
     page.wait_for_selector("html[data-ready=yes]")
     assert page.inner_text("#title") == "three"
@@ -183,6 +185,44 @@ def test_a_run_that_is_not_there_is_said(opened):
     page = opened.open("play?run=nothing")
     assert "not there" in page.inner_text("#fault")
     opened.said.clear()  # the browser says, too, that it was not found
+
+
+@slow
+def test_a_film_without_a_surface_is_listed_and_says_why(opened):
+    page = opened.open("play?run=unread")
+    assert page.inner_text("#fault") == "the run unread has no surface to show (failed): is: no film"
+    assert page.locator("section:visible").count() == 0
+    page.click("#back a")
+    page.wait_for_selector("#runs tbody tr")
+    line = page.locator("#runs tbody tr", has_text="unread")
+    assert line.locator("summary").inner_text() == "is"
+    assert "is: no film" not in line.inner_text()
+    line.locator("summary").click()
+    assert "is: no film" in line.inner_text()
+    opened.said.clear()
+
+
+@slow
+def test_all_columns_are_in_sight_and_warnings_take_one_line(opened):
+    page = opened.page
+    long = ["a warning that goes on and on, longer than its column is wide: and its reason", "another"]
+    for width in (1300, 650):  # of 1300 px, at once and twice the size
+        page.set_viewport_size({"width": width, "height": 900})
+        opened.open()
+        page.evaluate("long => { rows.forEach(run => { run.words = long; }); draw(); }", long)
+        for cell in page.locator("#runs tbody tr").first.locator("td").all():
+            box = cell.bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= width
+        assert page.locator("details.words").first.bounding_box()["height"] < 30
+        assert page.locator("details.words").first.inner_text().endswith("and 1 more")
+    opened.open("compare?a=one&b=two")
+    page.evaluate(
+        "long => table([1, 2].map(() => ({ ...{ posed: 1, total: 2, seen_percent: 3, area: 4 }, words: long })))", long
+    )
+    last = page.locator("#figures tbody tr").last.locator("td").last.bounding_box()
+    assert last["x"] + last["width"] <= width, "both columns of a comparison, too"
+    page.set_viewport_size({"width": 1400, "height": 1000})
 
 
 @slow
