@@ -31,6 +31,9 @@ from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
 
 NAME = "poses"
+# Share of the width that the view moves by between frames whose features are matched, at most: nothing is tracked
+# between them, as it is where --fast has 0.05. Chosen on loop_b, withdrawal_b and low_texture_b of coverage_films.yaml.
+MOST_MOTION = 0.025
 
 
 class KnownPosesFrontEnd:
@@ -61,7 +64,7 @@ class KnownPosesFrontEnd:
                 f"poses of {table.path.name}: {len(index)} of {len(frames.index)} frames; "
                 f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"
             )
-            motion = settings.odometry.keyframe_motion * frames.camera.width
+            motion = min(settings.odometry.keyframe_motion, MOST_MOTION) * frames.camera.width
             rows = choose_frames(given, check.depth, rays.focal_px, motion)
             with progress.bar("triangulation", len(rows)) as advance:
                 local_map = build_map(index[rows].tolist(), given[rows], rays, features, refine, advance)
