@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import counted
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import load_completed
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
@@ -148,7 +149,9 @@ class Run:
         """The number of a submap that there is. Raises `HaustraError` for another one."""
         count = len(self.surfaces)
         if not 0 <= submap < count:
-            raise HaustraError(f"the run {self.folder} has {count} submap(s), numbered from 0; there is no {submap}")
+            raise HaustraError(
+                f"the run {self.folder} has {counted(count, 'submap')}, numbered from 0; there is no {submap}"
+            )
         return submap
 
     def __repr__(self) -> str:

@@ -1,4 +1,7 @@
-"""Text and JSON that a user wrote, in what editors and shells save: UTF-8 and UTF-16, with a mark or without."""
+"""A count in words; text and JSON that a user wrote, in what editors and shells save.
+
+That is UTF-8 and UTF-16, with a mark or without.
+"""
 
 import codecs
 import json
@@ -13,6 +16,11 @@ MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+
+
+def counted(number: int, noun: str) -> str:
+    """The number with its noun in singular or plural: 1 submap, 2 submaps."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def read_text(path: Path | str) -> str:

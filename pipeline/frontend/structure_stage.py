@@ -13,6 +13,7 @@ import numpy as np
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
+from haustra.core.text import counted
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
 from pipeline.frontend.odometry.self_calibration import doubt_of_lens
@@ -220,7 +221,7 @@ def _why(candidates: list[Candidate], total: int) -> str:
     light = f"in {failed:.0f} of {checked} checked frames brightness grows with distance"
     if checked == 0:
         light = "no frame has enough points for the lighting check"
-    return f"{FIRST} posed {posed} of {total} frames in {len(candidates)} submap(s), and {light}"
+    return f"{FIRST} posed {posed} of {total} frames in {counted(len(candidates), 'submap')}, and {light}"
 
 
 def _keep(candidates: list[Candidate], workspace: Workspace) -> None:
@@ -283,6 +284,6 @@ def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:
     agreeing = 100 * (1 - first.inconsistent_share)
     light = f", lighting consistent in {agreeing:.0f} % of {first.n_checked} frames" if first.n_checked else ""
     return (
-        f"{posed} of {total} frames posed in {len(candidates)} submap(s) by the {mapper} mapper: "
+        f"{posed} of {total} frames posed in {counted(len(candidates), 'submap')} by the {mapper} mapper: "
         f"{first.points} points, reprojection {first.reprojection_px:.2f} px{light}"
     )

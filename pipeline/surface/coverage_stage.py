@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
+from haustra.core.text import counted
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import refined_camera
@@ -56,8 +57,8 @@ class CoverageResult:
         regions, unit = record["missed_regions"], unit_label(record["unit"])
         return (
             f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
-            f"lumen{_unmeasured(record)}; {len(regions)} missed region(s) of {record['listed_from']:.3g} {unit} and "
-            f"more, and {record['smaller_regions']} smaller"
+            f"lumen{_unmeasured(record)}; {counted(len(regions), 'missed region')} of {record['listed_from']:.3g} "
+            f"{unit} and more, and {record['smaller_regions']} smaller"
         )
 
 

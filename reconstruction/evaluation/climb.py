@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import ReconstructionError
 from haustra.core.sim3 import scale_of, umeyama
+from haustra.core.text import counted
 from reconstruction.evaluation.trajectory_io import checked_poses
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ class ClimbErrors:
     def __str__(self) -> str:
         lines = [
             f"CLiMB       ATE mean {self.ate_mean_mm:.3f}, median {self.ate_median_mm:.3f} mm (one Sim(3) a submap; "
-            f"{self.submaps} submap(s), {self.matched} of {self.reference} frames = "
+            f"{counted(self.submaps, 'submap')}, {self.matched} of {self.reference} frames = "
             f"{100 * self.tracked_fraction:.1f} % tracked)"
         ]
         lines += [
@@ -77,9 +78,8 @@ class ClimbErrors:
                 f"{self.seconds_per_frame:.4f} s a frame{failed})"
             )
         if self.submaps_left_out:
-            lines.append(
-                f"            {self.submaps_left_out} submap(s) share too few frames with the reference to count"
-            )
+            left_out = counted(self.submaps_left_out, "submap")
+            lines.append(f"            not counted: {left_out} with too few frames of the reference")
         return "\n".join(lines)
 
 

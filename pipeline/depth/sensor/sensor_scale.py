@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import counted
 from pipeline.depth.sparse_depth import reliable_points
 from pipeline.input.sensor.sensor_depth import SensorDepth, check_unit, doubt_of_unit
 from pipeline.mapping.submap import Submap
@@ -81,7 +82,7 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> Non
             found[shift] = _disagreement(log_ratio, row)[0]
     best = min(found, key=lambda shift: (found[shift], abs(shift)), default=0)
     if best != 0 and found[best] < BETTER * disagreement:
-        when = f"{abs(best)} frame(s) {'late' if best > 0 else 'early'}"
+        when = f"{counted(abs(best), 'frame')} {'late' if best > 0 else 'early'}"
         advice = (
             f"{'take' if best > 0 else 'add'} {abs(best)} {'from' if best > 0 else 'to'} the number of each depth image"
         )

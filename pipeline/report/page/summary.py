@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from haustra.core.text import counted
 from pipeline.report.cautions import left_out
 from pipeline.report.page.keyframe_gallery import data_uri
 from pipeline.report.page.scene import clock_words
@@ -85,7 +86,7 @@ def details(metrics: dict[str, Any]) -> str:
     left_out = ", ".join(f"{n} {why}" for why, n in frames["verdicts"].items() if why != "used") or "none"
     rows = [
         ("source", source_name(metrics)),
-        ("frames posed", f"{frames['posed']} of {frames['total']} in {_count(len(metrics['submaps']), 'submap')}"),
+        ("frames posed", f"{frames['posed']} of {frames['total']} in {counted(len(metrics['submaps']), 'submap')}"),
         ("frames left out before tracking", left_out),
         ("camera", metrics["camera"]),
         ("path and points", STRUCTURE.get(metrics["mapper"], metrics["mapper"])),
@@ -97,10 +98,6 @@ def details(metrics: dict[str, Any]) -> str:
     rows += [(f"time of stage: {one['stage']}", _time_of_stage(one)) for one in metrics.get("profile", [])]
     cells = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(str(b))}</td></tr>" for a, b in rows)
     return f'<table class="facts">{cells}</table>'
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" if number == 1 else f"{number} {word}s"
 
 
 def _time_of_stage(one: dict[str, Any]) -> str:
@@ -169,8 +166,8 @@ def coverage_words(record: dict[str, Any]) -> str:
     plain = "" if share is None else f" ({share:.1f} % in plain view only, without a surface)"
     return (
         f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {word} of visited "
-        f"lumen{plain}; {_count(len(record['missed_regions']), 'missed region')} of {record['listed_from']:.3g} {word} "
-        f"and more, and {record['smaller_regions']} smaller"
+        f"lumen{plain}; {counted(len(record['missed_regions']), 'missed region')} of {record['listed_from']:.3g} "
+        f"{word} and more, and {record['smaller_regions']} smaller"
     )
 
 

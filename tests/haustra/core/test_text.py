@@ -9,7 +9,7 @@ import pytest
 
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
-from haustra.core.text import read_json, read_text
+from haustra.core.text import counted, read_json, read_text
 from reconstruction.evaluation.trajectory_io import read_tum
 
 ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"]
@@ -56,3 +56,8 @@ def test_json_of_another_type_is_one_sentence(tmp_path: Path, text: str) -> None
 def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(HaustraError, match="No such file"):
         read_text(tmp_path / "none.txt")
+
+
+@pytest.mark.parametrize(("number", "told"), [(0, "0 submaps"), (1, "1 submap"), (2, "2 submaps")])
+def test_one_is_singular(number: int, told: str) -> None:
+    assert counted(number, "submap") == told
