@@ -58,6 +58,11 @@ distortion_model: plumb_bob
 d: [-0.2, 0.05, 0.001, -0.002, 0.01]
 k: [410.0, 0.0, 322.5, 0.0, 405.0, 238.25, 0.0, 0.0, 1.0]
 """
+ROS_PRINTED = f"{ROS_2}roi: {{x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}}\n---\n"
+ROS_PART = (  # of a sensor of 1280x960 pixels
+    ROS_2.replace("640", "1280").replace("480", "960").replace("322.5", "622.5").replace("238.25", "438.25")
+    + "roi: {x_offset: 300, y_offset: 200, height: 480, width: 640}\n"
+)
 PYSLAM = """# a comment
 Camera.fx: 410
 Camera.fy: 405
@@ -99,6 +104,12 @@ PYTHON_JSON = {
     "camera_matrix": [[410, 0, 322.5], [0, 405, 238.25], [0, 0, 1]],
     "dist_coeff": [[-0.2, 0.05, 0.001, -0.002, 0.01]],
 }
+BY_COLUMNS = {
+    "width": 640,
+    "height": 480,
+    "intrinsic_matrix": [410, 0, 0, 0, 405, 0, 322.5, 238.25, 1],  # as Open3D has it
+    "distortion": PYTHON_JSON["dist_coeff"],
+}
 PRINTED_NUMPY = r"""camera_matrix: "[[ 410.    0.    322.5 ]\n [   0.  405.  238.25]\n [ 0. 0. 1. ]]"
 dist_coeffs: '[[-0.2  0.05  0.001  -0.002  0.01]]'
 full: '[0, 0, 640, 480]'
@@ -111,6 +122,8 @@ BROWN_FILES = {
     "endoscope_calibration.yaml": SCARED,
     "ros.yaml": ROS,
     "ros2.yaml": ROS_2,
+    "printed.yaml": ROS_PRINTED,
+    "part.yaml": ROS_PART,
     "pyslam.yaml": PYSLAM,
     "orbslam.yaml": '%YAML:1.0\nCamera.type: "PinHole"\n'
     + PYSLAM.replace("Camera.f", "Camera1.f")
@@ -121,6 +134,7 @@ BROWN_FILES = {
     "matlab_new.json": json.dumps(MATLAB_NEW),
     "transforms.json": json.dumps(NERFSTUDIO),
     "python.json": json.dumps(PYTHON_JSON),
+    "by_columns.json": json.dumps(BY_COLUMNS),
     "printed.yml": PRINTED_NUMPY,
     "calib.intrinsics.txt": TEXT,
     "cameras.txt": "# Camera list\n7 FULL_OPENCV 640 480 410 405 323 238.75 -0.2 0.05 0.001 -0.002 0.01 0 0 0\n",
@@ -177,6 +191,10 @@ FISHEYE_FILES = {
     "transforms.json": json.dumps(
         NERFSTUDIO
         | {"camera_model": "OPENCV_FISHEYE", "k1": -0.13, "k2": -0.006, "k3": 0.0016, "k4": -0.0001, "p1": 0, "p2": 0}
+    ),
+    "flag.json": json.dumps(
+        {"fisheye": True, "image_size": [640, 480], "D": [-0.13, -0.006, 0.0016, -0.0001]}
+        | {"K": PYTHON_JSON["camera_matrix"]}
     ),
     "reim.json": json.dumps(
         {"model": "FISHEYE_OPENCV", "fx": 410, "fy": 405, "cx": 323.0, "cy": 238.75, "w": 640, "h": 480}

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 
 HALF_PIXEL = 0.5  # OpenCV counts from the centre of the first pixel, COLMAP from its corner
+LEAST_FOCAL_PX = 10
 MOST_SKEW = 1e-3  # of the focal length; no lens model here has skew
 
 Size = tuple[int, int]
@@ -34,6 +35,10 @@ def from_matrix(
     k = np.asarray(matrix, np.float64)
     if k.shape != (3, 3):
         raise HaustraError(f"its camera matrix must be 3x3, not {'x'.join(map(str, k.shape))}")
+    if k[0, 2] == k[1, 2] == 0 and (k[2, :2] > 0).all():  # by columns, as MATLAB and Open3D store it
+        k = k.T
+    if not np.allclose([*k[2], k[1, 0]], [0, 0, 1, 0]):
+        raise HaustraError("its camera matrix is none: it must be fx 0 cx, 0 fy cy, 0 0 1, by rows")
     if abs(k[0, 1]) > MOST_SKEW * abs(k[0, 0]):
         raise HaustraError(f"its camera matrix has a skew of {k[0, 1]:g} px, which no lens model here has")
     return from_opencv(k[0, 0], k[1, 1], k[0, 2], k[1, 2], distortion, size, fisheye, note)
@@ -50,6 +55,10 @@ def from_opencv(
     note: str = "",
 ) -> CalibratedLens:
     """The same from single numbers, in OpenCV's pixels."""
+    if max(fx, fy) < LEAST_FOCAL_PX and 0 < cx <= 1 and 0 < cy <= 1:
+        raise HaustraError(
+            f"its focal length {fx:g} and centre ({cx:g}, {cy:g}) are shares of the picture's size; multiply them by it"
+        )
     pinhole = (float(fx), float(fy), float(cx) + HALF_PIXEL, float(cy) + HALF_PIXEL)
     terms = [float(value) for value in distortion]
     if fisheye:

@@ -53,7 +53,7 @@ def _fields(path: Path, text: str) -> dict[str, Any]:
             raise HaustraError(f"{path} must hold a JSON object with names, not {type(found).__name__}")
         return found
     try:
-        found = yaml.safe_load(text)
+        found = next(yaml.safe_load_all(text), None)  # ROS ends each message that it prints with ---
     except (yaml.YAMLError, RecursionError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

@@ -27,6 +27,7 @@ TERMS = (
 )
 WIDTHS, HEIGHTS, SIZES = ("imagewidth", "width", "w"), ("imageheight", "height", "h"), ("imagesize", "size")
 AREAS = ("full", "roi")  # x, y, width, height
+FLAGS = ("fisheyemodel", "fisheye", "isfisheye")
 FISHEYE = ("fisheye", "equidistant", "kannala")
 
 
@@ -39,7 +40,7 @@ def read_matrix_file(document: CameraDocument) -> CalibratedLens | None:
     if found is None:
         raise HaustraError("it has a camera matrix but no distortion coefficients; write zeros if there is none")
     said = " ".join(str(fields.get(name, "")) for name in ("distortionmodel", "cameramodel", "model", "type")).lower()
-    fisheye = any(word in said for word in FISHEYE) or bool(fields.get("fisheyemodel", 0))
+    fisheye = any(word in said for word in FISHEYE) or any(fields.get(name) in (True, 1) for name in FLAGS)
     note = "the first camera of the rig" if {"m2", "k2", "d2"} & fields.keys() else ""
     return from_matrix(_numbers(matrix).reshape(3, 3), _numbers(found).ravel().tolist(), _size(fields), fisheye, note)
 

@@ -1,5 +1,6 @@
 """ROS: the YAML of `camera_calibration`, and a printed `sensor_msgs/CameraInfo` (ROS 1: D K, ROS 2: d k)."""
 
+from dataclasses import replace
 from typing import Any
 
 from haustra.core.errors import HaustraError
@@ -18,10 +19,19 @@ def read_camera_info(document: CameraDocument) -> CalibratedLens | None:
     if model not in (*BROWN, *FISHEYE):
         raise HaustraError(f"its distortion_model {model!r} is none of {', '.join((*BROWN, *FISHEYE))}")
     matrix, terms = _first(fields, "camera_matrix", "K", "k"), _first(fields, "distortion_coefficients", "D", "d")
-    width, height = _first(fields, "image_width", "width"), _first(fields, "image_height", "height")
-    return from_matrix(
-        _data(matrix).reshape(3, 3), _data(terms).ravel().tolist(), (int(width), int(height)), model in FISHEYE
-    )
+    size = int(_first(fields, "image_width", "width")), int(_first(fields, "image_height", "height"))
+    lens = from_matrix(_data(matrix).reshape(3, 3), _data(terms).ravel().tolist(), size, model in FISHEYE)
+    return _of_part(lens, fields.get("roi") or {})
+
+
+def _of_part(lens: CalibratedLens, roi: dict[str, Any]) -> CalibratedLens:
+    """K is of the whole sensor's picture; where `roi` is a part of it, the pictures are that part alone."""
+    left, top, *size = (int(roi.get(name, 0)) for name in ("x_offset", "y_offset", "width", "height"))
+    if not all(size) or (size[0], size[1]) == lens.size:
+        return lens
+    fx, fy, cx, cy, *terms = lens.params
+    note = f"the part of {size[0]}x{size[1]} pixels at ({left}, {top})"
+    return replace(lens, params=(fx, fy, cx - left, cy - top, *terms), size=(size[0], size[1]), note=note)
 
 
 def _first(fields: dict[str, Any], *names: str) -> Any:
