@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
 from pipeline.input.image_folder import images_of
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
 from pipeline.run_folder.workspace import Workspace
+
+WIDEST_GAP = 1.5  # of the median spacing, between two poses that one between them is made of
 
 Array = NDArray[np.float64]
 
@@ -92,7 +95,27 @@ def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict
 
 def _by_time(table: PoseTable, seconds: Array, film: FilmFrames) -> dict[int, Array]:
     mine, theirs = paired(film.seconds, seconds, table.path, "frames of the film")
-    return {int(film.index[m]): table.world_from_camera[t] for m, t in zip(mine, theirs, strict=True)}
+    at = _between(film.seconds[mine], seconds, table.world_from_camera, theirs)
+    return {int(film.index[m]): world_from_camera for m, world_from_camera in zip(mine, at, strict=True)}
+
+
+def _between(wanted: Array, seconds: Array, world_from_camera: Array, nearest: NDArray[np.int64]) -> Array:
+    """(K,4,4) at times wanted (K,), between the poses (N,4,4) of seconds (N,) before and after: those of another rate
+    than the film's are up to half a frame off. Beside a gap, and before the first and after the last, the nearest."""
+    result = world_from_camera[nearest].copy()
+    if len(seconds) < 2:
+        return result
+    after = np.searchsorted(seconds, wanted).clip(1, len(seconds) - 1)
+    gaps = seconds[after] - seconds[after - 1]
+    narrow = gaps < WIDEST_GAP * np.median(np.diff(seconds))
+    inside = narrow & (wanted > seconds[after - 1]) & (wanted < seconds[after])
+    part = ((wanted - seconds[after - 1]) / gaps)[inside]
+    before, behind = world_from_camera[after[inside] - 1], world_from_camera[after[inside]]
+    first = Rotation.from_matrix(before[:, :3, :3])
+    turn = (first.inv() * Rotation.from_matrix(behind[:, :3, :3])).as_rotvec()
+    result[inside, :3, :3] = (first * Rotation.from_rotvec(part[:, None] * turn)).as_matrix()
+    result[inside, :3, 3] = before[:, :3, 3] + part[:, None] * (behind[:, :3, 3] - before[:, :3, 3])
+    return result
 
 
 def rigid(matrices: Array, where: str) -> Array:

@@ -133,6 +133,23 @@ def test_poses_of_another_film_by_their_times_and_names():
         poses_by_frame(PoseTable("a", poses, names=tuple("abcde")), film())
 
 
+@pytest.mark.parametrize("rate", [20, 25, 40, 24])
+def test_poses_of_another_rate_than_the_film(rate):
+    """Between two poses the camera goes and turns on evenly: that is where it was at a frame's time."""
+
+    def moved(seconds):
+        poses = np.tile(np.eye(4), (len(seconds), 1, 1))
+        poses[:, :3, :3] = Rotation.from_rotvec(np.outer(seconds, [0.1, 0.9, -0.3])).as_matrix()
+        poses[:, :3, 3] = np.outer(seconds, [30, -5, 2])
+        return poses
+
+    seconds = np.delete(np.arange(2 * rate) / rate, np.arange(rate, rate + 4))  # and a gap
+    found = poses_by_frame(PoseTable("a.txt", moved(seconds), seconds), film(count=60))
+    frames = np.array([k for k in found if not seconds[rate - 1] < k / 30 < seconds[rate] and k / 30 < seconds[-1]])
+    assert len(frames) > 30
+    np.testing.assert_allclose([found[k] for k in frames], moved(frames / 30), atol=1e-9)
+
+
 def test_what_is_no_pose_file(tmp_path):
     (tmp_path / "a.txt").write_text("1 2 3\n")
     (tmp_path / "b.json").write_text('{"frames": []}')
