@@ -1,10 +1,11 @@
 """A tracker's CSV (NDI Polaris and Aurora, and alike): a sensor's poses, and the camera by a hand-eye transform.
 
 Columns are found by their names in any case: Tx Ty Tz and Q0 Qx Qy Qz (w first) or Qx Qy Qz Qw; time, seconds or
-timestamp, else frame. Lines whose State is Missing or Disabled are left out.
+timestamp, else frame, else the order. Lines whose State is Missing or Disabled are left out.
 """
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from pipeline.input.pose_files.pose_table import Array, PoseTable, rigid
 PLACE = (("tx", "ty", "tz"), ("x", "y", "z"))
 TURN = (("qx", "qy", "qz", "q0"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz", "rw"))  # x y z w
 TIMES = ("time", "seconds", "timestamp", "t")
+SAME = 1e-6  # between two poses that a file gives twice
 LOST = ("missing", "disabled", "bad")
 
 
@@ -26,8 +28,10 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     text = read_text(path)
     rows = list(csv.DictReader(text.splitlines(), delimiter=";" if ";" in text.split("\n", 1)[0] else ","))
     rows = [{(name or "").strip().lower(): value for name, value in row.items()} for row in rows]
-    rows = [row for row in rows if str(row.get("state", "")).strip().lower() not in LOST]
-    place, turn = (_present(rows, names, path) for names in (PLACE, TURN))
+    numbers = [str(row.get("frame") or number).strip() for number, row in enumerate(rows)]
+    kept = [k for k, row in enumerate(rows) if str(row.get("state", "")).strip().lower() not in LOST]
+    rows, names = [rows[k] for k in kept], tuple(numbers[k] for k in kept)
+    place, turn = (_present(rows, choices, path) for choices in (PLACE, TURN))
     time = next((name for name in TIMES if rows and name in rows[0]), None)
     if sensor_from_camera is None:
         raise HaustraError(
@@ -39,9 +43,38 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
         quaternions = np.array([[float(row[name]) for name in turn] for row in rows])
         world_from_sensor[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
         seconds = None if time is None else np.array([float(row[time]) for row in rows])
+        if seconds is not None and not np.isfinite(seconds).all():
+            raise ValueError
     except (TypeError, ValueError) as error:
         raise HaustraError(f"{path}: a line's place, quaternion or time is no number") from error
-    return PoseTable(path, rigid(world_from_sensor, str(path)) @ sensor_from_camera, seconds)
+    world_from_camera = rigid(world_from_sensor, str(path)) @ sensor_from_camera
+    if seconds is None:
+        return PoseTable(path, world_from_camera, names=None if _without_gap(names, path) else names)
+    order = np.argsort(seconds, kind="stable")
+    return _once_a_time(PoseTable(path, world_from_camera[order], seconds[order]))
+
+
+def _without_gap(numbers: tuple[str, ...], path: Path) -> bool:
+    """Whether frames follow each other by one, so that their order says all."""
+    try:
+        return set(np.diff([int(float(number)) for number in numbers])) <= {1}
+    except (ValueError, OverflowError) as error:
+        raise HaustraError(f"{path}: a line's frame is no number") from error
+
+
+def _once_a_time(table: PoseTable) -> PoseTable:
+    """Without lines that repeat a time. HaustraError where another place is said for it."""
+    assert table.seconds is not None
+    again = np.flatnonzero(np.diff(table.seconds) <= 0) + 1
+    for row in again.tolist():
+        if not np.allclose(table.world_from_camera[row], table.world_from_camera[row - 1], atol=SAME):
+            raise HaustraError(
+                f"{table.path} has two poses at {table.seconds[row]:g} s, "
+                f"{np.linalg.norm(np.diff(table.world_from_camera[row - 1 : row + 1, :3, 3], axis=0)):.3g} apart: of "
+                "two sensors, or by a clock too coarse? Keep the lines of one"
+            )
+    first = np.setdiff1d(np.arange(len(table.seconds)), again)
+    return replace(table, world_from_camera=table.world_from_camera[first], seconds=table.seconds[first])
 
 
 def read_hand_eye(path: Path) -> Array:

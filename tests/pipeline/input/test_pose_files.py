@@ -123,6 +123,32 @@ def test_a_trackers_csv(tmp_path):
         read_poses(tmp_path / "ndi.csv", tmp_path / "hand_eye.txt")
 
 
+def csv_of(path, order, head, first):
+    """A tracker's CSV of the poses in that order; first: text before w x y z and the place of each."""
+    lines = [head + ",Q0,Qx,Qy,Qz,Tx,Ty,Tz"]
+    for k in order:
+        x, y, z, w = TURNS[k].as_quat()
+        lines.append(",".join(map(str, [first(k), w, x, y, z, *CENTRES[k]])))
+    path.write_text("\n".join(lines) + "\n")
+    np.savetxt(path.parent / "hand_eye.txt", np.eye(4))
+    return path, path.parent / "hand_eye.txt"
+
+
+def test_lines_of_a_tracker_that_are_lost_or_in_any_order(tmp_path):
+    """Without times the frame's number says which frame a line is of, and without that the line's own place."""
+    left = [0, 1, 3, 4]
+    for head, first in (
+        ("State,Frame", lambda k: f"{'Missing' if k == 2 else 'OK'},{k}"),
+        ("State", lambda k: "Missing" if k == 2 else "OK"),
+    ):
+        assert_right(read_poses(*csv_of(tmp_path / "a.csv", range(COUNT), head, first)), left)
+    times = csv_of(tmp_path / "b.csv", [3, 0, 4, 1, 1, 2], "Time", lambda k: SECONDS[k])
+    assert_right(read_poses(*times))
+    two = csv_of(tmp_path / "c.csv", range(COUNT), "Time", lambda k: SECONDS[k // 2])
+    with pytest.raises(HaustraError, match=r"two poses at 0 s, [.\d]+ apart: of two sensors"):
+        read_poses(*two)
+
+
 def test_poses_of_another_film_by_their_times_and_names():
     poses = np.tile(np.eye(4), (COUNT, 1, 1))
     with pytest.raises(HaustraError, match=r"only 0 of 5 frames of the film and .* 100 to 104 s.*frame numbers"):
