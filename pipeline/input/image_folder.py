@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -93,6 +93,16 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     if count and inner == folder and (films := _films(folder)):
         notes.append(f"{inner.name} also holds the film {films[0]}, which was passed over for its {count} images")
     return in_natural_order(groups.get(chosen, [])), "; ".join(notes)
+
+
+def rows_by_number(pictures: Sequence[str], others: Sequence[str]) -> dict[int, int] | None:
+    """Which picture, by its row, a number in the name of another program's file means, where both are numbered alike:
+    each number of `others` is the last one in the name of one picture. None where they are not."""
+    own, theirs = ([re.findall(r"\d+", Path(name).stem)[-1:] for name in names] for names in (pictures, others))
+    rows = {int(number[0]): row for row, number in enumerate(own) if number}
+    if len(rows) < len(pictures) or not all(number and int(number[0]) in rows for number in theirs):
+        return None
+    return rows
 
 
 def _pictures(folder: Path) -> Iterator[Path]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
-from pipeline.input.image_folder import images_of
+from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
 from pipeline.run_folder.workspace import Workspace
 
@@ -77,8 +77,8 @@ def _by_order(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
 
 
 def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict[int, Array]:
-    """By the names of a folder's pictures; of a film, by the number in the name, counted from 0, or from 1 where the
-    film has no frame of the last number."""
+    """By the names of a folder's pictures, or the numbers in both; of a film, by the number in the name, counted from
+    0, or from 1 where the film has no frame of the last number."""
     by_stem = {Path(name).stem: number for number, name in enumerate(film.names or ())}
     stems = [Path(name).stem for name in names]
     if any(stem in by_stem for stem in stems):
@@ -88,6 +88,9 @@ def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict
     if not all(numbers):
         raise HaustraError(f"the pictures that {table.path} names are not those of the film, and carry no numbers")
     last = [int(found[-1]) for found in numbers]
+    rows = rows_by_number(film.names or (), names)
+    if rows is not None:
+        return {rows[number]: matrix for number, matrix in zip(last, table.world_from_camera, strict=True)}
     first = 1 if max(last) == int(film.index.max()) + 1 and min(last) > 0 else 0
     numbered = zip(last, table.world_from_camera, strict=True)
     return {number - first: world_from_camera for number, world_from_camera in numbered}

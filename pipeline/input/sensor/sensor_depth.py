@@ -17,7 +17,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.text import read_json
 from pipeline.config import SensorSettings
 from pipeline.input.frames import SENSED_MM
-from pipeline.input.image_folder import images_of, in_natural_order
+from pipeline.input.image_folder import images_of, in_natural_order, rows_by_number
 from pipeline.run_folder.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -234,17 +234,17 @@ def _stereo_settings(workspace: Workspace) -> SensorSettings:
 
 
 def _by_frame(source: Path, folder: Path, by_name: bool) -> dict[int, Path]:
-    """By the name of a folder's picture, else by the number in the name, from 0."""
+    """By the name of a folder's picture, else by the number in both their names, else by the number as from 0."""
     files = in_natural_order(list(folder.glob("[!.]*.png")))
-    names = (
-        {path.stem: number for number, path in enumerate(images_of(source)[0])} if by_name and source.is_dir() else {}
-    )
+    pictures = images_of(source)[0] if by_name and source.is_dir() else []
+    names = {path.stem: number for number, path in enumerate(pictures)}
     if any(path.stem in names for path in files):
         return {names[path.stem]: path for path in files if path.stem in names}
     numbered = {int(found[-1]): path for path in files if (found := re.findall(r"\d+", path.stem))}
     if not numbered:
         raise HaustraError(f"the depth images in {folder} carry no frame numbers in their names")
-    return numbered
+    rows = rows_by_number([path.name for path in pictures], [path.name for path in files])
+    return numbered if rows is None else {rows[number]: path for number, path in numbered.items()}
 
 
 def _unit(source: Path, folder: Path, settings: SensorSettings) -> float:

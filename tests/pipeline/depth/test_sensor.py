@@ -199,6 +199,21 @@ def test_depth_of_another_film_is_told_by_its_count(tmp_path, frames, refused):
         check_sensor(tmp_path, settings, frames)
 
 
+@pytest.mark.parametrize(("first", "step", "depth_first"), [(1, 1, 1), (7, 2, 7), (1, 1, 0)])
+def test_depth_belongs_to_the_picture_of_its_number(workspace, tmp_path, first, step, depth_first):
+    """Where both are numbered alike, whatever stands before the number; else depth counts the frames from 0."""
+    (tmp_path / "film").mkdir()
+    workspace.record["source"]["path"] = str(tmp_path / "film")
+    for k in range(COUNT):
+        cv2.imwrite(str(tmp_path / "film" / f"rgb_{first + step * k:06d}.png"), np.full((90, 100, 3), 9, np.uint8))
+    for k in reversed(range(COUNT)):
+        (tmp_path / "depth" / f"{k:05d}.png").rename(tmp_path / "depth" / f"depth_{depth_first + step * k:05d}.png")
+    files = open_sensor(workspace, CAMERA.width).files
+    assert {k: path.name for k, path in files.items()} == {
+        k: f"depth_{depth_first + step * k:05d}.png" for k in range(COUNT)
+    }
+
+
 @pytest.mark.parametrize(
     ("shift", "told"),
     [(3, r"3 frames late.*take 3 from the number"), (-3, r"3 frames early.*add 3 to the number")],

@@ -81,6 +81,15 @@ def test_names_that_count_from_one():
     assert_right(PoseTable(None, poses, names=tuple(f"{k + 1:04d}.jpg" for k in range(COUNT))))
 
 
+def test_names_with_the_numbers_of_the_films_own_pictures():
+    """Another program has copied img0011, img0013, ... to frame_00011, frame_00013, ... and left some out."""
+    poses = np.tile(np.eye(4), (COUNT, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = TURNS.as_matrix(), CENTRES
+    own = [f"img{11 + 2 * k:04d}.png" for k in range(COUNT)]
+    table = PoseTable(None, poses[1:4], names=tuple(f"frame_{11 + 2 * k:05d}.jpg" for k in range(1, 4)))
+    assert_right(table, frames=(1, 2, 3), names=tuple(own))
+
+
 def test_transforms_json(tmp_path):
     """x right, y up, z backwards: the second and third column are turned."""
     frames = []
