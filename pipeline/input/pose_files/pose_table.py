@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
 from pipeline.run_folder.workspace import Workspace
 
+SHOWN = 4  # folders
 WIDEST_GAP = 1.5  # of the median spacing, between two poses that one between them is made of
 
 Array = NDArray[np.float64]
@@ -32,19 +33,24 @@ class PoseTable:
 
 @dataclass(frozen=True)
 class FilmFrames:
-    """A film's frames that were looked at: numbers in the source (K,), seconds (K,), names of a folder's pictures."""
+    """A film's frames that were looked at: numbers in the source (K,), seconds (K,), names of a folder's pictures.
+    called: what a pose file may call the source, of several that it knows."""
 
     index: NDArray[np.int64]
     seconds: Array
     names: tuple[str, ...] | None
+    called: tuple[str, ...] = ()
 
     @staticmethod
     def of(workspace: Workspace) -> "FilmFrames":
         listed = json.loads(workspace.frames.read_text())["frames"]
         source = Path(workspace.record["source"]["path"])
-        names = tuple(path.name for path in images_of(source)[0]) if source.is_dir() else None
+        pictures = images_of(source)[0] if source.is_dir() else []
         return FilmFrames(
-            np.array([index for index, _, _ in listed]), np.array([seconds for _, seconds, _ in listed]), names
+            np.array([index for index, _, _ in listed]),
+            np.array([seconds for _, seconds, _ in listed]),
+            tuple(path.name for path in pictures) if source.is_dir() else None,
+            (source.stem, *{path.parent.name for path in pictures}),
         )
 
 
@@ -79,6 +85,7 @@ def _by_order(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
 def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict[int, Array]:
     """By the names of a folder's pictures, or the numbers in both; of a film, by the number in the name, counted from
     0, or from 1 where the film has no frame of the last number."""
+    table, names = _of_one_camera(table, names, film)
     by_stem = {Path(name).stem: number for number, name in enumerate(film.names or ())}
     stems = [Path(name).stem for name in names]
     if any(stem in by_stem for stem in stems):
@@ -94,6 +101,21 @@ def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict
     first = 1 if max(last) == int(film.index.max()) + 1 and min(last) > 0 else 0
     numbered = zip(last, table.world_from_camera, strict=True)
     return {number - first: world_from_camera for number, world_from_camera in numbered}
+
+
+def _of_one_camera(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> tuple[PoseTable, tuple[str, ...]]:
+    """The poses whose pictures are the film's, where folders of several cameras have pictures of the same names: those
+    of the folder that is called as the film is."""
+    if len({Path(name).stem for name in names}) == len(names):
+        return table, names
+    folders = sorted({Path(name).parent.as_posix() for name in names})
+    ours = [row for row, name in enumerate(names) if Path(name).parent.name in film.called]
+    if not ours or len({Path(names[row]).stem for row in ours}) < len(ours):
+        raise HaustraError(
+            f"{table.path} has pictures of the same name in {' and '.join(folders[:SHOWN])}, and the film is called "
+            f"{film.called[0] if film.called else 'otherwise'}: keep those of its own folder, or call it as that"
+        )
+    return replace(table, world_from_camera=table.world_from_camera[ours]), tuple(names[row] for row in ours)
 
 
 def _by_time(table: PoseTable, seconds: Array, film: FilmFrames) -> dict[int, Array]:

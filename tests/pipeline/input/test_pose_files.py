@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,6 +89,20 @@ def test_names_with_the_numbers_of_the_films_own_pictures():
     own = [f"img{11 + 2 * k:04d}.png" for k in range(COUNT)]
     table = PoseTable(None, poses[1:4], names=tuple(f"frame_{11 + 2 * k:05d}.jpg" for k in range(1, 4)))
     assert_right(table, frames=(1, 2, 3), names=tuple(own))
+
+
+def test_a_model_of_two_cameras_with_pictures_of_the_same_names():
+    """COLMAP names pictures by folders, one for each camera: the film is one of them, and never both."""
+    poses = np.tile(np.eye(4), (2 * COUNT, 1, 1))
+    poses[::2, :3, :3], poses[::2, :3, 3] = TURNS.as_matrix(), CENTRES
+    names = tuple(f"{eye}/{name}" for name in NAMES for eye in ("left", "right"))
+    table = PoseTable("model", poses, names=names)
+    for own in (tuple(NAMES), None):
+        frames = FilmFrames(np.arange(COUNT), np.arange(COUNT) / 30, own, ("video", "left"))
+        found = poses_by_frame(table, frames)
+        np.testing.assert_allclose([found[k] for k in range(COUNT)], poses[::2])
+        with pytest.raises(HaustraError, match="the same name in left and right, and the film is called video"):
+            poses_by_frame(table, replace(frames, called=("video",)))
 
 
 def test_transforms_json(tmp_path):
