@@ -1,6 +1,8 @@
 """A COLMAP model: images.txt or images.bin, camera_from_world, named by picture (colmap.github.io/format.html)."""
 
+import re
 import struct
+from itertools import dropwhile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from haustra.core.text import read_text
 from pipeline.input.pose_files.pose_table import Array, PoseTable
 
 HEAD = struct.Struct("<I7dI")  # number, quaternion w x y z, translation, number of the camera
+IMAGE = re.compile(r"\s*\d+(\s+[-+\d.eE]+){7}\s+\d+\s+[^\n]*[^\W\d]")  # no line of points has a letter
 POINT_BYTES = 24  # x, y and the number of the 3-D point
 
 
@@ -34,10 +37,14 @@ def read_colmap_poses(path: Path) -> PoseTable | None:
 
 
 def _text(path: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Every other line is an image, the next one its points, and may be empty."""
+    """Every other line is an image, the next one its points, and may be empty; programs that know no points leave those
+    lines out."""
     lines = [line for line in read_text(path).splitlines() if not line.startswith("#")]
+    lines = list(dropwhile(lambda line: not line.strip(), lines))
+    filled = [line for line in lines if line.strip()]
+    images = filled if all(IMAGE.match(line) for line in filled) else lines[::2]
     found = {}
-    for line in lines[::2]:
+    for line in images:
         words = line.split(maxsplit=9)
         if len(words) < 10:
             continue

@@ -75,6 +75,15 @@ def test_colmap_text_and_binary(tmp_path):
         read_poses(tmp_path)
 
 
+def test_colmap_text_without_lines_of_points_or_with_a_blank_line_first(tmp_path):
+    images = [" ".join(map(str, [k + 1, *colmap(k), 1, NAMES[k]])) for k in range(COUNT)]
+    (tmp_path / "images.txt").write_text("# Image list\n" + "\n".join(images) + "\n")
+    assert_right(read_poses(tmp_path), names=tuple(NAMES))
+    points = "10 20 -1 30 40 7 50 60 8 70 80 9"  # as many numbers as an image's line has, and more
+    (tmp_path / "images.txt").write_text("# Image list\n\n" + "\n".join(f"{i}\n{points}" for i in images) + "\n")
+    assert_right(read_poses(tmp_path), names=tuple(NAMES))
+
+
 def test_names_that_count_from_one():
     """FFmpeg's first picture is 0001: of a film of five frames the last is 0005."""
     poses = np.tile(np.eye(4), (COUNT, 1, 1))
