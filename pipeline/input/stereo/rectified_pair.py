@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
+from pipeline.input.calibration import FARTHEST_CENTRE
 from pipeline.input.stereo.rig_file import StereoRig
 
 Picture = NDArray[np.uint8]
@@ -109,6 +110,13 @@ def _apart(left: Picture, right: Picture) -> NDArray[np.float64]:
 def rectify(rig: StereoRig, size: tuple[int, int]) -> RectifiedRig:
     """For pictures of one eye of size (width, height). HaustraError where the calibration is of another shape."""
     first, second = rig.first.copy(), rig.second.copy()
+    if rig.size is None:
+        for x, y in (first[:2, 2], second[:2, 2]):
+            if max(abs(x / size[0] - 0.5), abs(y / size[1] - 0.5)) > FARTHEST_CENTRE:
+                raise HaustraError(
+                    f"the stereo calibration names no picture size, and its centre ({x:.0f}, {y:.0f}) is not that of "
+                    f"one eye's {size[0]}x{size[1]} pixels: write image_width and image_height into it"
+                )
     if rig.size is not None and rig.size != size:
         scale = size[0] / rig.size[0]
         if abs(rig.size[1] * scale - size[1]) > 1.5:

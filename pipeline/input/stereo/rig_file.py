@@ -31,7 +31,7 @@ NAMES = {
 }
 HAMLYN = ("camera_extrinsic.txt", "camera_extrinsics.txt")
 HAMLYN_EYES = ("left_camera_calibration_intrinsic.txt", "right_camera_calibration_intrinsic.txt")
-METRES, MILLIMETRES = (5e-4, 0.05), (0.5, 50.0)  # ranges of a baseline; an endoscope's is 3 to 10 mm
+METRES, MILLIMETRES = (5e-4, 0.02), (0.5, 20.0)  # ranges of a baseline; an endoscope's is 3 to 10 mm
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,9 @@ def read_rig(path: Path) -> StereoRig:
         raise HaustraError(f"{path} is no stereo calibration: it lacks {error.args[0]}") from error
     except (ValueError, TypeError, OverflowError, configparser.Error) as error:
         raise HaustraError(f"{path} is no stereo calibration that can be read: a value has another form") from error
-    if not np.allclose(rig.turn @ rig.turn.T, np.eye(3), atol=1e-3):
+    if not all(np.allclose([*matrix[2], matrix[1, 0]], [0, 0, 1, 0]) for matrix in (rig.first, rig.second)):
+        raise HaustraError(f"{path}: a camera matrix is none: it must be fx 0 cx, 0 fy cy, 0 0 1, by rows")
+    if not np.allclose(rig.turn @ rig.turn.T, np.eye(3), atol=1e-3) or np.linalg.det(rig.turn) < 0:
         raise HaustraError(f"{path}: the rotation between the cameras is none")
     return rig
 

@@ -37,10 +37,11 @@ def opencv_matrix(name, values):
     return f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]\n"
 
 
-def write_yaml(path, shift=SHIFT, size=(SIZE, SIZE), turn=TURN):
-    parts = {"M1": K, "D1": np.zeros(5), "M2": K, "D2": np.zeros(5), "R": turn, "T": np.reshape(shift, (3, 1))}
+def write_yaml(path, shift=SHIFT, size=(SIZE, SIZE), turn=TURN, k=K):
+    parts = {"M1": k, "D1": np.zeros(5), "M2": k, "D2": np.zeros(5), "R": turn, "T": np.reshape(shift, (3, 1))}
     text = "".join(opencv_matrix(name, values) for name, values in parts.items())
-    path.write_text(f"%YAML:1.0\n---\nimage_width: {size[0]}\nimage_height: {size[1]}\n{text}")
+    sides = f"image_width: {size[0]}\nimage_height: {size[1]}\n" if size else ""
+    path.write_text(f"%YAML:1.0\n---\n{sides}{text}")
     return path
 
 
@@ -57,6 +58,7 @@ def write_film(folder, eyes, layout):
 
 
 def source_of(tmp_path, eyes, layout="side-by-side", **changed):
+    tmp_path.mkdir(exist_ok=True)
     rig = write_yaml(tmp_path / "rig.yaml", **changed)
     film = write_film(tmp_path / "film", eyes, layout)
     return StereoSource(film, StereoSettings(calibration=str(rig), layout=layout))
@@ -135,6 +137,27 @@ def test_a_calibration_of_another_rig_is_one_sentence(tmp_path, eyes):
 def test_a_calibration_of_another_size(tmp_path, eyes):
     with pytest.raises(HaustraError, match="is for 640x480 pixels, but one eye has 192x192"):
         source_of(tmp_path, eyes, size=(640, 480)).check()
+
+
+@pytest.mark.parametrize("times", [0.5, 2])
+def test_a_calibration_that_names_no_size_and_is_of_another(tmp_path, eyes, times):
+    """Its depth would be off by as much, on rows that fit."""
+    with pytest.raises(HaustraError, match="names no picture size, and its centre"):
+        source_of(tmp_path, eyes, size=None, k=np.diag([times, times, 1]) @ K).check()
+    source_of(tmp_path / "own", eyes, size=None).check()
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"turn": -TURN}, "the rotation between the cameras is none"),
+        ({"k": K.T}, "a camera matrix is none"),
+        ({"shift": 10 * SHIFT}, "cameras 40 apart, which is no endoscope's baseline"),
+    ],
+)
+def test_numbers_that_are_no_rig(tmp_path, changed, told):
+    with pytest.raises(HaustraError, match=told):
+        read_rig(write_yaml(tmp_path / "rig.yaml", **changed))
 
 
 def test_metres_and_the_ini_of_stereomis(tmp_path):
