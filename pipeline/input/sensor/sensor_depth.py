@@ -27,6 +27,7 @@ MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is
 CACHED = 8
 UNIT_OPTION = "depth's unit (--depth-unit-mm)"
 LEAST_COVERED = 0.05  # of a film's frames: a slower sensor than the camera has fewer images
+PNG_HEAD, PNG_TAIL, GREY_16 = b"\x89PNG\r\n\x1a\n", 1024, b"\x10\x00"
 LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
 NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
 # Where most views' are. It is a factor of ten: a view between them whose unit is off by ten is always outside.
@@ -120,6 +121,17 @@ def _cached_image(sensor: SensorDepth, frame: int) -> tuple[Array, Array] | None
     return sensor.image(frame)
 
 
+def _fault(path: Path) -> str:
+    """What is wrong with a depth image, by its first and last bytes; empty where nothing is."""
+    with path.open("rb") as file:
+        head = file.read(len(PNG_HEAD) + 18)  # and the header's length, name, width, height, bits and kind
+        file.seek(max(0, path.stat().st_size - PNG_TAIL))
+        whole = b"IEND" in file.read()
+    if not head.startswith(PNG_HEAD) or head[-2:] != GREY_16:
+        return "is no 16-bit depth image"
+    return "" if whole else "is a depth image that is cut off: copy it anew, or delete it, and its frame has no depth"
+
+
 def _read_depth(path: Path) -> NDArray[np.uint16]:
     """(h,w) as stored. HaustraError for any other image."""
     raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -162,6 +174,9 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None
     unit_mm, images = _unit(source, folder, settings), sorted(folder.glob("[!.]*.png"))
     if not images:
         raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
+    for path in images:
+        if fault := _fault(path):
+            raise HaustraError(f"{path} {fault}")
     looked_at = images[:: -(-len(images) // LOOKED_AT)]
     known = np.concatenate([_known(path) for path in looked_at])
     if len(known) == 0:

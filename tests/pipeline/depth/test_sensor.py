@@ -246,6 +246,21 @@ def test_a_confidence_image_weighs_and_drops(sensor, tmp_path):
     np.testing.assert_allclose(doubt[10:20], 5 * sigma[10:20])
 
 
+def test_one_bad_image_of_many_is_told_before_any_work(tmp_path):
+    """Only some are read for their depth; the first and last bytes of all are."""
+    write_sensor(tmp_path / "depth")
+    settings = SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05)
+    check_sensor(tmp_path / "film.mp4", settings, COUNT)
+    path = sorted((tmp_path / "depth").glob("*.png"))[-2]
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(HaustraError, match=f"{path.name} is a depth image that is cut off"):
+        check_sensor(tmp_path / "film.mp4", settings, COUNT)
+    cv2.imwrite(str(path), np.full((40, 48), 9, np.uint8))
+    with pytest.raises(HaustraError, match=f"{path.name} is no 16-bit depth image"):
+        check_sensor(tmp_path / "film.mp4", settings, COUNT)
+
+
 def test_what_a_sensor_must_have(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(HaustraError, match="unit of the depth"):
