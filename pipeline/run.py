@@ -105,7 +105,7 @@ def _given_scales(
     """Of each submap as it is fused: from a sensor's depth, or from the unit of poses."""
     by_poses: tuple[Scale | None, ...] = ()
     if config.poses.file is not None:
-        by_poses = (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit),)
+        by_poses = (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit, submaps[0].submap),)
     sensor = open_sensor(workspace, frames.camera.width)
     if sensor is not None:
         found, units = [sensor_scale(one.submap, sensor) for one in submaps], scene_units(workspace)

@@ -11,6 +11,8 @@ import yaml
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from pipeline.depth.sensor.sensor_scale import SensorScale
+from pipeline.input.pose_files.pose_table import POSES_UNIT
+from pipeline.input.sensor.sensor_depth import doubt_of_view
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -53,11 +55,16 @@ MOST_APART = 1.1  # factor between two sources of one scale that both may be rig
 SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
 
 
-def scale_of_poses(unit: float, mm_per_unit: float | None) -> Scale:
-    """Of a submap made from given poses, one scene unit of which is `unit` of theirs."""
+def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None = None) -> Scale:
+    """Of a submap made from given poses, one scene unit of which is `unit` of theirs; doubted where the wall is then at
+    a distance that few endoscopes see it from."""
     if mm_per_unit is None:
         return Scale(unit, "scene", "the unit of the poses that were given; --poses-mm says how many mm that is")
-    return Scale(unit * mm_per_unit, "mm", f"poses that were given: {mm_per_unit:g} mm per unit")
+    factor, doubt = unit * mm_per_unit, ""
+    depths = np.zeros(0) if submap is None else submap.depths()
+    if (depths > 0).any():
+        doubt = doubt_of_view(factor * float(np.median(depths[depths > 0])), "poses", POSES_UNIT)
+    return Scale(factor, "mm", f"poses that were given: {mm_per_unit:g} mm per unit", doubt)
 
 
 def scale_of_sensor(found: SensorScale | None) -> Scale | None:

@@ -20,8 +20,9 @@ from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map
 from pipeline.input.frames import Frames
-from pipeline.input.pose_files.pose_table import FilmFrames, poses_by_frame
+from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
+from pipeline.input.sensor.sensor_depth import check_view
 from pipeline.mapping.feature_triangulation import choose_frames
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import adjust_all
@@ -60,6 +61,8 @@ class KnownPosesFrontEnd:
         rays, refine = RayTable(frames.camera), settings.poses.refine
         with single_threaded():
             check = check_poses(table.path, index.tolist(), given, rays, features, ROUGHLY_FITS if refine else FITS)
+            if settings.poses.mm_per_unit is not None:
+                check_view(check.depth * settings.poses.mm_per_unit, "poses", POSES_UNIT)
             progress.log(
                 f"poses of {table.path.name}: {len(index)} of {len(frames.index)} frames; "
                 f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"

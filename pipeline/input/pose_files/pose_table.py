@@ -14,6 +14,7 @@ from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
 from pipeline.run_folder.workspace import Workspace
 
+POSES_UNIT = "poses' unit (--poses-mm)"
 SHOWN = 4  # folders
 WIDEST_GAP = 1.5  # of the median spacing, between two poses that one between them is made of
 

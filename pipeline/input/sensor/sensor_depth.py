@@ -198,8 +198,12 @@ def _known(path: Path) -> Array:
 
 def check_unit(median_mm: float, stereo: bool) -> None:
     """HaustraError for a median depth, mm, that is none of an endoscope's view."""
+    check_view(median_mm, *("second eye", "baseline in the stereo calibration") if stereo else ("sensor", UNIT_OPTION))
+
+
+def check_view(median_mm: float, who: str, what: str) -> None:
+    """The same of any source `who` of millimetres, whose `what` is to be checked."""
     if not NEAREST_MM <= median_mm <= FARTHEST_MM:
-        who, what = ("second eye", "baseline in the stereo calibration") if stereo else ("sensor", UNIT_OPTION)
         raise HaustraError(
             f"by the {who} the wall is {median_mm:.3g} mm away in the median, and endoscopes look from "
             f"{NEAREST_MM:g} to {FARTHEST_MM:g} mm: check the {what}"
@@ -209,13 +213,17 @@ def check_unit(median_mm: float, stereo: bool) -> None:
 def doubt_of_unit(median_mm: float, stereo: bool) -> str:
     """A sentence where a sensor's median depth, mm, is one that few endoscopes' views have; empty for a usual one, and
     for a second eye, whose unit nobody types."""
+    return "" if stereo else doubt_of_view(median_mm, "sensor", UNIT_OPTION)
+
+
+def doubt_of_view(median_mm: float, who: str, what: str) -> str:
+    """The same of any source `who` of millimetres, whose `what` is to be checked."""
     near, far = USUAL_MM
-    if stereo or near <= median_mm <= far:
+    if near <= median_mm <= far:
         return ""
-    what = (
-        f"by the sensor the wall is {median_mm:.3g} mm away in the median, and most colonoscopes look from {near:g} to"
-    )
-    return f"do not trust the millimetres before you have checked the {UNIT_OPTION}: {what} {far:g} mm"
+    told = f"by the {who} the wall is {median_mm:.3g} mm away in the median"
+    usual = f"most colonoscopes look from {near:g} to {far:g} mm"
+    return f"do not trust the millimetres before you have checked the {what}: {told}, and {usual}"
 
 
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:

@@ -71,6 +71,24 @@ def test_the_wall_is_where_the_poses_put_it(tmp_path, pictures):
     assert (scale_of_poses(unit, 1.0).unit, scale_of_poses(unit, None).unit) == ("mm", "scene")
 
 
+def test_a_unit_of_poses_that_no_endoscope_can_see_from_is_one_sentence(tmp_path, pictures):
+    """Metres called mm, and the other way: the tube is 20 wide or so, in the unit of its poses."""
+    workspace, frames = filmed(tmp_path, pictures, POSES)
+    for mm_per_unit in (0.01, 1000.0):
+        settings = PoseSettings(file=str(tmp_path / "poses.txt"), mm_per_unit=mm_per_unit)
+        workspace.record["config"] = Config(poses=settings).model_dump(mode="json")
+        with pytest.raises(HaustraError, match=r"by the poses the wall is .* mm away.*poses' unit \(--poses-mm\)"):
+            solve(workspace, frames)
+
+
+def test_a_unit_of_poses_that_few_see_from_is_doubted(tmp_path, pictures):
+    submap, _ = solved(tmp_path, pictures, POSES)
+    median = np.median(submap.depths()[submap.depths() > 0])
+    assert not scale_of_poses(1.0, 30 / median, submap).doubt
+    for away in (5, 150):
+        assert "check" in scale_of_poses(1.0, away / median, submap).doubt
+
+
 def test_a_slow_film_has_points_in_all_its_keyframes(tmp_path):
     """Keyframes are many frames apart, and the others see nothing."""
     poses = np.stack([camera_at(0.12 * k) for k in range(80)])
