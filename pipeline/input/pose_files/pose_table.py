@@ -16,6 +16,7 @@ from pipeline.run_folder.workspace import Workspace
 
 POSES_UNIT = "poses' unit (--poses-mm)"
 SHOWN = 4  # folders
+SAME_TIME = 0.03  # of the spacing: times are rounded to milliseconds, and such a pose is taken as it is
 WIDEST_GAP = 1.5  # of the median spacing, between two poses that one between them is made of
 
 Array = NDArray[np.float64]
@@ -133,8 +134,9 @@ def _between(wanted: Array, seconds: Array, world_from_camera: Array, nearest: N
         return result
     after = np.searchsorted(seconds, wanted).clip(1, len(seconds) - 1)
     gaps = seconds[after] - seconds[after - 1]
-    narrow = gaps < WIDEST_GAP * np.median(np.diff(seconds))
-    inside = narrow & (wanted > seconds[after - 1]) & (wanted < seconds[after])
+    spacing = np.median(np.diff(seconds))
+    apart = (gaps < WIDEST_GAP * spacing) & (np.abs(wanted - seconds[nearest]) > SAME_TIME * spacing)
+    inside = apart & (wanted > seconds[after - 1]) & (wanted < seconds[after])
     part = ((wanted - seconds[after - 1]) / gaps)[inside]
     before, behind = world_from_camera[after[inside] - 1], world_from_camera[after[inside]]
     first = Rotation.from_matrix(before[:, :3, :3])
