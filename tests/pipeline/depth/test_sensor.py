@@ -199,21 +199,6 @@ def test_depth_of_another_film_is_told_by_its_count(tmp_path, frames, refused):
         check_sensor(tmp_path, settings, frames)
 
 
-@pytest.mark.parametrize(("first", "step", "depth_first"), [(1, 1, 1), (7, 2, 7), (1, 1, 0)])
-def test_depth_belongs_to_the_picture_of_its_number(workspace, tmp_path, first, step, depth_first):
-    """Where both are numbered alike, whatever stands before the number; else depth counts the frames from 0."""
-    (tmp_path / "film").mkdir()
-    workspace.record["source"]["path"] = str(tmp_path / "film")
-    for k in range(COUNT):
-        cv2.imwrite(str(tmp_path / "film" / f"rgb_{first + step * k:06d}.png"), np.full((90, 100, 3), 9, np.uint8))
-    for k in reversed(range(COUNT)):
-        (tmp_path / "depth" / f"{k:05d}.png").rename(tmp_path / "depth" / f"depth_{depth_first + step * k:05d}.png")
-    files = open_sensor(workspace, CAMERA.width).files
-    assert {k: path.name for k, path in files.items()} == {
-        k: f"depth_{depth_first + step * k:05d}.png" for k in range(COUNT)
-    }
-
-
 @pytest.mark.parametrize(
     ("shift", "told"),
     [(3, r"3 frames late.*take 3 from the number"), (-3, r"3 frames early.*add 3 to the number")],
@@ -244,21 +229,6 @@ def test_a_confidence_image_weighs_and_drops(sensor, tmp_path):
     assert not weighed[:10].any()
     np.testing.assert_array_equal(weighed[10:], depth[10:])
     np.testing.assert_allclose(doubt[10:20], 5 * sigma[10:20])
-
-
-def test_one_bad_image_of_many_is_told_before_any_work(tmp_path):
-    """Only some are read for their depth; the first and last bytes of all are."""
-    write_sensor(tmp_path / "depth")
-    settings = SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05)
-    check_sensor(tmp_path / "film.mp4", settings, COUNT)
-    path = sorted((tmp_path / "depth").glob("*.png"))[-2]
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(HaustraError, match=f"{path.name} is a depth image that is cut off"):
-        check_sensor(tmp_path / "film.mp4", settings, COUNT)
-    cv2.imwrite(str(path), np.full((40, 48), 9, np.uint8))
-    with pytest.raises(HaustraError, match=f"{path.name} is no 16-bit depth image"):
-        check_sensor(tmp_path / "film.mp4", settings, COUNT)
 
 
 def test_what_a_sensor_must_have(tmp_path):
