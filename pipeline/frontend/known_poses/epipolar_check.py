@@ -28,6 +28,7 @@ FITS = 0.5  # share of inliers from which on a reading can be the right one; wro
 ROUGHLY_FITS = 0.2  # the same of poses that are to be adjusted, as a tracker's, off by a millimetre and a degree
 CLEARLY = 0.15  # by which another reading must fit better
 Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+MM_PER_M = 1000.0
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -77,11 +78,32 @@ READINGS: dict[str, Callable[[Array], Array]] = {
 }
 
 
+def readings_of_hand_eye(sensor_from_camera: Array) -> dict[str, Callable[[Array], Array]]:
+    """What the poses of a tracker's sensor would be by another reading of the transform (4,4)."""
+    camera_from_sensor = np.linalg.inv(sensor_from_camera)
+    longer, shorter = sensor_from_camera.copy(), sensor_from_camera.copy()
+    longer[:3, 3] *= MM_PER_M
+    shorter[:3, 3] /= MM_PER_M
+    return {
+        "those of a hand-eye transform that is inverted, camera_from_sensor": (
+            lambda p: p @ camera_from_sensor @ camera_from_sensor
+        ),
+        "those of a hand-eye transform in m beside a tracker's in mm": lambda p: p @ camera_from_sensor @ longer,
+        "those of a hand-eye transform in mm beside a tracker's in m": lambda p: p @ camera_from_sensor @ shorter,
+    }
+
+
 def check_poses(
-    path: Path, frames: Sequence[int], world_from_camera: Array, rays: RayTable, find: FindFeatures, fits: float = FITS
+    path: Path,
+    frames: Sequence[int],
+    world_from_camera: Array,
+    rays: RayTable,
+    find: FindFeatures,
+    fits: float = FITS,
+    sensor_from_camera: Array | None = None,
 ) -> PoseCheck:
     """Test world_from_camera (N,4,4) of frames. HaustraError, one sentence, where another reading of the file fits the
-    pictures, or none does; fits: the share of inliers that is asked for."""
+    pictures, or none does; fits: the share of inliers that is asked for. sensor_from_camera (4,4): of a tracker."""
     pairs = matched_pairs(frames, rays, find)
     asked = sum(len(pair.first) for pair in pairs)
     if asked < FEWEST_MATCHES:
@@ -89,7 +111,8 @@ def check_poses(
             f"the poses of {path} cannot be tested: no two of {len(frames)} posed frames show the same from places "
             "apart"
         )
-    share = {name: _inlier_share(pairs, read(world_from_camera), rays.focal_px) for name, read in READINGS.items()}
+    readings = READINGS | ({} if sensor_from_camera is None else readings_of_hand_eye(sensor_from_camera))
+    share = {name: _inlier_share(pairs, read(world_from_camera), rays.focal_px) for name, read in readings.items()}
     given, best = share[AS_GIVEN], max(share, key=lambda name: share[name])
     counted = f"{100 * share[best]:.0f} % of {asked} matches lie on their epipolar lines"
     if share[best] >= fits and share[best] > given + CLEARLY:
@@ -98,9 +121,10 @@ def check_poses(
             f"{100 * given:.0f} %; convert them"
         )
     if given < fits:
+        other = "" if sensor_from_camera is None else ", the hand-eye transform another one (--hand-eye)"
         raise HaustraError(
             f"the poses of {path} are not those of these pictures: read in any axes, at most {counted}; are they of "
-            "another film, shifted in time, or is the lens another one (--camera)?"
+            f"another film, shifted in time{other}, or is the lens another one (--camera)?"
         )
     return PoseCheck(asked, given, _median_depth(pairs, world_from_camera, rays.focal_px))
 

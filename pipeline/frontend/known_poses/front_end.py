@@ -22,6 +22,7 @@ from pipeline.frontend.known_poses.posed_map import build_map
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
+from pipeline.input.pose_files.tracker_csv import is_tracker, read_hand_eye
 from pipeline.input.sensor.sensor_depth import check_view
 from pipeline.mapping.feature_triangulation import choose_frames
 from pipeline.mapping.local_map import LocalMap
@@ -50,7 +51,9 @@ class KnownPosesFrontEnd:
     def run(
         self, frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
-        table = read_poses(Path(settings.poses.file or ""), _path(settings.poses.hand_eye))
+        hand_eye, file = _path(settings.poses.hand_eye), Path(settings.poses.file or "")
+        table = read_poses(file, hand_eye)
+        sensor_from_camera = None if hand_eye is None or not is_tracker(file) else read_hand_eye(hand_eye)
         by_frame = poses_by_frame(table, FilmFrames.of(workspace))
         index = np.array([frame for frame in frames.index.tolist() if frame in by_frame], np.int64)
         if len(index) < MIN_FRAMES:
@@ -60,7 +63,8 @@ class KnownPosesFrontEnd:
         given = np.stack([by_frame[frame] for frame in index.tolist()])
         rays, refine = RayTable(frames.camera), settings.poses.refine
         with single_threaded():
-            check = check_poses(table.path, index.tolist(), given, rays, features, ROUGHLY_FITS if refine else FITS)
+            fits = ROUGHLY_FITS if refine else FITS
+            check = check_poses(table.path, index.tolist(), given, rays, features, fits, sensor_from_camera)
             if settings.poses.mm_per_unit is not None:
                 check_view(check.depth * settings.poses.mm_per_unit, "poses", POSES_UNIT)
             progress.log(

@@ -22,8 +22,12 @@ SAME = 1e-6  # between two poses that a file gives twice
 LOST = ("missing", "disabled", "bad")
 
 
+def is_tracker(path: Path) -> bool:
+    return path.suffix.lower() == ".csv" and path.is_file()
+
+
 def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | None:
-    if path.suffix.lower() != ".csv" or not path.is_file():
+    if not is_tracker(path):
         return None
     text = read_text(path)
     rows = list(csv.DictReader(text.splitlines(), delimiter=";" if ";" in text.split("\n", 1)[0] else ","))

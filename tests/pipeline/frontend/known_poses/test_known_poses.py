@@ -116,15 +116,20 @@ def test_rough_poses_are_refined_in_their_own_world_and_unit(tmp_path, pictures)
     assert radius_error(submap) < 0.01  # the unit has not slid away
 
 
+def turning(poses):
+    turned = poses.copy()
+    turns = Rotation.from_euler("y", 15 * np.sin(0.3 * np.arange(COUNT))[:, None], degrees=True)
+    turned[:, :3, :3] = poses[:, :3, :3] @ turns.as_matrix()
+    return turned
+
+
 @pytest.mark.parametrize(("longer", "doubted"), [(1.0, False), (0.92, True)])
 def test_a_lens_of_another_endoscope_is_doubted_at_given_poses(tmp_path, longer, doubted):
     def with_another_lens(frames):
         focal, *others = frames.camera.params
         return replace(frames, camera=replace(frames.camera, params=(longer * focal, *others)))
 
-    poses = POSES.copy()  # turning is what tells a focal length
-    turns = Rotation.from_euler("y", 15 * np.sin(0.3 * np.arange(COUNT))[:, None], degrees=True)
-    poses[:, :3, :3] = poses[:, :3, :3] @ turns.as_matrix()
+    poses = turning(POSES)  # which is what tells a focal length
     workspace, frames = filmed(tmp_path, [render(one) for one in poses], poses, camera="lens.yaml")
     solve(workspace, with_another_lens(frames))
     said = [sentence for sentence in workspace.result("structure")["warnings"] if "another endoscope" in sentence]
@@ -159,6 +164,35 @@ def test_wrong_axes_are_named_in_one_sentence(tmp_path, pictures, name):
         solved(tmp_path, pictures, WRONG[name])
     assert name in str(refusal.value)
     assert "poses.txt" in str(refusal.value)
+
+
+SENSOR_FROM_CAMERA = np.eye(4)
+SENSOR_FROM_CAMERA[:3, :3] = Rotation.from_euler("xyz", [40, -2, 3], degrees=True).as_matrix()
+SENSOR_FROM_CAMERA[:3, 3] = 2, -1, 9
+IN_M, IN_MM = np.diag([1e-3, 1e-3, 1e-3, 1]), np.diag([1e3, 1e3, 1e3, 1])
+
+
+@pytest.mark.parametrize(
+    ("unit", "hand_eye", "told"),
+    [
+        (1, np.linalg.inv(SENSOR_FROM_CAMERA), "hand-eye transform that is inverted"),
+        (1e-3, SENSOR_FROM_CAMERA, "hand-eye transform in mm beside a tracker's in m"),
+        (1, IN_M @ SENSOR_FROM_CAMERA @ IN_MM, "hand-eye transform in m beside a tracker's in mm"),
+    ],
+)
+def test_a_wrong_hand_eye_transform_is_named(tmp_path, unit, hand_eye, told):
+    """The camera turns, which is what tells how far it is from the sensor."""
+    poses = turning(POSES)
+    workspace, frames = filmed(tmp_path, [render(one) for one in poses], poses)
+    sensor = poses @ np.linalg.inv(SENSOR_FROM_CAMERA)
+    turns = Rotation.from_matrix(sensor[:, :3, :3]).as_quat()
+    table = np.column_stack([np.arange(COUNT) / 30, unit * sensor[:, :3, 3], turns])
+    np.savetxt(tmp_path / "em.csv", table, delimiter=",", header="Time,Tx,Ty,Tz,Qx,Qy,Qz,Qw", comments="")
+    np.savetxt(tmp_path / "hand_eye.txt", hand_eye)
+    given = PoseSettings(file=str(tmp_path / "em.csv"), hand_eye=str(tmp_path / "hand_eye.txt"))
+    workspace.record["config"] = Config(poses=given).model_dump(mode="json")
+    with pytest.raises(HaustraError, match=f"{told}.*: so read, .*convert them"):
+        solve(workspace, frames)
 
 
 @pytest.mark.parametrize("how", ["shuffled", "of another path"])
