@@ -82,7 +82,8 @@ def _c3vd(folder: Path) -> Iterator[EvaluationFrame]:
 
 
 def _c3vdv2(folder: Path) -> Iterator[EvaluationFrame]:
-    for path in sorted((folder / "rgb").glob("[!.]*.png")):
+    # As above: of names that are numbers the shorter is the smaller.
+    for path in sorted((folder / "rgb").glob("[!.]*.png"), key=lambda path: (len(path.stem), path.stem)):
         raw = read_depth16(partner(path, folder / "depth", f"{path.stem}_depth.tiff"))
         yield EvaluationFrame(path.stem, read_rgb(path), _c3vd_depth(raw), "mm", None, _segment(folder.name))
 

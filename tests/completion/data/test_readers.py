@@ -116,6 +116,16 @@ def test_each_layout_is_recognised_and_decoded(kind: str, tmp_path: Path) -> Non
         assert np.isfinite(frame.depth).all()
 
 
+def test_frames_of_c3vdv2_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    """Padded or not: the k-th is held against the k-th pose."""
+    for name in ("rgb", "depth"):
+        (tmp_path / name).mkdir()
+    for number in range(12):
+        cv2.imwrite(str(tmp_path / f"rgb/{number}.png"), np.zeros((8, 8, 3), np.uint8))
+        cv2.imwrite(str(tmp_path / f"depth/{number}_depth.tiff"), np.full((8, 8), 9, np.uint16))
+    assert [int(frame.name) for frame in read_evaluation_frames(tmp_path, "c3vdv2")] == list(range(12))
+
+
 @pytest.mark.parametrize("kind", ["c3vd", "c3vdv2"])
 def test_c3vd_clamped_and_missing_depth_is_no_depth(kind: str, tmp_path: Path) -> None:
     make(kind, tmp_path)
