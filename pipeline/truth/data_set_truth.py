@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,13 @@ class DataSetTruth:
 
     def _views(self, camera: Camera) -> Iterator[tuple[Array, Array]]:
         rays, step = None, views_apart(len(self.world_from_camera))
-        for number, (depth, world_from_camera) in enumerate(zip(self.depths, self.world_from_camera, strict=False)):
+        for number, (depth, world_from_camera) in enumerate(zip_longest(self.depths, self.world_from_camera)):
+            if depth is None or world_from_camera is None:
+                kinds = ("poses", "depth images") if depth is None else ("depth images", "poses")
+                raise HaustraError(
+                    f"the truth has {number} {kinds[1]} and more {kinds[0]}, so that they cannot be paired: give the "
+                    "whole data set, or a trajectory file alone"
+                )
             if number % step:
                 continue
             rays = _rays(camera, depth.shape) if rays is None else rays

@@ -158,7 +158,7 @@ def depth_folder(source: Path, settings: SensorSettings) -> Path | None:
     if settings.folder is not None:
         return Path(settings.folder)
     described = source / "camera.json"
-    says = source.is_dir() and described.is_file() and read_json(described).get("depth") == SENSOR
+    says = source.is_dir() and described.is_file() and str(read_json(described).get("depth")).lower() == SENSOR
     if says or (settings.depth == SENSOR and (source / "depth").is_dir()):
         return source / "depth"
     if settings.depth == SENSOR:

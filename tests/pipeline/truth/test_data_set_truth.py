@@ -65,6 +65,20 @@ def test_c3vd_s_matrices_are_transposed(tmp_path):
     assert np.percentile(np.abs(surface.seen[:, 2] - PLANE_MM), 95) < 0.02  # 1.5 um a step; the lens must fit, too
 
 
+@pytest.mark.parametrize("more", ["poses", "depth images"])
+def test_a_part_of_a_data_set_is_not_paired_by_order(tmp_path, more):
+    folder, truth = tmp_path / "cecum_t1_a", poses()
+    write_c3vd(folder, truth)
+    if more == "poses":
+        for path in folder.glob(f"{1:04d}_*"):
+            path.unlink()
+    else:
+        lines = (folder / "pose.txt").read_text().splitlines()
+        (folder / "pose.txt").write_text("\n".join(lines[:-1]) + "\n")
+    with pytest.raises(HaustraError, match=f"and more {more}, so that they cannot be paired"):
+        read_data_set_truth(folder).surface()
+
+
 def test_c3vd_poses_that_somebody_has_transposed_already(tmp_path):
     truth = poses()
     (tmp_path / "pose.txt").write_text(
