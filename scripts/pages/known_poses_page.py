@@ -14,7 +14,7 @@ FOREIGN = ROOT / "benchmarks/results/foreign_poses.json"
 
 HEAD = """# True poses instead of tracking
 
-- **Date:** 2026-11-25
+- **Date:** 2026-11-26
 - **Question:** Does `--poses` with true poses reach what completed depth can give at true poses?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction known-poses SUITE/*
   --json benchmarks/results/known_poses.json`, and `python -m benchmarks.reconstruction foreign-poses CTCOLON
@@ -30,10 +30,11 @@ depth of the run without poses (odometry), fused with its keyframes where they t
 READ = """
 ## How to read it
 
-`--poses` is mostly above the ceiling: its points are triangulated with exact poses from SIFT features, so that the
-depth which is completed from them is better too, not its place alone. The least favourable film is `{worst}`, at
-{least:+.1f} points. Placing the depth of odometry exactly changes little: what is lost there is depth, not
-path; but on `events`, where tracking ends several times, poses join what it leaves apart.
+`--poses` can be above the ceiling: its points are triangulated with exact poses from SIFT features, in frames at most
+2.5 % of the width apart where `--fast` has 5 %, so that the depth which is completed from them is better too, not its
+place alone. The least favourable film is `{worst}`, at {least:+.1f} points.
+Placing the depth of odometry exactly changes little: what is lost there is depth, not path; but on
+`events`, where tracking ends several times, poses join what it leaves apart.
 """
 
 
