@@ -27,6 +27,7 @@ from pipeline.run_folder.workspace import RECORD_NAME
 
 if TYPE_CHECKING:
     from av import Packet, VideoFrame
+    from av.codec.context import CodecContext
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
@@ -166,7 +167,8 @@ class Source:
             faults = look_at(
                 self._of_one_time(frame) for frame in decoded if min(frame.width, frame.height) >= SMALLEST
             )
-            if stream.codec_context.name in PALETTES:  # whose dither alternates from row to row
+            codec: CodecContext | None = stream.codec_context  # PyAV has none where FFmpeg has no decoder
+            if codec is not None and codec.name in PALETTES:  # whose dither alternates from row to row
                 faults = replace(faults, combed=False)
         for sentence in faults.notes:
             self._note(sentence)

@@ -72,3 +72,16 @@ def test_a_stack_of_pictures_in_one_file_is_called_one(tmp_path: Path, in_folder
     first.save(stack, save_all=True, append_images=others)
     with pytest.raises(HaustraError, match="is a stack of 7 pictures in one TIFF file"):
         Source(tmp_path if in_folder else stack)
+
+
+def test_a_film_of_a_codec_that_nobody_has_is_one_sentence(tmp_path: Path) -> None:
+    film = tmp_path / "film.avi"
+    with av.open(str(film), "w") as file:
+        stream = file.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 96, "yuv420p"
+        for frame in textured_frames(5, size=96):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        file.mux(stream.encode())
+    film.write_bytes(film.read_bytes().replace(b"FMP4", b"Zzq9"))
+    with pytest.raises(HaustraError, match="no frame of"):
+        list(Source(film))
