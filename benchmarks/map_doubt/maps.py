@@ -17,7 +17,7 @@ from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frontend.base import FoundSubmap
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
-from pipeline.frontend.scoring import candidates_of, passes_light
+from pipeline.frontend.scoring import accepted, candidates_of
 from pipeline.input.frames import Frames, read_frames, read_image
 from pipeline.input.video import Source
 from pipeline.mapping.lighting_check import LightingCheck, brightness_of
@@ -116,6 +116,7 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     except HaustraError:
         return []
     candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], frames.camera, workspace)
+    kept = {id(one) for one in accepted(candidates, [None] * len(candidates))[0]}
     return [
         JudgedMap(
             one.submap,
@@ -124,11 +125,11 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
             _brightness(one.submap, lambda index: read_image(workspace.image_path(index))),
             frames.seconds_of_numbers(one.submap.frames),
             truth[one.submap.frames],
-            number == 0 or passes_light(one),
+            id(one) in kept,
             len(frames.index),
             len(candidates),
         )
-        for number, one in enumerate(candidates)
+        for one in candidates
     ]
 
 

@@ -31,7 +31,7 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
 from pipeline.frontend.base import COLMAP_WORKER
 from pipeline.frontend.colmap.front_end import colmap_job, map_by_colmap
-from pipeline.frontend.scoring import Candidate, best_mapper, candidates_of, needs_second_opinion, passes_light
+from pipeline.frontend.scoring import Candidate, accepted, best_mapper, candidates_of, needs_second_opinion
 from pipeline.input.frames import Frames
 from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace
@@ -112,7 +112,7 @@ def _timed(
 
 def _figures(models: list[Candidate], spent: np.ndarray, count: int, truth: np.ndarray) -> dict[str, Any]:
     """Errors of the models that `reconstruct` would keep; spent: wall and processor seconds."""
-    submaps = [candidate.submap for number, candidate in enumerate(models) if number == 0 or passes_light(candidate)]
+    submaps = [candidate.submap for candidate in accepted(models, [None] * len(models))[0]]
     posed = sum(len(submap.frames) for submap in submaps) / count
     speed = {"frames_per_s": count / spent[0], "processor_ms_per_frame": 1e3 * spent[1] / count}
     return {"used": count, "posed_share": posed, "submaps": len(submaps)} | speed | path_errors(submaps, truth)

@@ -194,9 +194,7 @@ def run_job(job: Job, arguments: list[str], processes: ChildProcesses | None = N
         return _run_job(job, arguments, processes or ChildProcesses(), begin)
     except Exception as error:  # noqa: BLE001 # the other videos go on
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        return Outcome(
-            str(job.video), str(job.folder), "failed", round((time.monotonic() - begin) / 60, 2), message=reason
-        )
+        return Outcome(str(job.video), str(job.folder), "failed", _minutes_since(begin), message=reason)
 
 
 def _run_job(job: Job, arguments: list[str], processes: ChildProcesses, begin: float) -> Outcome:
@@ -205,11 +203,15 @@ def _run_job(job: Job, arguments: list[str], processes: ChildProcesses, begin: f
         code = processes.run(
             parent_bound_command(MODULE, str(job.video), "-o", str(job.folder), "-q", *how, *arguments), log.fileno()
         )
-    minutes = round((time.monotonic() - begin) / 60, 2)
+    minutes = _minutes_since(begin)
     if code == 0:
         return finished_outcome(job.video, job.folder, "done", minutes)
     status = "stopped" if processes.stopping else "failed"
     return Outcome(str(job.video), str(job.folder), status, minutes, message=_failure_reason(code, job.log))
+
+
+def _minutes_since(begin: float) -> float:
+    return round((time.monotonic() - begin) / 60, 2)
 
 
 def _failure_reason(code: int, log: Path) -> str:

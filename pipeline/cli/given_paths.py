@@ -4,7 +4,8 @@ from pathlib import Path
 
 from haustra.core.errors import HaustraError
 
-STREAMS = ("http", "https", "rtsp", "rtmp", "udp", "tcp")  # first part of their addresses
+# As `live_film.SCHEMES`, whose module is too slow to load for a refusal.
+STREAMS = ("rtsp", "rtsps", "rtp", "udp", "tcp", "srt", "http", "https")
 
 
 def must_exist(*paths: Path | str | None) -> None:

@@ -126,14 +126,11 @@ def accepted(
     kept = [
         (one, doubt)
         for number, (one, doubt) in enumerate(zip(candidates, doubts, strict=True))
-        if number == 0 or passes_light(one) or (doubt is not None and doubt.probability < MOST_DOUBT)
+        if number == 0
+        or one.check.inconsistent_share <= MAX_INCONSISTENT
+        or (doubt is not None and doubt.probability < MOST_DOUBT)
     ]
     return [one for one, _ in kept], [doubt for _, doubt in kept]
-
-
-def passes_light(one: Candidate) -> bool:
-    """Whether so few frames contradict the lamp as in right maps."""
-    return one.check.inconsistent_share <= MAX_INCONSISTENT
 
 
 def doubts_of(found: list[Candidate], mapper: str, frames: Frames) -> list[MapDoubt | None]:

@@ -26,9 +26,12 @@ PROBED = 40  # pictures from which the bits of deep ones are found, each with th
 
 def read_picture(path: Path) -> NDArray | None:
     """(H,W,3) uint8 or uint16 RGB; None if it is no readable picture, or a JPEG that is cut off."""
-    if path.suffix.lower() in JPEG and path.is_file() and _is_cut_off(path.read_bytes()):
-        return None
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    how = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
+    if path.suffix.lower() in JPEG and path.is_file():
+        data = path.read_bytes()
+        image = None if not data or _is_cut_off(data) else cv2.imdecode(np.frombuffer(data, np.uint8), how)
+    else:
+        image = cv2.imread(str(path), how)
     if image is None or image.dtype not in (np.uint8, np.uint16):
         return None
     return np.ascontiguousarray(image[..., ::-1])

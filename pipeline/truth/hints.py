@@ -9,11 +9,10 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
-from haustra.core.se3 import inverse
 from haustra.core.sim3 import umeyama
+from pipeline.frontend.known_poses.epipolar_check import MIRROR, Y_UP, inverted, scalar_first
 from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
 Array = NDArray[np.float64]
@@ -23,7 +22,6 @@ MOST_SHIFTS = 400
 RATES = (1 / 2, 2.0, 24 / 25, 25 / 24, 24 / 30, 30 / 24, 25 / 30, 30 / 25)  # of a film's frames/s and those assumed
 UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the number that stands for it / 1000
 BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
-AXES, MIRROR = np.diag([1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
 SHORTEST_MM = 1.0  # a path over which nothing could be triangulated: its numbers are of another unit
 
 
@@ -89,14 +87,6 @@ def _misfit(estimated: Array, true: Array) -> tuple[float, float]:
     return errors.ate_rmse / spread, errors.rotation_median_deg
 
 
-def _w_first(poses: Array) -> Array:
-    """Poses whose quaternions were stored w x y z and read as x y z w."""
-    stored = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    read = poses.copy()
-    read[:, :3, :3] = Rotation.from_quat(stored[:, [1, 2, 3, 0]]).as_matrix()
-    return read
-
-
 def _mirrored_centres(poses: Array, axis: int) -> Array:
     read = poses.copy()
     read[:, axis, 3] *= -1
@@ -104,9 +94,9 @@ def _mirrored_centres(poses: Array, axis: int) -> Array:
 
 
 READINGS: dict[str, Callable[[Array], Array]] = {
-    "quaternions are w x y z, and x y z w is read": _w_first,
-    "camera has OpenGL's axes (y up, z backwards), and OpenCV's are read": lambda poses: poses @ AXES,
-    "poses are camera_from_world, and world_from_camera is read": lambda poses: np.stack([*map(inverse, poses)]),
+    "quaternions are w x y z, and x y z w is read": scalar_first,
+    "camera has OpenGL's axes (y up, z backwards), and OpenCV's are read": lambda poses: poses @ Y_UP,
+    "poses are camera_from_world, and world_from_camera is read": inverted,
     "world is left-handed, as Unity's": lambda poses: MIRROR @ poses @ MIRROR,
 } | {
     f"{name} of the centres has the other sign": partial(_mirrored_centres, axis=axis)

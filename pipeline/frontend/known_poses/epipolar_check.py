@@ -52,14 +52,14 @@ class PoseCheck:
     depth: float
 
 
-def _inverted(world_from_camera: Array) -> Array:
+def inverted(world_from_camera: Array) -> Array:
     turned = np.swapaxes(world_from_camera[:, :3, :3], 1, 2)
     result = np.tile(np.eye(4), (len(world_from_camera), 1, 1))
     result[:, :3, :3], result[:, :3, 3] = turned, -np.einsum("nij,nj->ni", turned, world_from_camera[:, :3, 3])
     return result
 
 
-def _scalar_first(world_from_camera: Array) -> Array:
+def scalar_first(world_from_camera: Array) -> Array:
     """As if the file's quaternions had w before x y z."""
     w, x, y, z = Rotation.from_matrix(world_from_camera[:, :3, :3]).as_quat().T
     result = world_from_camera.copy()
@@ -70,11 +70,11 @@ def _scalar_first(world_from_camera: Array) -> Array:
 AS_GIVEN = "world_from_camera in OpenCV's axes"
 READINGS: dict[str, Callable[[Array], Array]] = {
     AS_GIVEN: lambda p: p,
-    "camera_from_world, that is, inverted": _inverted,
+    "camera_from_world, that is, inverted": inverted,
     "world_from_camera in OpenGL's axes (y up, z backwards)": lambda p: p @ Y_UP,
-    "camera_from_world in OpenGL's axes": lambda p: _inverted(p) @ Y_UP,
+    "camera_from_world in OpenGL's axes": lambda p: inverted(p) @ Y_UP,
     "world_from_camera of a left-handed world (y down in the camera, up in the file)": lambda p: MIRROR @ p @ MIRROR,
-    "world_from_camera with w before x y z in its quaternions": _scalar_first,
+    "world_from_camera with w before x y z in its quaternions": scalar_first,
 }
 
 

@@ -18,7 +18,7 @@ from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
 from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_surfaces
 from pipeline.report.page.scene import scene_data
-from pipeline.report.page.summary import Link, cards, cautions, coverage_section, coverage_words, details, source_name
+from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details, source_name
 from pipeline.report.page.timeline import frame_states, timeline_section
 from pipeline.run_folder.workspace import Workspace, write_text
 from pipeline.surface.coverage_stage import CoverageResult
@@ -116,8 +116,7 @@ def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
     if not rest:
         return ""
     items = "".join(
-        f"<li>submap {number}: {html.escape(coverage_words(result.record))}</li>"
-        for number, result in enumerate(rest, start=first)
+        f"<li>submap {number}: {html.escape(result.sentence)}</li>" for number, result in enumerate(rest, start=first)
     )
     return (
         f"<h2>Coverage of smaller submaps</h2><p>To keep this page small, maps are shown of the {first} largest of "

@@ -83,11 +83,11 @@ def cautions(metrics: dict[str, Any]) -> str:
 def details(metrics: dict[str, Any]) -> str:
     """Every figure with its unit, as a table."""
     frames = metrics["frames"]
-    left_out = ", ".join(f"{n} {why}" for why, n in frames["verdicts"].items() if why != "used") or "none"
+    unused = ", ".join(f"{n} {why}" for why, n in frames["verdicts"].items() if why != "used") or "none"
     rows = [
         ("source", source_name(metrics)),
         ("frames posed", f"{frames['posed']} of {frames['total']} in {counted(len(metrics['submaps']), 'submap')}"),
-        ("frames left out before tracking", left_out),
+        ("frames left out before tracking", unused),
         ("camera", metrics["camera"]),
         ("path and points", STRUCTURE.get(metrics["mapper"], metrics["mapper"])),
         ("completion model", metrics["model"]),
@@ -158,24 +158,11 @@ def _cut(kept: float) -> str:
     return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
-def coverage_words(record: dict[str, Any]) -> str:
-    """What was found of a submap's coverage; why nothing could be judged otherwise."""
-    if not record["judged"]:
-        return str(record["reason"])
-    word, share = unit_label(record["unit"]), record.get("unmeasured_percent")
-    plain = "" if share is None else f" ({share:.1f} % in plain view only, without a surface)"
-    return (
-        f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {word} of visited "
-        f"lumen{plain}; {counted(len(record['missed_regions']), 'missed region')} of {record['listed_from']:.3g} "
-        f"{word} and more, and {record['smaller_regions']} smaller"
-    )
-
-
 def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
     """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
     record = result.record
     if result.picture is None:
-        reason = coverage_words(record)
+        reason = result.sentence
         return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
     unit = unit_label(record["unit"])
     head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
@@ -196,7 +183,7 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
     heads = "".join(f"<th>{title}</th>" for title in (*head, "nearest frame"))
     table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
     return (
-        f"<h2>Coverage</h2><p>{html.escape(coverage_words(record))}.</p>"
+        f"<h2>Coverage</h2><p>{html.escape(result.sentence)}.</p>"
         f'<img class="map" alt="unrolled wall" src="{data_uri(result.picture.read_bytes(), "png")}">'
         f'<div class="wide">{table}</div>'
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '

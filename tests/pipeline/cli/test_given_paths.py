@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.cli.given_paths import must_be_named_or_exist, must_exist
+from pipeline.cli.given_paths import STREAMS, must_be_named_or_exist, must_exist
+from pipeline.live.capture.live_film import SCHEMES
 
 COMMANDS = [
     ["reconstruct", "no.mp4"],
@@ -63,6 +64,10 @@ def test_every_command_names_what_is_not_there_at_once(tmp_path: Path) -> None:
         assert f"{wrong}\n" in error or f"{wrong} " in error, words
         assert not heavy, words
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "run"]
+
+
+def test_the_streams_are_those_that_live_takes() -> None:
+    assert STREAMS == SCHEMES
 
 
 @pytest.mark.parametrize("address", ["http://host/film.mp4", "rtsp://10.0.0.5/scope"])

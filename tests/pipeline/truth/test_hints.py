@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.se3 import inverse
-from pipeline.truth.hints import AXES, MIRROR, Timed, clock_hint, pose_hint, unit_hint
+from pipeline.truth.hints import MIRROR, Y_UP, Timed, clock_hint, pose_hint, unit_hint
 
 RATE, FRAMES = 30, 300
 
@@ -96,7 +96,7 @@ def stored_w_first(poses: np.ndarray) -> np.ndarray:
     ("stored", "reading"),
     [
         (stored_w_first, "quaternions are w x y z"),
-        (lambda poses: poses @ AXES, "OpenGL's axes"),
+        (lambda poses: poses @ Y_UP, "OpenGL's axes"),
         (lambda poses: np.stack([inverse(pose) for pose in poses]), "camera_from_world"),
         (lambda poses: MIRROR @ poses @ MIRROR, "left-handed"),
         (lambda poses: mirrored_centres(poses, 0), "x of the centres has the other sign"),

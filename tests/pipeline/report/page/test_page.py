@@ -16,8 +16,9 @@ from pipeline.report.page import keyframe_gallery as browser
 from pipeline.report.page import scene
 from pipeline.report.page.keyframe_gallery import Shown, choose_shown
 from pipeline.report.page.page import write_page
-from pipeline.report.page.summary import coverage_words, details
+from pipeline.report.page.summary import details
 from pipeline.report.page.timeline import MOST_COLUMNS, FrameStates, timeline_section
+from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.mesh.decimation import decimated
 from reconstruction.mesh.mesh_io import read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -94,8 +95,8 @@ def test_units_and_numbers_are_in_words(run):
     assert "visual odometry" in text
     assert "<th>probability that this map is wrong</th><td>20 %; what speaks most against it: its points lie" in text
     record = run.coverage[0].record
-    assert "; 1 missed region of 5 mm and more" in coverage_words(record)
-    assert "; 0 missed regions of" in coverage_words(record | {"missed_regions": []})
+    assert "; 1 missed region of 5 mm and more" in CoverageResult(record, None).sentence
+    assert "; 0 missed regions of" in CoverageResult(record | {"missed_regions": []}, None).sentence
 
 
 def test_the_keyframes_are_counted_and_bounded(run, page):
