@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from haustra.core.sim3 import umeyama
-from pipeline.frontend.known_poses.epipolar_check import MIRROR, Y_UP, inverted, scalar_first
+from pipeline.frontend.known_poses.pose_check import MIRROR, Y_UP, inverted, scalar_first
 from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Front end `poses`: no tracking; the frames' poses are read from a file, and their features triangulated.
 
-The world and the unit stay those of the file. Poses are tested against the pictures first (`epipolar_check`).
+The world and the unit stay those of the file. Poses are tested against the pictures first (`pose_check`).
 """
 
 from dataclasses import replace
@@ -17,10 +17,11 @@ from haustra.core.se3 import Array, inverse
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
-from pipeline.frontend.known_poses.epipolar_check import FITS, ROUGHLY_FITS, check_poses
+from pipeline.frontend.known_poses.pose_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map
+from pipeline.frontend.known_poses.time_shift import numbered_by_pictures
 from pipeline.input.frames import Frames
-from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, poses_by_frame
+from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, first_numbers, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
 from pipeline.input.pose_files.tracker_csv import is_tracker, read_hand_eye
 from pipeline.input.sensor.sensor_depth import check_view
@@ -54,17 +55,22 @@ class KnownPosesFrontEnd:
         hand_eye, file = _path(settings.poses.hand_eye), Path(settings.poses.file or "")
         table = read_poses(file, hand_eye)
         sensor_from_camera = None if hand_eye is None or not is_tracker(file) else read_hand_eye(hand_eye)
-        by_frame = poses_by_frame(table, FilmFrames.of(workspace))
+        rays, film = RayTable(frames.camera), FilmFrames.of(workspace)
+        readings = [poses_by_frame(table, film, first) for first in first_numbers(table, film)]
+        with single_threaded():
+            by_frame = numbered_by_pictures(readings, frames.index, rays, features)
         index = np.array([frame for frame in frames.index.tolist() if frame in by_frame], np.int64)
         if len(index) < MIN_FRAMES:
             raise HaustraError(
                 f"{table.path} has poses of {len(index)} of the {len(frames.index)} usable frames; three are needed"
             )
         given = np.stack([by_frame[frame] for frame in index.tolist()])
-        rays, refine = RayTable(frames.camera), settings.poses.refine
+        refine = settings.poses.refine
         with single_threaded():
             fits = ROUGHLY_FITS if refine else FITS
-            check = check_poses(table.path, index.tolist(), given, rays, features, fits, sensor_from_camera)
+            check = check_poses(
+                table.path, index.tolist(), given, rays, features, fits, sensor_from_camera, film.spacing(table)
+            )
             if settings.poses.mm_per_unit is not None:
                 check_view(check.depth * settings.poses.mm_per_unit, "poses", POSES_UNIT)
             progress.log(

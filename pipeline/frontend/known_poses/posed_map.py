@@ -12,7 +12,7 @@ import numpy as np
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array
-from pipeline.frontend.known_poses.epipolar_check import MatchedPair, inliers, unit_rays
+from pipeline.frontend.known_poses.epipolar_lines import MatchedPair, inliers, unit_rays
 from pipeline.mapping.feature_triangulation import empty_map, match_again, triangulate_features
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import fit_points

@@ -55,12 +55,32 @@ class FilmFrames:
             (source.stem, *{path.parent.name for path in pictures}),
         )
 
+    def spacing(self, table: PoseTable) -> float | None:
+        """Seconds between two frames, where the poses have times, too."""
+        if table.seconds is None or len(self.index) < 2:
+            return None
+        return float((self.seconds[-1] - self.seconds[0]) / (self.index[-1] - self.index[0]))
 
-def poses_by_frame(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
+
+def first_numbers(table: PoseTable, film: FilmFrames) -> tuple[int, ...]:
+    """The numbers that a film's first frame may have in the names of the table's pictures, the likeliest first.
+
+    Programs count from 0, and FFmpeg from 1; where neither the first nor the last frame has a pose, both can be meant.
+    """
+    if table.names is None or film.names is not None:
+        return (0,)
+    numbers = [found[-1] for name in table.names if (found := re.findall(r"\d+", Path(name).stem))]
+    least, most, last = min(map(int, numbers), default=0), max(map(int, numbers), default=0), int(film.index.max())
+    if least == 0:
+        return (0,)
+    return (1,) if most == last + 1 else (1, 0) if most <= last else (0,)
+
+
+def poses_by_frame(table: PoseTable, film: FilmFrames, first: int = 0) -> dict[int, Array]:
     """world_from_camera (4,4) by frame number, of the frames that have one. HaustraError where the poses are of another
-    film by their number, names or times."""
+    film by their number, names or times; first: the first frame's number in the names of a film's pictures."""
     if table.names is not None:
-        found = _by_name(table, table.names, film)
+        found = _by_name(table, table.names, film, first)
     elif table.seconds is not None:
         found = _by_time(table, table.seconds, film)
     else:
@@ -84,9 +104,8 @@ def _by_order(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
     return dict(enumerate(table.world_from_camera))
 
 
-def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict[int, Array]:
-    """By the names of a folder's pictures, or the numbers in both; of a film, by the number in the name, counted from
-    0, or from 1 where the film has no frame of the last number."""
+def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames, first: int) -> dict[int, Array]:
+    """By the names of a folder's pictures, or the numbers in both; of a film, by the number in the name."""
     table, names = _of_one_camera(table, names, film)
     by_stem = {Path(name).stem: number for number, name in enumerate(film.names or ())}
     stems = [Path(name).stem for name in names]
@@ -100,7 +119,6 @@ def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -> dict
     rows = rows_by_number(film.names or (), names)
     if rows is not None:
         return {rows[number]: matrix for number, matrix in zip(last, table.world_from_camera, strict=True)}
-    first = 1 if max(last) == int(film.index.max()) + 1 and min(last) > 0 else 0
     numbered = zip(last, table.world_from_camera, strict=True)
     return {number - first: world_from_camera for number, world_from_camera in numbered}
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
-from pipeline.input.pose_files.pose_table import FilmFrames, PoseTable, poses_by_frame
+from pipeline.input.pose_files.pose_table import FilmFrames, PoseTable, first_numbers, poses_by_frame
 from pipeline.input.pose_files.registry import lens_beside, read_poses
 
 COUNT = 5
@@ -24,7 +24,7 @@ def film(names=None, count=COUNT):
 
 
 def assert_right(table, frames=range(COUNT), names=None):
-    found = poses_by_frame(table, film(names))
+    found = poses_by_frame(table, film(names), first_numbers(table, film(names))[0])
     assert sorted(found) == list(frames)
     for frame in frames:
         np.testing.assert_allclose(found[frame][:3, :3], TURNS[frame].as_matrix(), atol=1e-6)
@@ -235,3 +235,14 @@ def test_a_number_of_transforms_that_is_too_large(tmp_path):
     (tmp_path / "transforms.json").write_text(f'{{"frames": [{{"file_path": "1.png", "transform_matrix": {matrix}}}]}}')
     with pytest.raises(HaustraError, match="transform_matrix of 4x4 numbers"):
         read_poses(tmp_path / "transforms.json")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "first"),
+    [((0, 8), (0,)), ((1, 9), (1, 0)), ((1, 10), (1,)), ((1, 8), (1, 0)), ((3, 8), (1, 0)), ((3, 11), (0,))],
+)
+def test_numbers_that_a_first_frame_can_have(numbers, first):
+    """Of ten frames; the last numbers are past the film's end by either count, or leave one count alone."""
+    table = PoseTable("a", np.tile(np.eye(4), (2, 1, 1)), names=tuple(f"{k}.png" for k in numbers))
+    assert first_numbers(table, film(count=10)) == first
+    assert first_numbers(table, film(("a.png",), count=10)) == (0,)

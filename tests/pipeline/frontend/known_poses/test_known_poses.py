@@ -116,9 +116,9 @@ def test_rough_poses_are_refined_in_their_own_world_and_unit(tmp_path, pictures)
     assert radius_error(submap) < 0.01  # the unit has not slid away
 
 
-def turning(poses):
+def turning(poses, first=0):
     turned = poses.copy()
-    turns = Rotation.from_euler("y", 15 * np.sin(0.3 * np.arange(COUNT))[:, None], degrees=True)
+    turns = Rotation.from_euler("y", 15 * np.sin(0.3 * (first + np.arange(COUNT)))[:, None], degrees=True)
     turned[:, :3, :3] = poses[:, :3, :3] @ turns.as_matrix()
     return turned
 
@@ -202,6 +202,29 @@ def test_poses_of_another_film_are_refused(tmp_path, pictures, how):
         poses = np.stack([camera_at(7 * k + 400, step=0.3) for k in range(COUNT)])
     with pytest.raises(HaustraError, match="not those of these pictures"):
         solved(tmp_path, pictures, poses)
+
+
+@pytest.mark.parametrize(
+    ("late", "told"),
+    [(1, r"1 frame late.*take 0\.033 s from each pose's time"), (-2, r"2 frames early.*add 0\.067 s to each pose's")],
+)
+def test_poses_of_other_frames_are_named_with_their_shift(tmp_path, late, told):
+    poses = turning(np.stack([camera_at(k - late) for k in range(COUNT)]), -late)
+    with pytest.raises(HaustraError, match=told):
+        solved(tmp_path, [render(one) for one in turning(POSES)], poses)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_pictures_tell_whether_names_count_from_0_or_1(tmp_path, pictures, first):
+    """Neither the first nor the last frame has a pose, as of a film whose ends COLMAP could not register."""
+    workspace, frames = filmed(tmp_path, pictures, POSES)
+    posed = range(2, COUNT - 2)
+    listed = [{"file_path": f"f_{k + first:04d}.png", "transform_matrix": (POSES[k] @ Y_UP).tolist()} for k in posed]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": listed}))
+    settings = PoseSettings(file=str(tmp_path / "transforms.json"))
+    workspace.record["config"] = Config(poses=settings).model_dump(mode="json")
+    (submap,) = solve(workspace, frames)
+    np.testing.assert_array_equal(submap.frames, list(posed))
 
 
 def test_settings_that_contradict_each_other():

@@ -1,4 +1,4 @@
-"""Whether given poses are those of the pictures, and in which axes: by the epipolar lines of matched features.
+"""Whether given poses are those of the pictures, in which axes, and at the right frames: by epipolar lines.
 
 Each pair of frames has matches. A reading of the poses puts an epipolar plane through each match and says where its
 point lies: the second ray must lie in the plane, and the point before both cameras. Wrong axes, inverted poses and
@@ -10,36 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array
-from pipeline.matching.descriptor_matching import match_descriptors
-from pipeline.matching.sift import FindFeatures, rootsift
+from pipeline.frontend.known_poses.epipolar_lines import FEWEST_MATCHES, MatchedPair, inliers, matched_pairs
+from pipeline.frontend.known_poses.time_shift import find_shift
+from pipeline.matching.sift import FindFeatures
 
-PAIRS = 12  # spread over the film
-GAPS = (2, 4, 8, 16, 32)  # posed frames between the two of a pair, until the picture has moved
-LEAST_MOTION = 0.02  # of the width, in the median: less says nothing
-FEWEST_MATCHES = 15  # of a pair
-OFF_PLANE_PX, OFF_PLANE_SHARE = 1.5, 0.15  # of an inlier's second ray, the larger of px and share of its way
 FITS = 0.5  # share of inliers from which on a reading can be the right one; wrong ones have a tenth
 ROUGHLY_FITS = 0.2  # the same of poses that are to be adjusted, as a tracker's, off by a millimetre and a degree
 CLEARLY = 0.15  # by which another reading must fit better
 Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 MM_PER_M = 1000.0
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
-
-
-@dataclass(frozen=True)
-class MatchedPair:
-    """Two posed frames, by their rows, and the unit rays (K,3), (K,3) of what is the same in both; way (K,) in px."""
-
-    rows: tuple[int, int]
-    first: Array
-    second: Array
-    way: Array
 
 
 @dataclass(frozen=True)
@@ -101,9 +86,14 @@ def check_poses(
     find: FindFeatures,
     fits: float = FITS,
     sensor_from_camera: Array | None = None,
+    seconds_apart: float | None = None,
 ) -> PoseCheck:
     """Test world_from_camera (N,4,4) of frames. HaustraError, one sentence, where another reading of the file fits the
-    pictures, or none does; fits: the share of inliers that is asked for. sensor_from_camera (4,4): of a tracker."""
+    pictures, the poses are those of other frames, or no reading fits.
+
+    fits: the share of inliers that is asked for. sensor_from_camera (4,4): of a tracker. seconds_apart: between two
+    frames, where the poses have times.
+    """
     pairs = matched_pairs(frames, rays, find)
     asked = sum(len(pair.first) for pair in pairs)
     if asked < FEWEST_MATCHES:
@@ -120,44 +110,16 @@ def check_poses(
             f"the poses of {path} fit the pictures as {best}: so read, {counted}, and as {AS_GIVEN} "
             f"{100 * given:.0f} %; convert them"
         )
+    shift = find_shift(frames, world_from_camera, pairs, rays.focal_px)
+    if shift is not None:
+        raise HaustraError(shift.told(path, seconds_apart))
     if given < fits:
         other = "" if sensor_from_camera is None else ", the hand-eye transform another one (--hand-eye)"
         raise HaustraError(
             f"the poses of {path} are not those of these pictures: read in any axes, at most {counted}; are they of "
-            f"another film, shifted in time{other}, or is the lens another one (--camera)?"
+            f"another film{other}, or is the lens another one (--camera)?"
         )
     return PoseCheck(asked, given, _median_depth(pairs, world_from_camera, rays.focal_px))
-
-
-def matched_pairs(frames: Sequence[int], rays: RayTable, find: FindFeatures) -> list[MatchedPair]:
-    """Pairs of posed frames, spread over the film, between which the picture has moved."""
-    pairs = []
-    for row in np.unique(np.linspace(0, len(frames) - 1 - GAPS[0], PAIRS).round().astype(int)):
-        for gap in GAPS:
-            if row + gap >= len(frames):
-                break
-            pair = _matched(int(row), int(row + gap), frames, rays, find)
-            if pair is not None and np.median(pair.way) >= LEAST_MOTION * rays.camera.width:
-                pairs.append(pair)
-                break
-    return pairs
-
-
-def _matched(row: int, other: int, frames: Sequence[int], rays: RayTable, find: FindFeatures) -> MatchedPair | None:
-    here, there = find(frames[row]), find(frames[other])
-    same = match_descriptors(rootsift(here.descriptors), rootsift(there.descriptors))
-    if len(same) < FEWEST_MATCHES:
-        return None
-    first, second = here.pixels[same[:, 0]], there.pixels[same[:, 1]]
-    way = np.linalg.norm(second - first, axis=1)
-    return MatchedPair((row, other), unit_rays(rays, first), unit_rays(rays, second), way)
-
-
-def unit_rays(rays: RayTable, pixels: Array) -> Array:
-    """(N,2) pixels -> (N,3) in the camera's axes."""
-    plane, _ = rays.unproject(pixels)
-    found = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
-    return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
 def _inlier_share(pairs: list[MatchedPair], world_from_camera: Array, focal_px: float) -> float:
@@ -168,20 +130,3 @@ def _inlier_share(pairs: list[MatchedPair], world_from_camera: Array, focal_px: 
 def _median_depth(pairs: list[MatchedPair], world_from_camera: Array, focal_px: float) -> float:
     found = [inliers(pair, world_from_camera, focal_px) for pair in pairs]
     return float(np.median(np.concatenate([depth[good] for good, depth in found])))
-
-
-def inliers(pair: MatchedPair, world_from_camera: Array, focal_px: float) -> tuple[NDArray[np.bool_], Array]:
-    """(K,) whether each match lies on its epipolar line and before both cameras, and (K,) its depth in the first."""
-    here, there = world_from_camera[pair.rows[0]], world_from_camera[pair.rows[1]]
-    turn = there[:3, :3].T @ here[:3, :3]
-    shift = there[:3, :3].T @ (here[:3, 3] - there[:3, 3])
-    turned = pair.first @ turn.T
-    normal = np.cross(turned, shift)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    off_px = focal_px * np.abs(np.einsum("ki,ki->k", normal, pair.second))
-    across = np.cross(pair.second, turned)
-    square = np.maximum(np.einsum("ki,ki->k", across, across), 1e-12)
-    near = -np.einsum("ki,ki->k", across, np.cross(pair.second, shift)) / square
-    far = -np.einsum("ki,ki->k", across, np.cross(turned, shift)) / square
-    fits = off_px < np.maximum(OFF_PLANE_PX, OFF_PLANE_SHARE * pair.way)
-    return fits & (near > 0) & (far > 0), near * pair.first[:, 2]
