@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--zones", type=int, nargs=2, default=(64, 64))
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--factor", type=float, default=1.0, help="of all depths: a wrong unit")
-    parser.add_argument("--shift", type=int, default=0, help="frames by which the depth is late")
+    parser.add_argument("--shift", type=int, default=0, help="frames by which the depth is late, negative: early")
     parser.add_argument("--blind", type=int, nargs=2, help="first and last frame whose picture is blurred away")
     parser.add_argument("--seed", type=int, default=0)
     wanted = parser.parse_args()
@@ -67,7 +67,10 @@ def main() -> None:
     shutil.copytree(wanted.folder / "rgb", wanted.out / "rgb")
     files = sorted((wanted.folder / "depth").glob("*.png"))
     for number, path in enumerate(files):
-        true = cv2.imread(str(files[max(0, number - wanted.shift)]), cv2.IMREAD_UNCHANGED) * about["depth_unit_mm"]
+        true = (
+            cv2.imread(str(files[min(max(0, number - wanted.shift), len(files) - 1)]), cv2.IMREAD_UNCHANGED)
+            * about["depth_unit_mm"]
+        )
         rgb = cv2.imread(str(wanted.folder / "rgb" / path.name))
         depth = wanted.factor * sensed(true, rgb, camera, tuple(wanted.zones), wanted.noise, rng)
         cv2.imwrite(

@@ -209,6 +209,16 @@ def test_depth_shifted_in_time_is_one_sentence(sensor, shift, told):
         sensor_scale(submap(), replace(sensor, files=moved))
 
 
+@pytest.mark.parametrize(("late", "told"), [(0, ""), (2, "2 frames or more earlier"), (-2, "2 frames or more later")])
+def test_depth_so_noisy_that_a_shift_changes_little_is_doubted(tmp_path, workspace, late, told):
+    write_sensor(tmp_path / "noisy", noise=0.15)
+    sensor = open_sensor(workspace, CAMERA.width)
+    files = {k + late: tmp_path / f"noisy/{k:05d}.png" for k in range(COUNT)}
+    doubt = sensor_scale(submap(), replace(sensor, files=files)).doubt
+    assert told in doubt
+    assert bool(told) == bool(doubt)
+
+
 def test_depth_that_looks_elsewhere_is_one_sentence(sensor, tmp_path):
     (tmp_path / "turned").mkdir()
     for path in sensor.files.values():
