@@ -30,7 +30,9 @@ class MatchedPair:
 
 def matched_pairs(frames: Sequence[int], rays: RayTable, find: FindFeatures) -> list[MatchedPair]:
     """Pairs of posed frames, spread over the film, between which the picture has moved."""
-    pairs = []
+    pairs: list[MatchedPair] = []
+    if len(frames) <= GAPS[0]:
+        return pairs
     for row in np.unique(np.linspace(0, len(frames) - 1 - GAPS[0], PAIRS).round().astype(int)):
         for gap in GAPS:
             if row + gap >= len(frames):

@@ -117,7 +117,7 @@ def check_poses(
         other = "" if sensor_from_camera is None else ", the hand-eye transform another one (--hand-eye)"
         raise HaustraError(
             f"the poses of {path} are not those of these pictures: read in any axes, at most {counted}; are they of "
-            f"another film{other}, or is the lens another one (--camera)?"
+            f"another film, shifted in time{other}, or is the lens another one (--camera)?"
         )
     return PoseCheck(asked, given, _median_depth(pairs, world_from_camera, rays.focal_px))
 

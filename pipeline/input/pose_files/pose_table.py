@@ -65,15 +65,21 @@ class FilmFrames:
 def first_numbers(table: PoseTable, film: FilmFrames) -> tuple[int, ...]:
     """The numbers that a film's first frame may have in the names of the table's pictures, the likeliest first.
 
-    Programs count from 0, and FFmpeg from 1; where neither the first nor the last frame has a pose, both can be meant.
+    Programs count from 0, and FFmpeg from 1; where neither the first nor the last frame has a pose, both can be meant,
+    unless only every n-th frame was looked at and has the numbers of one count.
     """
     if table.names is None or film.names is not None:
         return (0,)
-    numbers = [found[-1] for name in table.names if (found := re.findall(r"\d+", Path(name).stem))]
-    least, most, last = min(map(int, numbers), default=0), max(map(int, numbers), default=0), int(film.index.max())
-    if least == 0:
+    _, names = _of_one_camera(table, table.names, film)
+    numbers = {int(found[-1]) for name in names if (found := re.findall(r"\d+", Path(name).stem))}
+    least, most, last = min(numbers, default=0), max(numbers, default=0), int(film.index.max())
+    if least == 0 or most > last + 1:
         return (0,)
-    return (1,) if most == last + 1 else (1, 0) if most <= last else (0,)
+    if most == last + 1:
+        return (1,)
+    looked_at = set(film.index.tolist())
+    belong = {first: len(looked_at & {number - first for number in numbers}) for first in (1, 0)}
+    return tuple(first for first in belong if belong[first] >= MIN_PAIRED * max(belong.values()))
 
 
 def poses_by_frame(table: PoseTable, film: FilmFrames, first: int = 0) -> dict[int, Array]:

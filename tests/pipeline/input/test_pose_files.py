@@ -246,3 +246,20 @@ def test_numbers_that_a_first_frame_can_have(numbers, first):
     table = PoseTable("a", np.tile(np.eye(4), (2, 1, 1)), names=tuple(f"{k}.png" for k in numbers))
     assert first_numbers(table, film(count=10)) == first
     assert first_numbers(table, film(("a.png",), count=10)) == (0,)
+
+
+def test_numbers_of_every_tenth_frame_are_those_of_one_count():
+    """No frame that was looked at has a number of the other count; the first and the last frame have no pose."""
+    tenth = FilmFrames(np.arange(0, 100, 10), np.arange(10) / 3, None)
+    for first in (0, 1):
+        names = tuple(f"{k + first}.png" for k in range(10, 90, 10))
+        table = PoseTable("a", np.tile(np.eye(4), (8, 1, 1)), names=names)
+        assert first_numbers(table, tenth) == (first,)
+        assert sorted(poses_by_frame(table, tenth, first)) == list(range(10, 90, 10))
+
+
+def test_numbers_are_those_of_the_films_own_pictures():
+    """Another camera's, in a folder beside, count from 0."""
+    names = tuple(f"{folder}/{k + first}.png" for folder, first in (("film", 1), ("right", 0)) for k in range(10))
+    table = PoseTable("a", np.tile(np.eye(4), (20, 1, 1)), names=names)
+    assert first_numbers(table, replace(film(count=10), called=("film",))) == (1,)
