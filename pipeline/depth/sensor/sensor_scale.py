@@ -97,8 +97,8 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str
             f"the sensor's depth is {when}: taken so, it differs from the geometry by {100 * found[best]:.1f} % "
             f"instead of {100 * disagreement:.1f} %; {advice}"
         )
-    lowest = _lowest_at(found)
-    if abs(lowest) < LATE:
+    lowest = float(np.clip(_lowest_at(found), min(SHIFTS), max(SHIFTS)))
+    if abs(lowest) < LATE or best * lowest <= 0:  # an uneven motion bends the parabola, and its own frame fits best
         return ""
     when = f"{counted(round(abs(lowest)), 'frame')} or more {'earlier' if lowest > 0 else 'later'} than its own"
     return (
