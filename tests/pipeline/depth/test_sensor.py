@@ -221,8 +221,8 @@ def test_depth_so_noisy_that_a_shift_changes_little_is_doubted(tmp_path, workspa
 
 def test_depth_of_a_camera_that_starts_to_move_is_not_doubted(sensor):
     seen = (whole := submap()).observations[:, 0] < 6
-    started = replace(whole, observations=whole.observations[seen], pixels=whole.pixels[seen])
-    assert not sensor_scale(started, replace(sensor, files={k: sensor.files[max(0, k)] for k in range(-5, COUNT)})).doubt
+    begun = replace(whole, observations=whole.observations[seen], pixels=whole.pixels[seen])
+    assert not sensor_scale(begun, replace(sensor, files={k: sensor.files[max(0, k)] for k in range(-5, COUNT)})).doubt
 
 
 def test_depth_that_looks_elsewhere_is_one_sentence(sensor, tmp_path):
