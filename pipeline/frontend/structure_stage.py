@@ -16,10 +16,9 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
-from pipeline.frontend.odometry.self_calibration import doubt_of_lens
+from pipeline.frontend.map_cautions import advice_after, doubt_of_named_lens, doubts_of_submaps, few_posed
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND, chosen
 from pipeline.frontend.scoring import (
-    MAX_INCONSISTENT,
     MIN_STRETCH,
     Candidate,
     accepted,
@@ -31,7 +30,6 @@ from pipeline.frontend.scoring import (
     sure_of,
 )
 from pipeline.input.frames import Frames
-from pipeline.mapping.map_doubt import MapDoubt
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.stage import load_or_make
@@ -128,8 +126,10 @@ def _solve(
         )
     kept, doubts = accepted(found, doubts_of(found, mapper, frames))
     _keep(kept, workspace)
-    warnings = _doubt_of_lens(kept[0].submap, frames.camera, settings, workspace)
-    warnings += _warnings(kept, doubts, [other for other in (FIRST, SECOND) if other not in results])
+    warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
+    advice = advice_after(results, workspace)
+    warnings += few_posed(sum(len(one.submap.frames) for one in kept), total, advice)
+    warnings += doubts_of_submaps(kept, doubts, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     if results[name].mixed:  # loops between the submaps of two front ends are still open
         name = FIRST
@@ -245,38 +245,6 @@ def _unit(submap: Submap) -> float:
     depths = submap.depths()
     positive = depths[depths > 0]
     return float(np.median(positive)) if len(positive) else 1.0
-
-
-def _warnings(candidates: list[Candidate], doubts: list[MapDoubt | None], untried: list[str]) -> list[str]:
-    """Sentences on submaps that are kept although they may be wrong, or the lighting check does not speak for them
-    where nothing else does; `untried`: front ends that have not been run."""
-    found = []
-    advice = f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames"
-    for number, (check, doubt) in enumerate(zip((c.check for c in candidates), doubts, strict=True)):
-        if check.n_checked == 0:
-            found.append(f"submap {number} has too few points in each frame for the lighting check")
-        if doubt is not None:
-            found += [sentence] if (sentence := doubt.sentence(number, advice)) else []
-        elif check.inconsistent_share > MAX_INCONSISTENT:
-            share = 100 * check.inconsistent_share
-            found.append(
-                f"submap {number} is not to be trusted: the endoscope's lamp makes near wall bright, but in "
-                f"{share:.0f} % of {check.n_checked} frames nearer points are darker; {advice}"
-            )
-    return found
-
-
-def _doubt_of_lens(submap: Submap, camera: Camera, settings: FrontEndSettings, workspace: Workspace) -> list[str]:
-    """Of a lens that a user named by --camera."""
-    named = workspace.record.get("config", {}).get("camera", "auto")  # frames need not come from a film
-    if not (camera.trusted and camera.lens.in_colmap and named != "auto"):
-        return []
-    advice = "without --camera the lens is found from the film"
-    if settings.poses.file is not None:  # which hold the frames between keyframes, that see nothing, and any lens
-        advice = "give by --camera the lens that these poses were found with"
-        submap = submap.without_frames(set(submap.frames) - set(submap.frames[submap.observations[:, 0]]))
-    sentence = doubt_of_lens(submap, camera, settings.seed, workspace.log)
-    return [f"{sentence}; {advice}"] if sentence else []
 
 
 def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:

@@ -10,8 +10,9 @@ from pipeline.input.camera_files.registry import read_lens
 from pipeline.input.camera_presets import PRESETS
 from pipeline.input.endomapper_scopes import colonoscope_across
 
-# From the middle, as a share of the side; pyslam's real files go to 0.14. Farther off, it is of another size or crop.
-FARTHEST_CENTRE = 0.2
+# From the middle, as a share of the side; pyslam's real files go to 0.14, those without a size to 0.13. Farther off, it
+# is of another size or crop.
+FARTHEST_CENTRE = 0.15
 MOST_BEYOND = 0.9  # share of the content: a lens that turns back before it is no lens of this picture
 WORTH_SAYING = 0.01
 

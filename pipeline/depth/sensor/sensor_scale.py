@@ -26,6 +26,7 @@ BETTER = 0.9  # a shift must lower the disagreement to this part of it
 # adjusted has taken on a third to two thirds of the shift. Chosen on withdrawal_b, flexure_b, flexure_c, insertion_b
 # and low_texture_b of coverage_films.yaml: right depth has -0.6 to 0.2, depth three frames off 1.0 to 1.9.
 LATE = 0.8
+NEAR = 1.05  # times the disagreement of its own frame: what one on the parabola's side has at most
 LEAST_RISE = 0.1  # of the parabola within five frames, share of its lowest: less, and the camera stood still
 MOST_DISAGREEMENT = 0.12  # median absolute log ratio; 3 % of noise and the map's own error leave 0.03 to 0.05
 SAME_UNIT = 0.01  # between the median and the unit of a map that was adjusted in mm; they differ by 0.1 to 0.3 %
@@ -35,26 +36,30 @@ SAME_UNIT = 0.01  # between the median and the unit of a map that was adjusted i
 class SensorScale:
     """mm_per_unit; count: ratios that it is the median of; disagreement: median absolute log ratio within the frames;
     drift: standard deviation of the frames' own log scales; doubt: of the sensor's unit or clock, empty without a
-    reason."""
+    reason; median: what the ratios said, where the map was adjusted in mm and its own unit takes their place."""
 
     mm_per_unit: float
     count: int
     disagreement: float
     drift: float
     doubt: str = ""
+    median: float | None = None
 
     def __str__(self) -> str:
+        adjusted = "" if self.median is None else f"as the map was adjusted by it; {self.median:.4g} by the "
         return (
-            f"depth of the sensor: {self.mm_per_unit:.4g} mm per scene unit, median of {self.count} points; within the "
-            f"frames the two differ by {100 * self.disagreement:.1f} % in the median, from frame to frame the scale by "
-            f"{100 * self.drift:.1f} %"
+            f"depth of the sensor: {self.mm_per_unit:.4g} mm per scene unit, {adjusted}median of {self.count} points; "
+            f"within the frames the two differ by {100 * self.disagreement:.1f} % in the median, from frame to frame "
+            f"the scale by {100 * self.drift:.1f} %"
         )
 
     def in_unit_of(self, units: list[float]) -> "SensorScale":
         """The scale of a map that was adjusted in mm, whose unit is then one of these, mm: the adjustment weighs each
         depth by its error and its point's rays, the median does not. Of another map, the median."""
         near = min(units, key=lambda unit: abs(unit / self.mm_per_unit - 1), default=self.mm_per_unit)
-        return replace(self, mm_per_unit=near) if abs(near / self.mm_per_unit - 1) < SAME_UNIT else self
+        if near == self.mm_per_unit or abs(near / self.mm_per_unit - 1) >= SAME_UNIT:
+            return self
+        return replace(self, mm_per_unit=near, median=self.mm_per_unit)
 
 
 def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
@@ -64,7 +69,7 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     if len(log_ratio) < FEWEST:
         return None
     disagreement, medians = _disagreement(log_ratio, row)
-    late = _check_time(submap, sensor, disagreement)
+    late = "" if sensor.stereo else _check_time(submap, sensor, disagreement)  # a pair's depth is of its own time
     if disagreement > MOST_DISAGREEMENT:
         raise HaustraError(
             f"the sensor's depth and the pictures' geometry differ by {100 * disagreement:.0f} % in the median within "
@@ -98,11 +103,14 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str
             f"instead of {100 * disagreement:.1f} %; {advice}"
         )
     lowest = float(np.clip(_lowest_at(found), min(SHIFTS), max(SHIFTS)))
-    if abs(lowest) < LATE or best * lowest <= 0:  # an uneven motion bends the parabola, and its own frame fits best
+    side = min(found[shift] for shift in found if shift * lowest > 0) if lowest else np.inf
+    if abs(lowest) < LATE or side > NEAR * disagreement:  # uneven motion bends the parabola, too
         return ""
-    when = f"{counted(round(abs(lowest)), 'frame')} or more {'earlier' if lowest > 0 else 'later'} than its own"
+    when, remedy = ("late", "take that from") if lowest > 0 else ("early", "add that to")
     return (
-        f"do not trust the millimetres: the sensor's depth fits the geometry best {when}; its clock or its zero is off"
+        "do not trust the millimetres: the sensor's depth fits the geometry best as if it were "
+        f"{counted(round(abs(lowest)), 'frame')} or more {when}; {remedy} the number of each depth image and run again "
+        "(or check that the sensor adds no constant length)"
     )
 
 

@@ -19,11 +19,10 @@ from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.pose_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map
-from pipeline.frontend.known_poses.time_shift import numbered_by_pictures
+from pipeline.frontend.known_poses.time_shift import first_by_pictures
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, first_numbers, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
-from pipeline.input.pose_files.tracker_csv import is_tracker, read_hand_eye
 from pipeline.input.sensor.sensor_depth import check_view
 from pipeline.mapping.feature_triangulation import choose_frames
 from pipeline.mapping.local_map import LocalMap
@@ -52,13 +51,14 @@ class KnownPosesFrontEnd:
     def run(
         self, frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
     ) -> FrontEndResult:
-        hand_eye, file = _path(settings.poses.hand_eye), Path(settings.poses.file or "")
-        table = read_poses(file, hand_eye)
-        sensor_from_camera = None if hand_eye is None or not is_tracker(file) else read_hand_eye(hand_eye)
+        table = read_poses(Path(settings.poses.file or ""), _path(settings.poses.hand_eye))
         rays, film = RayTable(frames.camera), FilmFrames.of(workspace)
-        readings = [poses_by_frame(table, film, first) for first in first_numbers(table, film)]
+        readings = {first: poses_by_frame(table, film, first) for first in first_numbers(table, film)}
         with single_threaded():
-            by_frame = numbered_by_pictures(readings, frames.index, rays, features)
+            first = first_by_pictures(readings, frames.index, rays, features)
+        if len(readings) > 1:
+            progress.log(f"the names of pictures in {table.path.name} count from {first}, by what the pictures show")
+        by_frame = readings[first]
         index = np.array([frame for frame in frames.index.tolist() if frame in by_frame], np.int64)
         if len(index) < MIN_FRAMES:
             raise HaustraError(
@@ -69,7 +69,7 @@ class KnownPosesFrontEnd:
         with single_threaded():
             fits = ROUGHLY_FITS if refine else FITS
             check = check_poses(
-                table.path, index.tolist(), given, rays, features, fits, sensor_from_camera, film.spacing(table)
+                table.path, index.tolist(), given, rays, features, fits, table.sensor_from_camera, film.spacing(table)
             )
             if settings.poses.mm_per_unit is not None:
                 check_view(check.depth * settings.poses.mm_per_unit, "poses", POSES_UNIT)

@@ -20,6 +20,7 @@ from pipeline.matching.sift import FindFeatures
 MOST_FRAMES = 30  # a second; farther, the film is another one
 BETTER = 0.6  # a shift must lower the distance to this part of it
 LEAST_GAIN_PX = 0.3  # and by so much: less does no harm
+ALIKE = 1.2  # times the least distance: with rough poses the shifts beside the right one fit as well
 LEAST_PAIRS, LEAST_SHARE = 4, 0.5  # of the pairs: so many have a pose for both frames after the shift
 FITS = 0.8  # share of inliers after the shift; exact poses have 0.74 to 0.95, those of another path by chance 0.6
 
@@ -27,11 +28,12 @@ FITS = 0.8  # share of inliers after the shift; exact poses have 0.74 to 0.95, t
 @dataclass(frozen=True)
 class TimeShift:
     """frames: by which the poses are late, negative: early. px, given_px: median distance of the matches from their
-    epipolar lines with and without the shift."""
+    epipolar lines with and without the shift. others: shifts of the same sign that fit nearly as well."""
 
     frames: int
     px: float
     given_px: float
+    others: tuple[int, ...] = ()
 
     def told(self, path: Path, seconds_apart: float | None) -> str:
         """One sentence; seconds_apart: between two frames, where the poses have times."""
@@ -43,10 +45,14 @@ class TimeShift:
             else f"{verb} {many * seconds_apart:.3f} s {word} each pose's time"
         )
         return (
-            f"the poses of {path} are {counted(many, 'frame')} {'late' if self.frames > 0 else 'early'}: so shifted, "
+            f"the poses of {path} are {self._many()} {'late' if self.frames > 0 else 'early'}: so shifted, "
             f"matches lie {self.px:.2g} px off their epipolar lines in the median instead of {self.given_px:.2g}; "
             f"{advice}"
         )
+
+    def _many(self) -> str:
+        alike = sorted(abs(frames) for frames in (self.frames, *self.others))
+        return counted(alike[0], "frame") if alike[0] == alike[-1] else f"{alike[0]} to {alike[-1]} frames"
 
 
 def find_shift(
@@ -68,22 +74,28 @@ def find_shift(
             good = np.concatenate([inliers(pair, world_from_camera, focal_px)[0] for pair in moved])
             if good.mean() >= FITS:
                 found.append(TimeShift(shift, px, given_px))
-    return min(found, key=lambda shift: (shift.px, abs(shift.frames)), default=None)
+    best = min(found, key=lambda shift: (shift.px, abs(shift.frames)), default=None)
+    if best is None:
+        return None
+    alike = [shift.frames for shift in found if shift.px < ALIKE * best.px and shift.frames * best.frames > 0]
+    return replace(best, others=tuple(alike))
 
 
-def numbered_by_pictures(
-    readings: Sequence[Mapping[int, Array]], used: NDArray[np.int64], rays: RayTable, find: FindFeatures
-) -> Mapping[int, Array]:
-    """Which of several readings of a file, poses by frame number, has matches nearest to their epipolar lines; the
-    first of them where the pictures do not tell."""
+def first_by_pictures(
+    readings: Mapping[int, Mapping[int, Array]], used: NDArray[np.int64], rays: RayTable, find: FindFeatures
+) -> int:
+    """The number that a film's first frame has in a file: of the readings by that number, each of poses by frame, the
+    one with matches nearest to their epipolar lines; the first of them where no two frames match."""
+    likeliest = next(iter(readings))
     if len(readings) == 1:
-        return readings[0]
-    frames = [frame for frame in used.tolist() if all(frame in reading for reading in readings)]
+        return likeliest
+    frames = [frame for frame in used.tolist() if all(frame in reading for reading in readings.values())]
     pairs = matched_pairs(frames, rays, find)
-    if not pairs:
-        return readings[0]
-    poses = [np.stack([reading[frame] for frame in frames]) for reading in readings]
-    return readings[int(np.argmin([_median_px(pairs, one, rays.focal_px) for one in poses]))]
+
+    def off_px(first: int) -> float:
+        return _median_px(pairs, np.stack([readings[first][frame] for frame in frames]), rays.focal_px)
+
+    return min(readings, key=off_px) if pairs else likeliest
 
 
 def _median_px(pairs: list[MatchedPair], world_from_camera: Array, focal_px: float) -> float:

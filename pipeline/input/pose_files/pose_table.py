@@ -25,12 +25,14 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class PoseTable:
     """world_from_camera (N,4,4), OpenCV's axes. They belong to frames by seconds (N,), by the names of pictures, or,
-    where both are None, by their order. path: of the file, for sentences."""
+    where both are None, by their order. path: of the file, for sentences. sensor_from_camera (4,4): the hand-eye
+    transform that a tracker's poses were brought to the camera by."""
 
     path: Path
     world_from_camera: Array
     seconds: Array | None = None
     names: tuple[str, ...] | None = None
+    sensor_from_camera: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,8 @@ SAME = 1e-6  # between two poses that a file gives twice
 LOST = ("missing", "disabled", "bad")
 
 
-def is_tracker(path: Path) -> bool:
-    return path.suffix.lower() == ".csv" and path.is_file()
-
-
 def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | None:
-    if not is_tracker(path):
+    if path.suffix.lower() != ".csv" or not path.is_file():
         return None
     text = read_text(path)
     rows = list(csv.DictReader(text.splitlines(), delimiter=";" if ";" in text.split("\n", 1)[0] else ","))
@@ -53,9 +49,10 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
         raise HaustraError(f"{path}: a line's place, quaternion or time is no number") from error
     world_from_camera = rigid(world_from_sensor, str(path)) @ sensor_from_camera
     if seconds is None:
-        return PoseTable(path, world_from_camera, names=None if _without_gap(names, path) else names)
+        named = None if _without_gap(names, path) else names
+        return PoseTable(path, world_from_camera, None, named, sensor_from_camera)
     order = np.argsort(seconds, kind="stable")
-    return _once_a_time(PoseTable(path, world_from_camera[order], seconds[order]))
+    return _once_a_time(PoseTable(path, world_from_camera[order], seconds[order], None, sensor_from_camera))
 
 
 def _without_gap(numbers: tuple[str, ...], path: Path) -> bool:

@@ -29,7 +29,7 @@ def export_slicer(run: Run, target: Path) -> Path:
     if run.unit() != "mm":
         raise HaustraError(
             "Slicer measures in mm, and this run has no scale: make it anew with --overwrite and "
-            "--lumen-mm or --scale, or with the depth of --stereo or --depth sensor"
+            "--lumen-mm, --scale or --poses-mm, or with the depth of --stereo or --depth sensor"
         )
     folder = empty_folder(target)
     write_ply(run.surfaces[0].mesh, folder / "mesh.ply", comments=("SPACE=LPS",))

@@ -211,19 +211,6 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
         structure_stage._solve(frames, NO_FEATURES, "auto", SETTINGS, workspace, SilentProgress())
 
 
-def test_warnings_advise_what_was_not_tried():
-    assert "compare with --front-end sfm" in structure_stage._warnings([DARK], [None], ["sfm"])[0]
-    (sentence,) = structure_stage._warnings([DARK], [None], [])
-    assert "--front-end" not in sentence
-    assert sentence.endswith("in 40 % of 90 frames nearer points are darker; use other frames")
-
-
-def test_where_there_is_a_probability_light_alone_says_nothing():
-    sure, likely = (SimpleNamespace(sentence=lambda *_, told=told: told) for told in (None, "is probably wrong"))
-    assert structure_stage._warnings([DARK], [sure], []) == []
-    assert structure_stage._warnings([DARK], [likely], []) == ["is probably wrong"]
-
-
 @pytest.mark.parametrize(
     ("light", "probability", "stays"),
     [(0.0, 0.9, True), (0.06, 0.6, True), (0.06, 0.9, False), (0.06, None, False), (0.0, None, True)],

@@ -1,0 +1,61 @@
+"""What a user is told of a map that is kept although it may be wrong, and what to try."""
+
+from collections.abc import Iterable
+
+from haustra.core.camera import Camera
+from pipeline.config import FrontEndSettings
+from pipeline.frontend.odometry.self_calibration import doubt_of_lens
+from pipeline.frontend.registry import FIRST, SECOND
+from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate
+from pipeline.mapping.map_doubt import MapDoubt
+from pipeline.mapping.submap import Submap
+from pipeline.run_folder.workspace import Workspace
+
+FEW_POSED = 0.5  # of the usable frames
+
+
+def advice_after(front_ends: Iterable[str], workspace: Workspace) -> str:
+    """What to try with a doubtful map, after these front ends."""
+    untried = [other for other in (FIRST, SECOND) if other not in front_ends]
+    lens = "check that the lens is this film's (--camera), " if _named_lens(workspace) else ""
+    return lens + (f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames")
+
+
+def few_posed(posed: int, total: int, advice: str) -> list[str]:
+    """Of a film most of which is in no map, whatever the rest is worth."""
+    return [] if posed >= FEW_POSED * total else [f"only {posed} of {total} usable frames have a pose; {advice}"]
+
+
+def doubts_of_submaps(candidates: list[Candidate], doubts: list[MapDoubt | None], advice: str) -> list[str]:
+    """Sentences on submaps that are kept although they may be wrong, or the lighting check does not speak for them
+    where nothing else does."""
+    found = []
+    for number, (check, doubt) in enumerate(zip((c.check for c in candidates), doubts, strict=True)):
+        if check.n_checked == 0:
+            found.append(f"submap {number} has too few points in each frame for the lighting check")
+        if doubt is not None:
+            found += [sentence] if (sentence := doubt.sentence(number, advice)) else []
+        elif check.inconsistent_share > MAX_INCONSISTENT:
+            share = 100 * check.inconsistent_share
+            found.append(
+                f"submap {number} is not to be trusted: the endoscope's lamp makes near wall bright, but in "
+                f"{share:.0f} % of {check.n_checked} frames nearer points are darker; {advice}"
+            )
+    return found
+
+
+def doubt_of_named_lens(submap: Submap, camera: Camera, settings: FrontEndSettings, workspace: Workspace) -> list[str]:
+    """Of a lens that a user named by --camera."""
+    if not (camera.trusted and camera.lens.in_colmap and _named_lens(workspace)):
+        return []
+    advice = "without --camera the lens is found from the film"
+    if settings.poses.file is not None:  # which hold the frames between keyframes, that see nothing, and any lens
+        advice = "give by --camera the lens that these poses were found with"
+        submap = submap.without_frames(set(submap.frames) - set(submap.frames[submap.observations[:, 0]]))
+    sentence = doubt_of_lens(submap, camera, settings.seed, workspace.log)
+    return [f"{sentence}; {advice}"] if sentence else []
+
+
+def _named_lens(workspace: Workspace) -> bool:
+    """Whether a user named the lens by --camera; frames need not come from a film."""
+    return bool(workspace.record.get("config", {}).get("camera", "auto") != "auto")
