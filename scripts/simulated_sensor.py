@@ -67,10 +67,8 @@ def main() -> None:
     shutil.copytree(wanted.folder / "rgb", wanted.out / "rgb")
     files = sorted((wanted.folder / "depth").glob("*.png"))
     for number, path in enumerate(files):
-        true = (
-            cv2.imread(str(files[min(max(0, number - wanted.shift), len(files) - 1)]), cv2.IMREAD_UNCHANGED)
-            * about["depth_unit_mm"]
-        )
+        seen = files[int(np.clip(number - wanted.shift, 0, len(files) - 1))]
+        true = cv2.imread(str(seen), cv2.IMREAD_UNCHANGED) * about["depth_unit_mm"]
         rgb = cv2.imread(str(wanted.folder / "rgb" / path.name))
         depth = wanted.factor * sensed(true, rgb, camera, tuple(wanted.zones), wanted.noise, rng)
         cv2.imwrite(
