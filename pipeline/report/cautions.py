@@ -15,13 +15,15 @@ def reasons_for_doubt(
     """
     lens = [submap["camera"]["trust"] for submap in submaps]
     of_lens = [text for text in lens if "trust" in text or "does not determine" in text]
-    of_scale = [surface.scale.doubt for surface in surfaces if surface.scale.doubt][:1]  # the others' is the same
+    # One of each kind: the same sensor, poses or lumen speak of every submap, and differ in their figures alone.
+    of_scale = [surface.scale.doubt for surface in surfaces if surface.scale.doubt][:1]
+    of_clock = [surface.scale.clock_doubt for surface in surfaces if surface.scale.clock_doubt][:1]
     of_depth = [
         f"submap {number}: {left_out(submap['contradicted_keyframes'])}"
         for number, submap in enumerate(submaps)
         if submap["contradicted_keyframes"]
     ]
-    return list(dict.fromkeys([*of_lens, *of_stages, *of_scale, *of_depth]))
+    return list(dict.fromkeys([*of_lens, *of_stages, *of_scale, *of_clock, *of_depth]))
 
 
 def left_out(frames: Sequence[int]) -> str:

@@ -90,6 +90,7 @@ def _record(surface: Surface) -> dict[str, Any]:
         "unit": surface.scale.unit,
         "origin": surface.scale.origin,
         "doubt": surface.scale.doubt,
+        "clock_doubt": surface.scale.clock_doubt,
         "voxel_size": surface.voxel_size,
         "dropped_share": surface.dropped_share,
         "left_out": list(surface.left_out),
@@ -102,7 +103,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
     return [
         Surface(
             read_mesh(mesh_path(workspace, number)),
-            Scale(record["factor"], record["unit"], record["origin"], record.get("doubt", "")),
+            Scale(*(record.get(name, "") for name in ("factor", "unit", "origin", "doubt", "clock_doubt"))),
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),

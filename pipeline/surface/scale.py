@@ -40,15 +40,17 @@ class ScaleSource:
 @dataclass(frozen=True)
 class Scale:
     """factor: output units per scene unit; unit: 'mm' or 'scene'; origin: one sentence; doubt: why the millimetres are
-    not to be trusted, empty without a reason."""
+    not to be trusted, empty without a reason; clock_doubt: why a sensor's depth, which also shaped the map, may be of
+    other frames, whoever gives the millimetres."""
 
     factor: float
     unit: str
     origin: str
     doubt: str = ""
+    clock_doubt: str = ""
 
     def __str__(self) -> str:
-        return f"{self.origin}; {self.doubt}" if self.doubt else self.origin
+        return "; ".join(filter(None, [self.origin, self.doubt, self.clock_doubt]))
 
 
 MOST_APART = 1.1  # factor between two sources of one scale that both may be right
@@ -69,7 +71,7 @@ def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None
 
 def scale_of_sensor(found: SensorScale | None) -> Scale | None:
     """Of a submap whose depth a sensor measured; None where it saw too little."""
-    return None if found is None else Scale(found.mm_per_unit, "mm", str(found), found.doubt)
+    return None if found is None else Scale(found.mm_per_unit, "mm", str(found), found.doubt, found.clock_doubt)
 
 
 def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
@@ -88,6 +90,11 @@ def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
 
 def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     """Scale of a submap whose mesh and poses are in scene units."""
+    clock = next((given.clock_doubt for given in source.given if given is not None), "")
+    return replace(_chosen_scale(source, submap, mesh), clock_doubt=clock)
+
+
+def _chosen_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     if source.file is not None:
         return checked_against(_scale_from_file(source.file, submap), source.given)
     if source.lumen_mm is None:

@@ -35,14 +35,16 @@ SAME_UNIT = 0.01  # between the median and the unit of a map that was adjusted i
 @dataclass(frozen=True)
 class SensorScale:
     """mm_per_unit; count: ratios that it is the median of; disagreement: median absolute log ratio within the frames;
-    drift: standard deviation of the frames' own log scales; doubt: of the sensor's unit or clock, empty without a
-    reason; median: what the ratios said, where the map was adjusted in mm and its own unit takes their place."""
+    drift: standard deviation of the frames' own log scales; doubt: of the sensor's unit, empty without a reason;
+    clock_doubt: of its clock; median: what the ratios said, where the map was adjusted in mm and its own unit takes
+    their place."""
 
     mm_per_unit: float
     count: int
     disagreement: float
     drift: float
     doubt: str = ""
+    clock_doubt: str = ""
     median: float | None = None
 
     def __str__(self) -> str:
@@ -80,8 +82,8 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     depths = submap.depths()
     median_mm = scale * float(np.median(depths[depths > 0]))
     check_unit(median_mm, sensor.stereo)
-    doubt = "; ".join(filter(None, [doubt_of_unit(median_mm, sensor.stereo), late]))
-    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), doubt)
+    unit = doubt_of_unit(median_mm, sensor.stereo)
+    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), unit, late)
 
 
 def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str:
@@ -92,7 +94,7 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str
         log_ratio, row = _log_ratios(submap, sensor, shift)
         if len(log_ratio) >= FEWEST:
             found[shift] = _disagreement(log_ratio, row)[0]
-    best = min(found, key=lambda shift: (found[shift], abs(shift)), default=0)
+    best = min(found, key=lambda shift: (found[shift], abs(shift)))
     if best != 0 and found[best] < BETTER * disagreement:
         when = f"{counted(abs(best), 'frame')} {'late' if best > 0 else 'early'}"
         advice = (
@@ -108,7 +110,7 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str
         return ""
     when, remedy = ("late", "take that from") if lowest > 0 else ("early", "add that to")
     return (
-        "do not trust the millimetres: the sensor's depth fits the geometry best as if it were "
+        "do not trust depth and lengths: the sensor's depth fits the geometry best as if it were "
         f"{counted(round(abs(lowest)), 'frame')} or more {when}; {remedy} the number of each depth image and run again "
         "(or check that the sensor adds no constant length)"
     )

@@ -150,15 +150,22 @@ def test_depth_so_noisy_that_a_shift_changes_little_is_doubted(tmp_path, workspa
     write_sensor(tmp_path / "noisy", noise=0.15)
     sensor = open_sensor(workspace, CAMERA.width)
     files = {k + late: tmp_path / f"noisy/{k:05d}.png" for k in range(COUNT)}
-    doubt = sensor_scale(submap(), replace(sensor, files=files)).doubt
-    assert told in doubt
-    assert bool(told) == bool(doubt)
+    found = sensor_scale(submap(), replace(sensor, files=files))
+    by_file = tmp_path / "scale.yaml"
+    by_file.write_text(f"mm_per_unit: {found.mm_per_unit}")
+    given = (scale_of_sensor(found),)
+    for source in (ScaleSource(given=given), ScaleSource(file=by_file, given=given)):  # whoever gives the millimetres
+        doubt = find_scale(source, submap(), None).clock_doubt
+        assert told in doubt
+        assert bool(told) == bool(doubt)
 
 
 def test_depth_of_a_camera_that_starts_to_move_is_not_doubted(sensor):
     seen = (whole := submap()).observations[:, 0] < 6
     begun = replace(whole, observations=whole.observations[seen], pixels=whole.pixels[seen])
-    assert not sensor_scale(begun, replace(sensor, files={k: sensor.files[max(0, k)] for k in range(-5, COUNT)})).doubt
+    assert not sensor_scale(
+        begun, replace(sensor, files={k: sensor.files[max(0, k)] for k in range(-5, COUNT)})
+    ).clock_doubt
 
 
 def test_depth_that_looks_elsewhere_is_one_sentence(sensor, tmp_path):

@@ -8,8 +8,8 @@ FREE = "camera: focal length 99 px guessed and kept; the motion does not determi
 FIXED = "camera: focal length 99 px guessed, 98 px after adjustment (sigma 0.2 px for 1 px of noise)"
 
 
-def surface(doubt=""):
-    return SimpleNamespace(scale=SimpleNamespace(doubt=doubt))
+def surface(doubt="", clock=""):
+    return SimpleNamespace(scale=SimpleNamespace(doubt=doubt, clock_doubt=clock))
 
 
 def submap(trust=FIXED, contradicted=()):
@@ -30,3 +30,8 @@ def test_scale_and_depth_come_last_with_the_number_of_the_submap():
     assert said[:2] == ["moved", "no mm"]
     assert said[2].startswith("submap 1: keyframes 4, 9: their neighbours contradict")
     assert len(said) == 3
+
+
+def test_unit_and_clock_of_a_sensor_are_both_said_once():
+    said = reasons_for_doubt([], [surface("unit"), surface("unit, too", "late"), surface(clock="late")], [submap()] * 3)
+    assert said == ["unit", "late"]
