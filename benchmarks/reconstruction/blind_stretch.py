@@ -3,12 +3,13 @@
     haustra phantom SUITE --suite
     python scripts/simulated_sensor.py SUITE/loop SENSED/loop --noise 0.03 --blind 100 129
     python -m benchmarks.reconstruction blind-stretch SENSED/* --truth SUITE --json benchmarks/results/blind.json
+    python -m benchmarks.reconstruction blind-stretch CHOSEN/* --truth CHOOSING --chosen --json (the same)
 
 Tracking (`--fast`, lens given) of each folder without the sensor's depth and with it: submaps, frames posed, and the
-ATE of the largest submap after Sim(3), and SE(3) where it is in mm. Then the registration alone: at every 40th frame
+ATE of the largest submap after Sim(3), and SE(3) where it is in mm. Then the registration alone: at every 20th frame
 the next 30 are taken for blind, true poses are given on both sides, and the first pose after the gap is compared with
-the truth: from constant velocity, and registered; None where it is refused. Rendered by
-`python scripts/pages/blind_page.py`.
+the truth: from constant velocity, and registered; None where it is refused. With --chosen this alone, of films that the
+registration's limits were chosen on. Rendered by `python scripts/pages/blind_page.py`.
 """
 
 import argparse
@@ -38,12 +39,14 @@ from pipeline.run_folder.workspace import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
-GAP, APART, ROOM = 31, 40, 45  # frames: of a gap, between two gaps, and left on both sides
+GAP, APART, ROOM = 31, 20, 45  # frames: of a gap, between two gaps, and left on both sides
+ALONE, CHOSEN = "registration", "registration, chosen on"
 Array = NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser, "folders of scripts/simulated_sensor.py, named as those of the truth")
+    parser.add_argument("--chosen", action="store_true", help="films that limits were chosen on: registration alone")
     parser.add_argument("--truth", type=Path, required=True, help="folder of the films that they were made of")
 
 
@@ -52,13 +55,14 @@ def measure(arguments: argparse.Namespace) -> None:
     for folder in arguments.folders:
         truth = read_tum(arguments.truth / folder.name / "trajectory.txt")[1]
         for method, depth in (("pictures alone", "none"), ("with the sensor", "auto")):
-            if not table.has(folder.name, 0, method):
+            if not arguments.chosen and not table.has(folder.name, 0, method):
                 figures = tracked(folder, truth, depth)
                 table.add(folder.name, 0, {method: figures})
                 print_row({"film": folder.name, "method": method} | figures)
-        if not table.has(folder.name, 0, "registration"):
+        alone = CHOSEN if arguments.chosen else ALONE
+        if not table.has(folder.name, 0, alone):
             gaps = registered(folder, truth)
-            table.add(folder.name, 0, {"registration": {"gaps": gaps}})
+            table.add(folder.name, 0, {alone: {"gaps": gaps}})
             for gap in gaps:
                 print_row({"film": folder.name} | gap)
 

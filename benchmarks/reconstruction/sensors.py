@@ -7,7 +7,8 @@ Of each film the depth of two time-of-flight sensors (64x64 and 240x180 zones, 3
 highlights, 5 % dropped; `scripts/simulated_sensor.py`) and a pair of eyes 4 mm apart (`scripts/stereo_film.py`) are
 made. Each is reconstructed with odometry and the lens given, beside the pictures alone. With `--parts` also with the
 scale of the whole alone, with adjustment but without the sensor's points in completion, with points of the keyframe's
-own depth instead of those gathered from the frames around, and with points but without adjustment.
+own depth instead of those gathered from the frames around, and with points but without adjustment. With
+`--front-end sfm` poses are of COLMAP's mapper.
 
 scale_error: of the path, 1 is 100 %; None without millimetres. Errors of the path are RMSE of camera centres; F-scores
 are at 1 mm, after the path's Sim(3), and after its SE(3), that is in the run's own mm. A row is added as each run
@@ -59,27 +60,29 @@ def _script(name: str, *arguments: object) -> None:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser, "films of the phantom")
+    parser.add_argument("--front-end", choices=["odometry", "sfm"], default="odometry")
     parser.add_argument("--parts", action="store_true", help="also without each part")
 
 
 def measure(arguments: argparse.Namespace) -> None:
     table, parts = RunTable(arguments.json), list(PARTS) if arguments.parts else [WHOLE]
+    front_end = {"front_end": arguments.front_end}
+    by = "" if arguments.front_end == "odometry" else f"{arguments.front_end}, "
     for film in arguments.folders:
-        if not table.has(film.name, 0, ALONE):
-            camera = str(film / "camera.json")
-            alone = Config(camera=camera, front_end="odometry", sensor=SensorSettings(depth="none"))
-            _add(table, film, ALONE, figures_of(film, film, alone))
+        if not table.has(film.name, 0, by + ALONE):
+            alone = Config(camera=str(film / "camera.json"), sensor=SensorSettings(depth="none"), **front_end)
+            _add(table, film, by + ALONE, figures_of(film, film, alone))
         for sensor, make in SENSORS.items():
             if sensor == STEREO and not read_camera(film / "camera.json").is_pinhole:
                 continue  # the second eye is rendered for pinholes alone
-            missing = [part for part in parts if not table.has(film.name, 0, f"{sensor}: {part}")]
+            missing = [part for part in parts if not table.has(film.name, 0, f"{by}{sensor}: {part}")]
             if missing:
                 with tempfile.TemporaryDirectory() as scratch:
                     sensed = Path(scratch) / "sensed"
                     make(film, sensed)
                     for part in missing:
-                        figures = figures_of(sensed, film, config_of(sensed, PARTS[part]))
-                        _add(table, film, f"{sensor}: {part}", figures)
+                        config = config_of(sensed, PARTS[part]).model_copy(update=front_end)
+                        _add(table, film, f"{by}{sensor}: {part}", figures_of(sensed, film, config))
 
 
 def config_of(sensed: Path, part: dict[str, Any]) -> Config:

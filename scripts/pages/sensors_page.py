@@ -12,15 +12,16 @@ RECORD = ROOT / "benchmarks/results/sensors.json"
 
 HEAD = """# Depth sensors and second eyes, part by part
 
-- **Date:** 2026-11-25
+- **Date:** 2026-11-27
 - **Question:** What do a time-of-flight sensor and a second eye give to scale, path and surface, and by which part?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction sensors SUITE/easy_withdrawal
   --parts --json benchmarks/results/sensors.json`, and other films without `--parts`, on commit {commit}. Rendered by
   `python scripts/pages/sensors_page.py > docs/lab/sensors.md`.
 
 Sensors of 64x64 and of 240x180 zones: 3 % of noise, holes at grazing angles and highlights, 5 % dropped. Stereo: 4 mm
-between the eyes, 320 px each, both under the lamps of the left one. Odometry, lens given, one run each. ATE: RMSE of
-camera centres. F-score at 1 mm, in mm: the surface moved by the path's SE(3), without any scale.
+between the eyes, 320 px each, both under the lamps of the left one. Odometry, and in rows that say `sfm` COLMAP's
+mapper; lens given, one run each. ATE: RMSE of camera centres. F-score at 1 mm, in mm: the surface moved by the path's
+SE(3), without any scale.
 """
 
 COLUMNS = """

@@ -16,18 +16,22 @@ from haustra.core.se3 import Array, exp_rotation, in_camera
 VOXEL_MM = 1.0  # edge of a cube whose points are made one
 NEIGHBOURS = 20  # points that give a plane
 FLAT = 0.5  # least over middle spread of a plane's points
-MOST_OFF_MM, LOSS_MM = 4.0, 0.7  # of a match from its plane's point, and Cauchy's
+MOST_OFF_MM = 4.0, 2.0  # of a match from its plane's point, first and last
+LOSS_MM = 0.7  # Cauchy's
 HELD = 0.03  # mean square of what a unit step moves along the normals, of 1: a third where no direction is special
 ITERATIONS, DONE_MM = 15, 1e-3
 FEWEST = 50  # matches
+BESIDE = 3  # neighbours, and the least distance as well: a point farther beside its match lies beyond the wall's edge
 
 
 @dataclass(frozen=True)
 class WallPatches:
-    """Planes through points: centres (N,3), mm, and normals (N,3) in one world; places (N,3) where they are found."""
+    """Planes through points: centres (N,3), mm, and normals (N,3) in one world; reach (N,), mm: how far from its place
+    along a plane a point may lie; tree: of the places (N,3) where planes are found."""
 
     centres: Array
     normals: Array
+    reach: Array
     flat: NDArray[np.bool_]
     tree: cKDTree
 
@@ -35,45 +39,64 @@ class WallPatches:
     def of(points: Array) -> "WallPatches":
         """Of clouds' points (P,3) in one world."""
         places = _thinned(points)
-        near = places[cKDTree(places).query(places, k=min(NEIGHBOURS, len(places)))[1]]
+        tree = cKDTree(places)
+        away, neighbour = tree.query(places, k=min(NEIGHBOURS, len(places)))
+        near = places[neighbour]
+        reach = np.maximum(VOXEL_MM, away[:, min(BESIDE, len(places) - 1)])
         centres = near.mean(axis=1)
         off = near - centres[:, None]
         spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
-        return WallPatches(centres, axes[:, :, 0], spread[:, 0] < FLAT * spread[:, 1], cKDTree(places))
+        return WallPatches(centres, axes[:, :, 0], reach, spread[:, 0] < FLAT * spread[:, 1], tree)
 
     def registered(self, cloud: Array, guess: Array, held: float = HELD) -> Array:
         """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
         that less than `held` speaks for."""
         world_from_camera = guess
-        for _ in range(ITERATIONS):
-            points = in_camera(world_from_camera, cloud)
-            distance, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
-            good = np.isfinite(distance)
-            good[good] = self.flat[patch[good]]
-            if good.sum() < FEWEST:
-                return guess
-            step, size = self._step(points[good], patch[good], held)
-            world_from_camera = step @ world_from_camera
-            if size < DONE_MM:
-                break
+        for most_off in MOST_OFF_MM:
+            for _ in range(ITERATIONS):
+                points, patch = self._matched(in_camera(world_from_camera, cloud), most_off)
+                sure = self.flat[patch]
+                if sure.sum() < FEWEST:
+                    return guess
+                step, size = self._step(points[sure], patch[sure], held)
+                world_from_camera = step @ world_from_camera
+                if size < DONE_MM:
+                    break
         return np.asarray(world_from_camera)
 
     def fit(self, cloud: Array, world_from_camera: Array) -> tuple[float, float]:
         """Median distance (mm) of a cloud's points at a pose from the planes that they have, and the share that has
         one."""
-        points = in_camera(world_from_camera, cloud)
-        off, patch = self.tree.query(points, distance_upper_bound=MOST_OFF_MM)
-        good = np.isfinite(off)
-        patch, points = patch[good], points[good]
+        points, patch = self._matched(in_camera(world_from_camera, cloud), MOST_OFF_MM[0])
         if len(points) == 0:
             return np.inf, 0.0
-        off = np.abs(np.einsum("ni,ni->n", points - self.centres[patch], self.normals[patch]))
-        return float(np.median(off)), float(good.mean())
+        return float(np.median(np.abs(self._off(points, patch)))), len(points) / len(cloud)
+
+    def misfit(self, cloud: Array, world_from_camera: Array) -> float:
+        """Mean loss of a cloud's points at a pose; one without a plane has that of the greatest distance."""
+        points, patch = self._matched(in_camera(world_from_camera, cloud), MOST_OFF_MM[0])
+        loss = float(np.log1p((self._off(points, patch) / LOSS_MM) ** 2).sum())
+        return (loss + (len(cloud) - len(points)) * float(np.log1p((MOST_OFF_MM[0] / LOSS_MM) ** 2))) / len(cloud)
+
+    def _matched(self, points: Array, most_off: float) -> tuple[Array, NDArray[np.int64]]:
+        """Those of points (N,3) that have a plane (K,3), and its index (K,). One beyond the edge of the wall that was
+        seen has none: it would draw the cloud over the edge."""
+        distance, patch = self.tree.query(points, distance_upper_bound=most_off)
+        near = np.isfinite(distance)
+        points, patch = points[near], patch[near]
+        away, normals = points - self.tree.data[patch], self.normals[patch]
+        beside = away - np.einsum("ni,ni->n", away, normals)[:, None] * normals
+        inside = np.linalg.norm(beside, axis=1) < self.reach[patch]
+        return points[inside], patch[inside]
+
+    def _off(self, points: Array, patch: NDArray[np.int64]) -> Array:
+        """(K,) signed distances, mm, of points (K,3) from their planes."""
+        return np.asarray(np.einsum("ni,ni->n", points - self.centres[patch], self.normals[patch]))
 
     def _step(self, points: Array, patch: NDArray[np.int64], held: float) -> tuple[Array, float]:
         """A motion (4,4) of the world that brings points (N,3) to their planes, and its length, mm."""
         normals = self.normals[patch]
-        off = np.einsum("ni,ni->n", points - self.centres[patch], normals)
+        off = self._off(points, patch)
         weight = 1 / (1 + (off / LOSS_MM) ** 2)
         centre = points.mean(axis=0)
         arm = points - centre
