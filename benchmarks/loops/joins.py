@@ -38,6 +38,7 @@ from pipeline.mapping.submap_matching import (
 )
 from pipeline.mapping.submap_merging import merge_and_adjust
 from pipeline.mapping.submap_of_map import to_submap
+from pipeline.matching.place_recognition import VisualWords
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sift_cache import ReadFrame, SiftCache
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -90,7 +91,8 @@ def truth_from_map(local_map: LocalMap, truth: np.ndarray) -> np.ndarray:
 def offered(first: LocalMap, second: LocalMap, finders: tuple[FindFeatures, FindFeatures]) -> np.ndarray | None:
     """`second_from_first` if the evidence is enough for a join."""
     a, b = (MapFeatures(m, features_of_map(m, find)) for m, find in zip((first, second), finders, strict=True))
-    matches = consistent_matches(find_matches((a, b), np.random.default_rng(0), 0), (a, b))
+    words = VisualWords.of([*a.features, *b.features], 0)
+    matches = consistent_matches(find_matches((a, b), np.random.default_rng(0), words), (a, b))
     return joint_similarity(matches, (a, b)) if matches else None
 
 

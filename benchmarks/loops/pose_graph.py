@@ -47,6 +47,7 @@ from pipeline.loop_closing.detection import (
 )
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.loop_closing.loop_adjustment import adjust_loops
+from pipeline.matching.place_recognition import VisualWords
 from pipeline.run_folder.workspace import create_workspace
 from pipeline.surface.fusion_stage import MIN_COMPONENT, depth_filter, fusion_ranges
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
@@ -80,7 +81,8 @@ def links_of(
     first = find_features(parts[0], most)
     own = parts[0] is parts[1]
     second = first if own else find_features(parts[1], most)
-    pairs = loop_candidates(first, seed) if own else merge_candidates(first, second, seed)
+    words = VisualWords.of(first.features if own else [*first.features, *second.features], seed)
+    pairs = loop_candidates(first, words) if own else merge_candidates(first, second, words)
     return (first, second), verify_loops(first, second, pairs, seed), len(pairs)
 
 

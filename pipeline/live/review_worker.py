@@ -32,6 +32,7 @@ from pipeline.loop_closing.detection import (
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.mapping.submap import Submap
 from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.place_recognition import VisualWords
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.coverage_stage import EDGE_VOXELS, LISTED_RADII, half_field_of_view, lens_field_of_view
 from reconstruction.coverage.centreline import NotATube
@@ -143,7 +144,8 @@ class ReviewWork:
         if not self.settings.enabled:
             return seen, 0
         try:
-            loops = verify_loops(seen, seen, loop_candidates(seen, self.seed), self.seed)
+            candidates = loop_candidates(seen, VisualWords.of(seen.features, self.seed))
+            loops = verify_loops(seen, seen, candidates, self.seed)
             closed = close_loops(seen, loops)
         except FAILURES:
             return seen, 0
@@ -157,7 +159,8 @@ class ReviewWork:
             if number == job.map_number or not self.settings.merge_submaps:
                 continue
             try:
-                pairs = merge_candidates(seen, earlier.seen, self.seed)
+                words = VisualWords.of([*seen.features, *earlier.seen.features], self.seed)
+                pairs = merge_candidates(seen, earlier.seen, words)
                 merged = merge_by_loops((seen, earlier.seen), verify_loops(seen, earlier.seen, pairs, self.seed))
             except FAILURES:
                 continue

@@ -29,6 +29,7 @@ from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loop
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import read_submap, refined_camera
+from pipeline.matching.place_recognition import VisualWords
 from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "refinement"  # its name in run.yaml since version 0.1
@@ -81,10 +82,11 @@ def _refine(
         for number, submap in enumerate(submaps):
             pieces.append(_Piece(submap, [number], find_features(submap, settings.max_keyframes)))
             advance(number + 1)
+    words = VisualWords.of([features for piece in pieces for features in piece.seen.features], seed)
     if settings.merge_submaps:
-        pieces = _merged(pieces, settings, seed, warnings)
+        pieces = _merged(pieces, settings, words, seed, warnings)
     for piece in pieces:
-        _close(piece, seed, warnings)
+        _close(piece, words, seed, warnings)
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
     deform = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
     for sentence in (*map(_sentence, deform), *warnings):
@@ -113,13 +115,15 @@ def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:
     ]
 
 
-def _merged(pieces: list[_Piece], settings: LoopClosingSettings, seed: int, warnings: list[str]) -> list[_Piece]:
+def _merged(
+    pieces: list[_Piece], settings: LoopClosingSettings, words: VisualWords, seed: int, warnings: list[str]
+) -> list[_Piece]:
     """Each piece grown by those that surely show the same places; a grown one is compared anew."""
     left, done = list(pieces), []
     while left:
         base, number = left.pop(0), 0
         while number < len(left):
-            grown = _merge(base, left[number], settings, seed, warnings)
+            grown = _merge(base, left[number], settings, words, seed, warnings)
             if grown is None:
                 number += 1
                 continue
@@ -129,12 +133,14 @@ def _merged(pieces: list[_Piece], settings: LoopClosingSettings, seed: int, warn
     return done
 
 
-def _merge(base: _Piece, other: _Piece, settings: LoopClosingSettings, seed: int, warnings: list[str]) -> _Piece | None:
+def _merge(
+    base: _Piece, other: _Piece, settings: LoopClosingSettings, words: VisualWords, seed: int, warnings: list[str]
+) -> _Piece | None:
     seen = base.seen, other.seen
     if min(len(base.completed), len(other.completed)) == 0:
         return None
     try:
-        pairs = merge_candidates(*seen, seed)
+        pairs = merge_candidates(*seen, words)
         completed = merge_by_loops(seen, verify_loops(*seen, pairs, seed))
     except FAILURES as error:
         warnings.append(f"submaps {base.members[0]} and {other.members[0]} were not merged: {error}")
@@ -144,11 +150,11 @@ def _merge(base: _Piece, other: _Piece, settings: LoopClosingSettings, seed: int
     return _Piece(completed, base.members + other.members, find_features(completed, settings.max_keyframes))
 
 
-def _close(piece: _Piece, seed: int, warnings: list[str]) -> None:
+def _close(piece: _Piece, words: VisualWords, seed: int, warnings: list[str]) -> None:
     if len(piece.completed) < 2:
         return
     try:
-        pairs = loop_candidates(piece.seen, seed)
+        pairs = loop_candidates(piece.seen, words)
         closed = close_loops(piece.seen, verify_loops(piece.seen, piece.seen, pairs, seed))
         piece.candidates, piece.consistent = closed.candidates, closed.consistent
         adjusted = adjust_loops(piece.seen, closed) if closed.accepted_pairs else piece.completed

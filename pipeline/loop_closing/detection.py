@@ -17,7 +17,7 @@ from haustra.core.threads import prefetched, single_threaded, workers
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.matching.keyframe_features import KeyframeFeatures, lift_features
-from pipeline.matching.place_recognition import Pair, retrieve, retrieve_within, similarities
+from pipeline.matching.place_recognition import Pair, VisualWords, retrieve, retrieve_within
 from pipeline.matching.sift import detect_sift
 from pipeline.matching.sim3_match import Sim3Match, verify_match
 from reconstruction.fusion.depth_consistency import DepthView, agreement
@@ -75,12 +75,12 @@ def features_of_all(known: SubmapFeatures) -> SubmapFeatures:
     return _features(known.completed, known.completed.rows, found, known.rays)
 
 
-def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
+def loop_candidates(seen: SubmapFeatures, words: VisualWords) -> list[Pair]:
     """Pairs of keyframes that no sparse point ties: those whose poses say that they overlap, and the most alike."""
     world_from_camera = seen.completed.submap.world_from_camera[seen.rows]
     turn = np.arccos(np.clip(world_from_camera[:, :3, 2] @ world_from_camera[:, :3, 2].T, -1, 1))
     apart = np.linalg.norm(world_from_camera[:, None, :3, 3] - world_from_camera[None, :, :3, 3], axis=2)
-    similarity = similarities(seen.features, seen.features, seed)
+    similarity = words.similarities(seen.features, seen.features)
     number = np.arange(len(world_from_camera))
     open_ = (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(seen.completed, seen.rows) <= MAX_SHARED)
     near = open_ & (apart < REACH) & (turn < MAX_TURN)
@@ -88,9 +88,9 @@ def loop_candidates(seen: SubmapFeatures, seed: int) -> list[Pair]:
     return expected + retrieve_within(np.where(open_ & ~near, similarity, -np.inf), 1)
 
 
-def merge_candidates(first: SubmapFeatures, second: SubmapFeatures, seed: int) -> list[Pair]:
+def merge_candidates(first: SubmapFeatures, second: SubmapFeatures, words: VisualWords) -> list[Pair]:
     """Pairs of keyframes of two submaps, the most alike for each of the first."""
-    return retrieve(similarities(first.features, second.features, seed), PER_KEYFRAME)
+    return retrieve(words.similarities(first.features, second.features), PER_KEYFRAME)
 
 
 def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair], seed: int) -> list[LoopClosure]:

@@ -17,7 +17,7 @@ from haustra.core.sim3 import transform_points
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.depth_interpolation import interpolate_inverse_depth
 from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, features_of_view
-from pipeline.matching.place_recognition import retrieve, similarities
+from pipeline.matching.place_recognition import VisualWords, retrieve
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import (
     MIN_INLIER_SHARE,
@@ -76,9 +76,9 @@ class MapFeatures:
 Maps = tuple[MapFeatures, MapFeatures]
 
 
-def find_matches(maps: Maps, rng: np.random.Generator, seed: int, first: int = 0) -> list[Sim3Match]:
+def find_matches(maps: Maps, rng: np.random.Generator, words: VisualWords, first: int = 0) -> list[Sim3Match]:
     """Verified matches of keyframes that look alike; of the first map only those from number `first` on."""
-    pairs = retrieve(similarities(maps[0].features[first:], maps[1].features, seed), PER_KEYFRAME)
+    pairs = retrieve(words.similarities(maps[0].features[first:], maps[1].features), PER_KEYFRAME)
     found = (_verified(maps, i + first, j, rng) for i, j in pairs)
     return [match for match in found if match is not None]
 

@@ -28,6 +28,7 @@ from pipeline.mapping.submap_matching import (
 )
 from pipeline.matching.descriptor_matching import match_descriptors
 from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.place_recognition import VisualWords
 from pipeline.matching.sift import FindFeatures
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.optimization.resection import reprojection_errors
@@ -86,6 +87,7 @@ def merge_maps(maps: list[LocalMap], find: FindFeatures, seed: int) -> list[Merg
         return [Merged(local_map, (number,)) for number, local_map in enumerate(maps)]
     rng = np.random.default_rng(seed)
     left = [(number, MapFeatures(m, features_of_map(m, find))) for number, m in enumerate(maps)]
+    words = VisualWords.of([features for _, shown in left for features in shown.features], seed)
     merged = []
     while left:
         first, base = left.pop(0)
@@ -94,7 +96,7 @@ def merge_maps(maps: list[LocalMap], find: FindFeatures, seed: int) -> list[Merg
         found: list[list[Sim3Match]] = [[] for _ in left]  # and what they gave
         while number < len(left):
             name, other = left[number]
-            found[number] += find_matches((base, other), rng, seed, compared[number])
+            found[number] += find_matches((base, other), rng, words, compared[number])
             compared[number] = len(base.features)
             matches = consistent_matches(found[number], (base, other))
             if not matches:

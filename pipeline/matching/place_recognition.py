@@ -46,22 +46,42 @@ def vlad(descriptors: NDArray[np.float32], visual_words: NDArray[np.float32]) ->
     return (flat / max(float(np.linalg.norm(flat)), 1e-12)).astype(np.float32)
 
 
-def similarities(
-    first: Sequence[KeyframeFeatures], second: Sequence[KeyframeFeatures], seed: int
-) -> NDArray[np.float32]:
-    """(F,S) cosine of the keyframes' signatures; minus infinity where one has too few features."""
-    nowhere = np.full((len(first), len(second)), -np.inf, np.float32)
-    if not first or not second:
-        return nowhere
-    stacked = np.concatenate([features.descriptors for features in (*first, *second)])
-    if len(stacked) < WORDS:
-        return nowhere
-    # RootSIFT takes four times the bytes: of the sample, then of one keyframe at a time.
-    visual_words = learn_visual_words(rootsift(_sample(stacked, seed)), seed)
-    one = np.stack([vlad(features.rootsift, visual_words) for features in first])
-    other = one if second is first else np.stack([vlad(features.rootsift, visual_words) for features in second])
-    enough = [np.array([len(features) >= MIN_FEATURES for features in side]) for side in (first, second)]
-    return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
+class VisualWords:
+    """Words that pictures share, and each keyframe's signature by them, computed once.
+
+    Learn them of everything that will be compared: of each pair of submaps anew, they take longer than the comparison.
+    """
+
+    def __init__(self, centres: NDArray[np.float32] | None) -> None:
+        self._centres = centres  # (WORDS,128); None where there were too few descriptors to learn from
+        self._known: dict[int, tuple[NDArray[np.uint8], NDArray[np.float32]]] = {}  # the first keeps its number taken
+
+    @staticmethod
+    def of(keyframes: Sequence[KeyframeFeatures], seed: int) -> "VisualWords":
+        """Learnt from keyframes' descriptors."""
+        stacked = np.concatenate([features.descriptors for features in keyframes] or [np.zeros((0, 128), np.uint8)])
+        if len(stacked) < WORDS:
+            return VisualWords(None)
+        # RootSIFT takes four times the bytes: of the sample here, of one keyframe at a time below.
+        return VisualWords(learn_visual_words(rootsift(_sample(stacked, seed)), seed))
+
+    def similarities(
+        self, first: Sequence[KeyframeFeatures], second: Sequence[KeyframeFeatures]
+    ) -> NDArray[np.float32]:
+        """(F,S) cosine of the keyframes' signatures; minus infinity where one has too few features."""
+        if not first or not second or self._centres is None:
+            return np.full((len(first), len(second)), -np.inf, np.float32)
+        one = np.stack([self._signature(features) for features in first])
+        other = one if second is first else np.stack([self._signature(features) for features in second])
+        enough = [np.array([len(features) >= MIN_FEATURES for features in side]) for side in (first, second)]
+        return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
+
+    def _signature(self, features: KeyframeFeatures) -> NDArray[np.float32]:
+        number = id(features.descriptors)  # keyframes are renumbered when maps are merged; their descriptors stay
+        if number not in self._known:
+            assert self._centres is not None
+            self._known[number] = features.descriptors, vlad(features.rootsift, self._centres)
+        return self._known[number][1]
 
 
 def retrieve(similarity: NDArray[np.float32], per_row: int) -> list[Pair]:

@@ -16,6 +16,7 @@ from pipeline.mapping.map_adjustment import adjust_window, sharing
 from pipeline.mapping.submap_matching import MapFeatures, consistent_matches, features_of_map, find_matches
 from pipeline.mapping.submap_merging import merge_maps
 from pipeline.matching.keyframe_features import KeyframeFeatures
+from pipeline.matching.place_recognition import VisualWords
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.matching.sim3_match import Sim3Match
 from pipeline.matching.sim3_ransac import similarity_errors
@@ -108,7 +109,9 @@ def linked(count=60, wrong=0, points=None, others=None):
     first, second = a_map([[0, 0, 0]], points=points), a_map([[1, 0, 1]], points=points if others is None else others)
     mixed = np.concatenate([np.roll(codes[:wrong], 1, axis=0), codes[wrong:]])
     place, other = features_of(first, 0, np.arange(count), codes), features_of(second, 0, np.arange(count), mixed)
-    return find_matches((MapFeatures(first, [place]), MapFeatures(second, [other])), rng, 0)
+    return find_matches(
+        (MapFeatures(first, [place]), MapFeatures(second, [other])), rng, VisualWords.of([place, other], 0)
+    )
 
 
 def test_a_link_needs_matches_agreement_and_spread():
@@ -140,7 +143,7 @@ def test_what_stands_still_in_the_picture_links_nothing():
         place = features_of(first, 0, np.arange(60), codes)
         other = replace(place, pixels=place.pixels + np.array([way, 0]))
         maps = MapFeatures(first, [place]), MapFeatures(second, [other])
-        assert len(find_matches(maps, np.random.default_rng(0), 0)) == count
+        assert len(find_matches(maps, np.random.default_rng(0), VisualWords.of([place, other], 0))) == count
 
 
 @pytest.mark.parametrize(("apart", "joined"), [(0.0, False), (1.0, False), (10.0, True)])
@@ -149,7 +152,8 @@ def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
     maps = [a_map([[0, 0, shift], [0, 0, shift + apart]]) for shift in (0.0, -4.0)]
     shown = tuple(MapFeatures(m, [features_of(m, number, np.arange(60), codes) for number in (0, 1)]) for m in maps)
-    links = find_matches(shown, np.random.default_rng(0), 0)
+    words = VisualWords.of([features for one in shown for features in one.features], 0)
+    links = find_matches(shown, np.random.default_rng(0), words)
     assert len(links) == 4
     assert bool(consistent_matches(links, shown)) == joined
     assert consistent_matches(links[:1], shown) == []
