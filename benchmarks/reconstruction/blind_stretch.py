@@ -28,7 +28,9 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import angle_between, inverse
 from haustra.core.text import read_json
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
-from pipeline.frontend.odometry.bridging.gap import Clouds, clouds_of, registered_over_gap, velocity_over_gap
+from pipeline.frontend.odometry.bridging.depth_clouds import Clouds, clouds_of
+from pipeline.frontend.odometry.bridging.depth_odometry import by_velocity
+from pipeline.frontend.odometry.bridging.gap import registered_over_gap
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.given_settings import SensorSettings
@@ -39,7 +41,11 @@ from pipeline.run_folder.workspace import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
-GAP, APART, ROOM = 31, 20, 45  # frames: of a gap, between two gaps, and left on both sides
+GAP, APART, ROOM = (
+    31,
+    20,
+    45,
+)  # frames: of a gap, between two gaps, and left before the first gap, and from the start of the last to the end
 ALONE, CHOSEN = "registration", "registration, chosen on"
 Array = NDArray[np.float64]
 
@@ -100,7 +106,7 @@ def registered(folder: Path, truth: Array) -> list[dict[str, Any]]:
         here = {frame: truth[frame] for frame in range(end + 1)}
         there = {frame: truth[frame] for frame in range(end + GAP, len(truth))}
         found = registered_over_gap(here, there, clouds)
-        guess = _off(velocity_over_gap(here, there), truth[end + GAP])
+        guess = _off(by_velocity(here, there), truth[end + GAP])
         rows.append({"end": end, "guess": guess, "found": None if found is None else _off(found, truth[end + GAP])})
     return rows
 

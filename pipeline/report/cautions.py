@@ -1,5 +1,6 @@
 """Reasons not to trust a run: the one list that `metrics.json`, report, terminal, batch and viewer show."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -15,15 +16,20 @@ def reasons_for_doubt(
     """
     lens = [submap["camera"]["trust"] for submap in submaps]
     of_lens = [text for text in lens if "trust" in text or "does not determine" in text]
-    # One of each kind: the same sensor, poses or lumen speak of every submap, and differ in their figures alone.
-    of_scale = [surface.scale.doubt for surface in surfaces if surface.scale.doubt][:1]
-    of_clock = [surface.scale.clock_doubt for surface in surfaces if surface.scale.clock_doubt][:1]
+    of_scale = _of_each_kind(surface.scale.doubt for surface in surfaces)
+    of_clock = _of_each_kind(surface.scale.clock_doubt for surface in surfaces)
     of_depth = [
         f"submap {number}: {left_out(submap['contradicted_keyframes'])}"
         for number, submap in enumerate(submaps)
         if submap["contradicted_keyframes"]
     ]
     return list(dict.fromkeys([*of_lens, *of_stages, *of_scale, *of_clock, *of_depth]))
+
+
+def _of_each_kind(doubts: Iterable[str]) -> list[str]:
+    """The first of those that differ in their figures alone, as the same sensor's of several submaps do."""
+    first = {re.sub(r"[\d.]+", "", doubt): doubt for doubt in reversed([doubt for doubt in doubts if doubt])}
+    return list(reversed(first.values()))
 
 
 def left_out(frames: Sequence[int]) -> str:

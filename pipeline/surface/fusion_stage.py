@@ -103,7 +103,10 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
     return [
         Surface(
             read_mesh(mesh_path(workspace, number)),
-            Scale(*(record.get(name, "") for name in ("factor", "unit", "origin", "doubt", "clock_doubt"))),
+            Scale(
+                *(record[name] for name in ("factor", "unit", "origin")),
+                *(record.get(name, "") for name in ("doubt", "clock_doubt")),
+            ),
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),

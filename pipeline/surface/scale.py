@@ -40,8 +40,8 @@ class ScaleSource:
 @dataclass(frozen=True)
 class Scale:
     """factor: output units per scene unit; unit: 'mm' or 'scene'; origin: one sentence; doubt: why the millimetres are
-    not to be trusted, empty without a reason; clock_doubt: why a sensor's depth, which also shaped the map, may be of
-    other frames, whoever gives the millimetres."""
+    not to be trusted, empty without a reason; clock_doubt: why a sensor's depth, which shapes the map too where it is
+    used, may be of other frames, whoever gives the millimetres."""
 
     factor: float
     unit: str

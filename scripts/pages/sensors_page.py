@@ -15,8 +15,8 @@ HEAD = """# Depth sensors and second eyes, part by part
 - **Date:** 2026-11-27
 - **Question:** What do a time-of-flight sensor and a second eye give to scale, path and surface, and by which part?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction sensors SUITE/easy_withdrawal
-  --parts --json benchmarks/results/sensors.json`, and other films without `--parts`, on commit {commit}. Rendered by
-  `python scripts/pages/sensors_page.py > docs/lab/sensors.md`.
+  --parts --json benchmarks/results/sensors.json`, other films without `--parts`, and the same film with
+  `--front-end sfm`, on commit {commit}. Rendered by `python scripts/pages/sensors_page.py > docs/lab/sensors.md`.
 
 Sensors of 64x64 and of 240x180 zones: 3 % of noise, holes at grazing angles and highlights, 5 % dropped. Stereo: 4 mm
 between the eyes, 320 px each, both under the lamps of the left one. Odometry, and in rows that say `sfm` COLMAP's
@@ -44,10 +44,15 @@ def page(record: dict[str, Any]) -> str:
     parts = [HEAD.replace("{commit}", ", ".join(commits))]
     for film in dict.fromkeys(run["sequence"] for run in runs):
         mine = [run for run in runs if run["sequence"] == film]
-        posed = ", ".join(dict.fromkeys(f"{run['posed']} of {run['frames']}" for run in mine if "posed" in run))
-        parts.append(f"## {film} ({posed} frames posed)")
+        posed = ", ".join(dict.fromkeys(f"{run['posed']} of {run['frames']}" for run in mine if _tracked(run)))
+        parts.append(f"## {film} ({posed} frames posed by odometry)")
         parts.append("\n".join([COLUMNS, *map(_row, mine)]).rstrip() + "\n")
     return "\n".join([*parts, READ])
+
+
+def _tracked(run: dict[str, Any]) -> bool:
+    """Whether odometry ended well on it."""
+    return "posed" in run and not run["method"].startswith("sfm")
 
 
 def _row(run: dict[str, Any]) -> str:

@@ -13,7 +13,8 @@ from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.odometry.backward_tracking import extend_backwards
-from pipeline.frontend.odometry.bridging.gap import bridge_maps, clouds_of
+from pipeline.frontend.odometry.bridging.depth_clouds import clouds_of
+from pipeline.frontend.odometry.bridging.gap import bridge_maps
 from pipeline.frontend.odometry.chunks import (
     Stitching,
     jobs_of,

@@ -33,5 +33,10 @@ def test_scale_and_depth_come_last_with_the_number_of_the_submap():
 
 
 def test_unit_and_clock_of_a_sensor_are_both_said_once():
-    said = reasons_for_doubt([], [surface("unit"), surface("unit, too", "late"), surface(clock="late")], [submap()] * 3)
-    assert said == ["unit", "late"]
+    surfaces = [
+        surface("unit: 3.2"),
+        surface("unit: 0.4", "2 late"),
+        surface("by file", "3 late"),
+        surface(clock="early"),
+    ]
+    assert reasons_for_doubt([], surfaces, [submap()] * 4) == ["unit: 3.2", "by file", "2 late", "early"]

@@ -6,6 +6,7 @@ problems", ICRA 2016). Point to point, as in KISS-ICP (Vizzo et al., RA-L 2023),
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from haustra.core.se3 import Array, exp_rotation, in_camera
 VOXEL_MM = 1.0  # edge of a cube whose points are made one
 NEIGHBOURS = 20  # points that give a plane
 FLAT = 0.5  # least over middle spread of a plane's points
-MOST_OFF_MM = 4.0, 2.0  # of a match from its plane's point, first and last
+MOST_OFF_MM = 4.0  # of a match from its plane's place
+NARROWING_MM = 4.0, 2.0  # the same while a cloud is registered
 LOSS_MM = 0.7  # Cauchy's
 HELD = 0.03  # mean square of what a unit step moves along the normals, of 1: a third where no direction is special
 ITERATIONS, DONE_MM = 15, 1e-3
@@ -48,11 +50,20 @@ class WallPatches:
         spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
         return WallPatches(centres, axes[:, :, 0], reach, spread[:, 0] < FLAT * spread[:, 1], tree)
 
+    def joined(self, other: "WallPatches") -> "WallPatches":
+        """Both, in one world; where they overlap a point takes the plane whose place is nearest."""
+        parts = zip(self._arrays(), other._arrays(), strict=True)
+        centres, normals, reach, flat, places = (np.concatenate(pair) for pair in parts)
+        return WallPatches(centres, normals, reach, flat, cKDTree(places))
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self.centres, self.normals, self.reach, self.flat, self.tree.data
+
     def registered(self, cloud: Array, guess: Array, held: float = HELD) -> Array:
         """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
         that less than `held` speaks for."""
         world_from_camera = guess
-        for most_off in MOST_OFF_MM:
+        for most_off in NARROWING_MM:
             for _ in range(ITERATIONS):
                 points, patch = self._matched(in_camera(world_from_camera, cloud), most_off)
                 sure = self.flat[patch]
@@ -65,18 +76,19 @@ class WallPatches:
         return np.asarray(world_from_camera)
 
     def fit(self, cloud: Array, world_from_camera: Array) -> tuple[float, float]:
-        """Median distance (mm) of a cloud's points at a pose from the planes that they have, and the share that has
-        one."""
-        points, patch = self._matched(in_camera(world_from_camera, cloud), MOST_OFF_MM[0])
-        if len(points) == 0:
+        """Median distance (mm) of a cloud's points at a pose from the flat patches that they lie on, and the share that
+        lies where wall is."""
+        points, patch = self._matched(in_camera(world_from_camera, cloud), MOST_OFF_MM)
+        flat = self.flat[patch]
+        if not flat.any():
             return np.inf, 0.0
-        return float(np.median(np.abs(self._off(points, patch)))), len(points) / len(cloud)
+        return float(np.median(np.abs(self._off(points[flat], patch[flat])))), len(points) / len(cloud)
 
     def misfit(self, cloud: Array, world_from_camera: Array) -> float:
         """Mean loss of a cloud's points at a pose; one without a plane has that of the greatest distance."""
-        points, patch = self._matched(in_camera(world_from_camera, cloud), MOST_OFF_MM[0])
+        points, patch = self._matched(in_camera(world_from_camera, cloud), MOST_OFF_MM)
         loss = float(np.log1p((self._off(points, patch) / LOSS_MM) ** 2).sum())
-        return (loss + (len(cloud) - len(points)) * float(np.log1p((MOST_OFF_MM[0] / LOSS_MM) ** 2))) / len(cloud)
+        return (loss + (len(cloud) - len(points)) * float(np.log1p((MOST_OFF_MM / LOSS_MM) ** 2))) / len(cloud)
 
     def _matched(self, points: Array, most_off: float) -> tuple[Array, NDArray[np.int64]]:
         """Those of points (N,3) that have a plane (K,3), and its index (K,). One beyond the edge of the wall that was

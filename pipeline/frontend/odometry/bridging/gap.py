@@ -1,62 +1,32 @@
 """Maps joined over a stretch that shows nothing, by what a sensor measured in it.
 
 A burnt, blurred or covered second ends a map, and the next begins in a world of its own. Where both are in millimetres,
-clouds between them are registered to those of the last good frames (`cloud_registration`), from a
-velocity that goes from the one that the first map ends with to the one that the second begins with. What a tube leaves
-free, the turn about its axis and the way along it, stays with that velocity.
+the sensor's clouds are followed from one to the other, in both directions (`depth_odometry`), and the clouds of both
+sides are registered to each other (`cloud_registration`).
 """
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from haustra.core.progress import Progress
-from haustra.core.ray_table import RayTable
-from haustra.core.se3 import Array, compose, exp_rotation, in_camera, inverse
+from haustra.core.se3 import Array, in_camera, inverse
 from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
+from pipeline.frontend.odometry.bridging.depth_clouds import STEP, Clouds, joint_cloud
+from pipeline.frontend.odometry.bridging.depth_odometry import PACE, followed, motion_of, tangent_of
 from pipeline.frontend.odometry.chunk_stitching import frame_observations, stitch
-from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.final_adjustment import adjust_to_features
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.sift import FindFeatures
 
-Clouds = Callable[[int], Array | None]  # (N,3) of a frame, mm, in the camera's axes
 MOST_FRAMES = 60  # of a gap: two seconds
-REACH, STEP = 40, 4  # frames on either side of the gap that are taken together, and how far apart
-EVERY = 3  # frames of the gap, of which one is registered
-PACE = 8  # frames over which a velocity is measured
-MOST_POINTS, FARTHEST_MM = 1500, 80.0  # of a cloud
-FEWEST_POINTS = 200
-# Chosen on 31 gaps of five films of coverage_films.yaml. Poses within 2 mm and 5 deg of the truth have 0.8 to 1.5 times
-# the usual distance; those of the others that come out so lie below a share of 0.75 or differ from the way back.
+# Chosen on gaps of films of coverage_films.yaml (docs/lab/blind_stretch.md), the way back on earlier ones.
 MOST_WORSE = 1.6  # times as far from the wall as a cloud of either side lies from its own, and it does not belong there
 LEAST_SHARE = 0.3  # of the first cloud after the gap that lies where wall was seen before it
-LEAST_SHARE_TURNED = 0.75  # the same of a further guess: with less overlap many a turn fits
 MOST_TURN, MOST_SHIFT_MM = np.radians(6.0), 2.5  # between the way over the gap and the way back
-TURNS = np.radians(np.arange(-32.0, 33.0, 8.0))  # about the camera's axis, of further guesses
-MOST_COMPARED = 4000  # points by which the guesses are compared
-
-
-def clouds_of(sensor: SensorDepth, rays: RayTable) -> Clouds:
-    """Thinned evenly; None for a frame of which the sensor saw too little."""
-
-    def cloud(frame: int) -> Array | None:
-        found = sensor.cells(frame)
-        if found is None:
-            return None
-        pixels, depth, _ = found
-        near = (depth < FARTHEST_MM) & (pixels >= 0).all(axis=1)
-        near &= (pixels < [rays.camera.width, rays.camera.height]).all(axis=1)
-        step = max(1, int(near.sum()) // MOST_POINTS)
-        pixels, depth = pixels[near][::step], depth[near][::step]
-        if len(depth) < FEWEST_POINTS:
-            return None
-        return np.asarray(np.column_stack([rays.unproject(pixels)[0], np.ones(len(depth))]) * depth[:, None])
-
-    return cloud
+MOST_APART = np.radians(6.0), 3.0  # between registrations from two ways
+MOST_OFF_WAY = np.radians(8.0), 4.0  # between a registration and depth odometry over the gap
 
 
 def bridge_maps(
@@ -93,34 +63,52 @@ def first_from_second(first: LocalMap, second: LocalMap, clouds: Clouds) -> Arra
     return None if world_from_camera is None else np.asarray(world_from_camera @ inverse(there[min(there)]))
 
 
+@dataclass(frozen=True)
+class Registered:
+    """A pose, world_from_camera (4,4), at which two sides' clouds fit, and how badly they do."""
+
+    pose: Array
+    misfit: float
+
+
 def registered_over_gap(here: dict[int, Array], there: dict[int, Array], clouds: Clouds) -> Array | None:
     """world_from_camera (4,4) of the first frame of `there` in the world of `here`, poses by frame; None where the gap
-    is long, the clouds overlap too little or do not fit, or the way back is another one."""
+    is long, the clouds of both sides overlap too little, or what speaks for a pose does not agree.
+
+    Depth odometry over the gap, once from either side, gives two poses that share no wall. The clouds of both sides are
+    registered from each. A pose is taken at which both registrations end and to which one way has led, or at which one
+    ends and to which the other way has led.
+    """
     end, begin = max(here), min(there)
     if not 0 < begin - end <= MOST_FRAMES or min(len(here), len(there)) <= PACE:
         return None
     sides = _Sides.of(here, there, clouds)
-    if sides is None:
+    forwards, backwards = followed(here, end, begin, clouds), followed(there, begin, end, clouds)
+    if sides is None or forwards is None or backwards is None:
         return None
+    ways = forwards, np.asarray(here[end] @ inverse(backwards) @ there[begin])
     wall = WallPatches.of(in_camera(here[end], sides.before))
-
-    def registered(frame: int, guess: Array) -> Array:
-        cloud = clouds(frame) if (begin - frame) % EVERY == 0 else None
-        return guess if cloud is None else wall.registered(cloud, guess)
-
-    followed = _followed(here, there, registered)
-    found = sides.checked(wall, here[end], _best_of_turns(wall, sides.after, followed), LEAST_SHARE_TURNED)
-    if found is None:
-        found = sides.checked(wall, here[end], wall.registered(sides.after, followed))
-    return found
+    found = [sides.checked(wall, here[end], wall.registered(sides.after, way)) for way in ways]
+    return _agreed(ways, found)
 
 
-def _best_of_turns(wall: WallPatches, cloud: Array, guess: Array) -> Array:
-    """The best of registrations from a guess and from it turned about the camera's axis: in a tube that turn slips
-    first, and a registration finds it within some ten degrees alone."""
-    few = cloud[:: max(1, len(cloud) // MOST_COMPARED)]
-    tried = [wall.registered(few, guess @ _motion(np.array([0, 0, turn, 0, 0, 0]))) for turn in TURNS]
-    return wall.registered(cloud, min(tried, key=lambda pose: wall.misfit(few, pose)))
+def _agreed(ways: tuple[Array, Array], found: list[Registered | None]) -> Array | None:
+    """Of registrations from two ways, or the one that passed: the pose that the evidence agrees on, if it does."""
+    one, other = found
+    if one is not None and other is not None:
+        best = min(one, other, key=lambda registered: registered.misfit)
+        near = any(_is_near(best.pose, way, MOST_OFF_WAY) for way in ways)
+        return best.pose if near and _is_near(one.pose, other.pose, MOST_APART) else None
+    for registered, way in ((one, ways[1]), (other, ways[0])):  # the way that it did not start from
+        if registered is not None and _is_near(registered.pose, way, MOST_OFF_WAY):
+            return registered.pose
+    return None
+
+
+def _is_near(pose: Array, other: Array, most: tuple[float, float]) -> bool:
+    """Whether two poses are within a turn (radians) and a shift (mm)."""
+    apart = tangent_of(inverse(pose) @ other)
+    return bool(np.linalg.norm(apart[:3]) <= most[0] and np.linalg.norm(apart[3:]) <= most[1])
 
 
 @dataclass(frozen=True)
@@ -146,72 +134,23 @@ class _Sides:
             return None
         return _Sides(np.concatenate([before, last]), np.concatenate([first, after]), first, max(off))
 
-    def checked(
-        self, wall: WallPatches, last_pose: Array, found: Array, least_share: float = LEAST_SHARE
-    ) -> Array | None:
+    def checked(self, wall: WallPatches, last_pose: Array, found: Array) -> Registered | None:
         """The middle of `found`, world_from_camera (4,4) of the first frame after the gap, and of the way back from
         there; None where the two differ, or the first cloud does not lie on the wall from before the gap."""
         back = WallPatches.of(self.after).registered(self.before, inverse(found) @ last_pose)
-        apart = inverse(found) @ last_pose @ inverse(back)  # of the first frame, by the way back, from its pose
-        turn, shift = _tangent(apart)[:3], apart[:3, 3]
+        apart = tangent_of(inverse(found) @ last_pose @ inverse(back))  # of the first frame, by the way back
         off, share = wall.fit(self.first, found)
-        if np.linalg.norm(turn) > MOST_TURN or np.linalg.norm(shift) > MOST_SHIFT_MM:
+        if np.linalg.norm(apart[:3]) > MOST_TURN or np.linalg.norm(apart[3:]) > MOST_SHIFT_MM:
             return None
-        if off > MOST_WORSE * self.usual or share < least_share:
+        if off > MOST_WORSE * self.usual or share < LEAST_SHARE:
             return None
-        return np.asarray(found @ _motion(_tangent(apart) / 2))
-
-
-def velocity_over_gap(here: dict[int, Array], there: dict[int, Array]) -> Array:
-    """world_from_camera (4,4) of the first frame of `there` by the velocity alone."""
-    return _followed(here, there, lambda _, predicted: predicted)
-
-
-def _followed(here: dict[int, Array], there: dict[int, Array], corrected: Callable[[int, Array], Array]) -> Array:
-    """The pose after the gap, frame by frame from a velocity that goes from that before it to that after it."""
-    end, begin = max(here), min(there)
-    world_from_camera, leaving, coming = here[end], _pace(here, end, -PACE), _pace(there, begin, PACE)
-    for frame in range(end + 1, begin + 1):
-        share = (frame - end - 0.5) / (begin - end)
-        world_from_camera = corrected(frame, world_from_camera @ _motion((1 - share) * leaving + share * coming))
-    return world_from_camera
-
-
-def joint_cloud(
-    world_from_camera: dict[int, Array], frame: int, direction: int, clouds: Clouds, least: int = 0
-) -> Array | None:
-    """Clouds (N,3) of a frame and those up to `REACH` after or before it, one in `STEP`, in the frame's axes."""
-    others = [frame + direction * step for step in range(least, REACH + 1, STEP)]
-    seen = [
-        in_camera(inverse(world_from_camera[frame]) @ world_from_camera[other], cloud)
-        for other in others
-        if other in world_from_camera and (cloud := clouds(other)) is not None
-    ]
-    return np.concatenate(seen) if seen else None
+        pose = np.asarray(found @ motion_of(apart / 2))
+        return Registered(pose, wall.misfit(self.after, pose))
 
 
 def poses_of(local_map: LocalMap) -> dict[int, Array]:
     """world_from_camera (4,4) by frame."""
     return {frame: inverse(seen.camera_from_world) for frame, seen in frame_observations(local_map).items()}
-
-
-def _pace(world_from_camera: dict[int, Array], frame: int, steps: int) -> Array:
-    """Motion (6,) of one frame, in the camera's axes, over `steps` frames from `frame` on."""
-    known = [other for other in world_from_camera if 0 < (other - frame) * np.sign(steps) <= abs(steps)]
-    other = max(known, key=lambda k: abs(k - frame), default=frame)
-    if other == frame:
-        return np.zeros(6)
-    first, second = min(frame, other), max(frame, other)
-    return _tangent(inverse(world_from_camera[first]) @ world_from_camera[second]) / (second - first)
-
-
-def _tangent(motion: Array) -> Array:
-    """(6,) rotation vector and shift of a motion (4,4)."""
-    return np.concatenate([Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]])
-
-
-def _motion(tangent: Array) -> Array:
-    return compose(exp_rotation(tangent[:3]), tangent[3:])
 
 
 def _joined(first: LocalMap, second: LocalMap, moved: Array) -> LocalMap:

@@ -1,0 +1,71 @@
+"""Camera motion by a depth sensor's clouds alone, each registered to the wall that was seen so far.
+
+The wall is that of the frames of known poses and of the latest clouds that were registered themselves, so that it goes
+on where the camera turns away from what it knew. Its errors add up: toward wall that was never seen it drifts along the
+lumen, toward wall that was seen it does not.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from haustra.core.se3 import Array, compose, exp_rotation, in_camera, inverse
+from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
+from pipeline.frontend.odometry.bridging.depth_clouds import Clouds, joint_cloud
+
+PACE = 8  # frames of known poses over which the first velocity is measured
+OVER = 3  # frames over which the later ones are
+KEPT = 8  # latest clouds that are part of the wall
+
+
+def followed(world_from_camera: dict[int, Array], frame: int, last: int, clouds: Clouds) -> Array | None:
+    """world_from_camera (4,4) of frame `last` by depth odometry, forwards or backwards from `frame` of known pose; None
+    where the sensor saw too little of the wall around it."""
+    step = 1 if last > frame else -1
+    known = joint_cloud(world_from_camera, frame, -step, clouds)
+    if known is None:
+        return None
+    wall = WallPatches.of(in_camera(world_from_camera[frame], known))
+    poses, recent = dict(world_from_camera), list[Array]()
+    velocity = step * pace(world_from_camera, frame, -step * PACE)
+    for now in range(frame + step, last + step, step):
+        poses[now] = poses[now - step] @ motion_of(velocity)
+        cloud = clouds(now)
+        if cloud is None:
+            continue
+        whole = wall.joined(WallPatches.of(np.concatenate(recent))) if recent else wall
+        poses[now] = whole.registered(cloud, poses[now])
+        recent = [*recent, in_camera(poses[now], cloud)][-KEPT:]
+        if now - OVER * step in poses:
+            velocity = tangent_of(inverse(poses[now - OVER * step]) @ poses[now]) / OVER
+    return poses[last]
+
+
+def by_velocity(here: dict[int, Array], there: dict[int, Array]) -> Array:
+    """world_from_camera (4,4) of the first frame of `there` in the world of `here`, from a velocity that goes over from
+    that before the gap to that after it."""
+    end, begin = max(here), min(there)
+    world_from_camera, leaving, coming = here[end], pace(here, end, -PACE), pace(there, begin, PACE)
+    for frame in range(end + 1, begin + 1):
+        share = (frame - end - 0.5) / (begin - end)
+        world_from_camera = world_from_camera @ motion_of((1 - share) * leaving + share * coming)
+    return world_from_camera
+
+
+def pace(world_from_camera: dict[int, Array], frame: int, steps: int) -> Array:
+    """Motion (6,) of one frame forwards, in the camera's axes, over `steps` frames from `frame` on."""
+    known = [other for other in world_from_camera if 0 < (other - frame) * np.sign(steps) <= abs(steps)]
+    other = max(known, key=lambda k: abs(k - frame), default=frame)
+    if other == frame:
+        return np.zeros(6)
+    first, second = min(frame, other), max(frame, other)
+    return tangent_of(inverse(world_from_camera[first]) @ world_from_camera[second]) / (second - first)
+
+
+def tangent_of(motion: Array) -> Array:
+    """(6,) rotation vector and shift of a motion (4,4)."""
+    return np.concatenate([Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]])
+
+
+def motion_of(tangent: Array) -> Array:
+    """Motion (4,4) of a rotation vector and a shift (6,)."""
+    return compose(exp_rotation(tangent[:3]), tangent[3:])
