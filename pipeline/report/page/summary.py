@@ -13,6 +13,7 @@ from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.scale import unit_label
 
 STRUCTURE = {"odometry": "visual odometry", "global": "COLMAP, all frames at once", "incremental": "COLMAP, one by one"}
+MOST_OPEN = 4  # cautions that are not folded
 Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
 
 
@@ -73,11 +74,19 @@ def source_name(metrics: dict[str, Any]) -> str:
 
 
 def cautions(metrics: dict[str, Any]) -> str:
-    """What must not be overlooked, above everything else; then what is only good to know."""
-    boxes = [("caution", text) for text in metrics["warnings"]] + [
-        ("note", text) for text in metrics["frames"]["notes"]
-    ]
-    return "".join(f'<p class="{kind}" role="note">{html.escape(text)}</p>' for kind, text in boxes)
+    """What must not be overlooked, above everything else; then what is only good to know. Of many cautions, as a film
+    in ten submaps has, the rest are counted and folded, so that the surface is not pushed off the page."""
+    said = [_box("caution", text) for text in metrics["warnings"]]
+    notes = [_box("note", text) for text in metrics["frames"]["notes"]]
+    shown = MOST_OPEN if len(said) > MOST_OPEN + 1 else len(said)
+    rest = "".join(said[shown:])
+    more = f"<summary>{len(said) - shown} more cautions</summary>"
+    folded = f'<details class="caution">{more}{rest}</details>' if rest else ""
+    return "".join([*said[:shown], folded, *notes])
+
+
+def _box(kind: str, text: str) -> str:
+    return f'<p class="{kind}" role="note">{html.escape(text)}</p>'
 
 
 def details(metrics: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from pipeline.report.page import keyframe_gallery as browser
 from pipeline.report.page import scene
 from pipeline.report.page.keyframe_gallery import Shown, choose_shown
 from pipeline.report.page.page import write_page
-from pipeline.report.page.summary import details
+from pipeline.report.page.summary import cautions, details
 from pipeline.report.page.timeline import MOST_COLUMNS, FrameStates, timeline_section
 from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.mesh.decimation import decimated
@@ -97,6 +97,16 @@ def test_units_and_numbers_are_in_words(run):
     record = run.coverage[0].record
     assert "; 1 missed region of 5 mm and more" in CoverageResult(record, None).sentence
     assert "; 0 missed regions of" in CoverageResult(record | {"missed_regions": []}, None).sentence
+
+
+@pytest.mark.parametrize(("count", "open_ones"), [(0, 0), (4, 4), (5, 5), (9, 4)])
+def test_many_cautions_are_all_there_the_rest_counted_and_folded(count, open_ones):
+    text = cautions({"warnings": [f"no {k}" for k in range(count)], "frames": {"notes": ["good to know"]}})
+    head, _, folded = text.partition("<details")
+    assert all(f">no {k}<" in text for k in range(count))
+    assert head.count('class="caution"') == open_ones
+    assert (f"{count - open_ones} more cautions" in folded) == (count > open_ones)
+    assert text.endswith(">good to know</p>")
 
 
 def test_the_keyframes_are_counted_and_bounded(run, page):
