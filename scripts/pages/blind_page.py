@@ -43,7 +43,8 @@ Where both leave one, matched features join the maps anyway{apart}.
 
 READ = """
 - Reported on (the table): {reported}.
-- Chosen on (`benchmarks/coverage_films.yaml`: withdrawal_b, flexure_b, flexure_c, loop_b, low_texture_b): {chosen}.
+- Chosen on (`benchmarks/coverage_films.yaml`: withdrawal_b, flexure_b, flexure_c, loop_b, low_texture_b):
+  {chosen}.
 
 Neighbouring gaps of a film share ten blind frames and half their walls, so that they are fewer than as many independent
 ones; one draw of the sensor's noise. The limits below were chosen on the latter films, the two of the registration
@@ -74,8 +75,8 @@ back on gaps of the table.
 - Quick turns: where the camera turns by 6 deg a frame, a colon's wall does not hold the turn about its axis, and the
   two ways end apart; such a gap is refused.
 - An earlier form, registration of the gap's clouds to the wall before it alone, from one velocity and from turned
-  guesses, accepted gaps of `loop` that were 78 deg off: how well clouds fit says little in a tube. So a second way
-  over the gap must agree.
+  guesses, accepted wrong poses at gaps of `loop`, of the table: how well clouds fit says little in a tube. So a second
+  way over the gap must agree; with what limits was chosen on the other films.
 """
 
 
