@@ -41,11 +41,8 @@ from pipeline.run_folder.workspace import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
-GAP, APART, ROOM = (
-    31,
-    20,
-    45,
-)  # frames: of a gap, between two gaps, and left before the first gap, and from the start of the last to the end
+GAP, APART = 31, 20  # frames: of a gap, and from one to the next
+ROOM = 45  # frames before the first gap, and from the start of the last to the end
 ALONE, CHOSEN = "registration", "registration, chosen on"
 Array = NDArray[np.float64]
 

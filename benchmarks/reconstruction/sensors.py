@@ -21,7 +21,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from benchmarks.common.record import ROOT, RunTable, print_row
 from benchmarks.common.runner import add_folders
@@ -66,11 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> None:
     table, parts = RunTable(arguments.json), list(PARTS) if arguments.parts else [WHOLE]
-    front_end = {"front_end": arguments.front_end}
-    by = "" if arguments.front_end == "odometry" else f"{arguments.front_end}, "
+    front_end = arguments.front_end
+    by = "" if front_end == "odometry" else f"{front_end}, "
     for film in arguments.folders:
         if not table.has(film.name, 0, by + ALONE):
-            alone = Config(camera=str(film / "camera.json"), sensor=SensorSettings(depth="none"), **front_end)
+            camera = str(film / "camera.json")
+            alone = Config(camera=camera, front_end=front_end, sensor=SensorSettings(depth="none"))
             _add(table, film, by + ALONE, figures_of(film, film, alone))
         for sensor, make in SENSORS.items():
             if sensor == STEREO and not read_camera(film / "camera.json").is_pinhole:
@@ -81,16 +82,16 @@ def measure(arguments: argparse.Namespace) -> None:
                     sensed = Path(scratch) / "sensed"
                     make(film, sensed)
                     for part in missing:
-                        config = config_of(sensed, PARTS[part]).model_copy(update=front_end)
+                        config = config_of(sensed, PARTS[part], front_end)
                         _add(table, film, f"{by}{sensor}: {part}", figures_of(sensed, film, config))
 
 
-def config_of(sensed: Path, part: dict[str, Any]) -> Config:
+def config_of(sensed: Path, part: dict[str, Any], front_end: Literal["odometry", "sfm"]) -> Config:
     """For a folder with a sensor's depth, or one of stereo pictures."""
     sensor, rig = SensorSettings.model_validate(part), sensed / "rig.yaml"
     if rig.is_file():
-        return Config(front_end="odometry", sensor=sensor, stereo=StereoSettings(calibration=str(rig)))
-    return Config(camera=str(sensed / "camera.json"), front_end="odometry", sensor=sensor)
+        return Config(front_end=front_end, sensor=sensor, stereo=StereoSettings(calibration=str(rig)))
+    return Config(camera=str(sensed / "camera.json"), front_end=front_end, sensor=sensor)
 
 
 def figures_of(source: Path, truth: Path, config: Config) -> dict[str, Any]:

@@ -71,8 +71,7 @@ class VisualWords:
         """(F,S) cosine of the keyframes' signatures; minus infinity where one has too few features."""
         if not first or not second or self._centres is None:
             return np.full((len(first), len(second)), -np.inf, np.float32)
-        one = np.stack([self._signature(features) for features in first])
-        other = one if second is first else np.stack([self._signature(features) for features in second])
+        one, other = (np.stack([self._signature(features) for features in side]) for side in (first, second))
         enough = [np.array([len(features) >= MIN_FEATURES for features in side]) for side in (first, second)]
         return np.where(enough[0][:, None] & enough[1], one @ other.T, -np.inf).astype(np.float32)
 

@@ -59,9 +59,9 @@ class WallPatches:
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return self.centres, self.normals, self.reach, self.flat, self.tree.data
 
-    def registered(self, cloud: Array, guess: Array, held: float = HELD) -> Array:
+    def registered(self, cloud: Array, guess: Array) -> Array:
         """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
-        that less than `held` speaks for."""
+        that the wall does not hold."""
         world_from_camera = guess
         for most_off in NARROWING_MM:
             for _ in range(ITERATIONS):
@@ -69,7 +69,7 @@ class WallPatches:
                 sure = self.flat[patch]
                 if sure.sum() < FEWEST:
                     return guess
-                step, size = self._step(points[sure], patch[sure], held)
+                step, size = self._step(points[sure], patch[sure])
                 world_from_camera = step @ world_from_camera
                 if size < DONE_MM:
                     break
@@ -105,7 +105,7 @@ class WallPatches:
         """(K,) signed distances, mm, of points (K,3) from their planes."""
         return np.asarray(np.einsum("ni,ni->n", points - self.centres[patch], self.normals[patch]))
 
-    def _step(self, points: Array, patch: NDArray[np.int64], held: float) -> tuple[Array, float]:
+    def _step(self, points: Array, patch: NDArray[np.int64]) -> tuple[Array, float]:
         """A motion (4,4) of the world that brings points (N,3) to their planes, and its length, mm."""
         normals = self.normals[patch]
         off = self._off(points, patch)
@@ -116,7 +116,7 @@ class WallPatches:
         slopes = np.concatenate([np.cross(arm, normals) / reach, normals], axis=1)  # of a turn by 1 / reach, a shift
         hessian = (slopes * weight[:, None]).T @ slopes / weight.sum()
         strength, directions = np.linalg.eigh(hessian)
-        sure = strength > held
+        sure = strength > HELD
         side = -directions[:, sure].T @ (slopes.T @ (weight * off)) / weight.sum()
         tangent = directions[:, sure] @ (side / strength[sure])
         step = np.eye(4)

@@ -25,7 +25,8 @@ def followed(world_from_camera: dict[int, Array], frame: int, last: int, clouds:
     if known is None:
         return None
     wall = WallPatches.of(in_camera(world_from_camera[frame], known))
-    poses, recent = dict(world_from_camera), list[Array]()
+    poses = dict(world_from_camera)
+    recent: list[Array] = []
     velocity = step * pace(world_from_camera, frame, -step * PACE)
     for now in range(frame + step, last + step, step):
         poses[now] = poses[now - step] @ motion_of(velocity)

@@ -24,7 +24,7 @@ MOST_FRAMES = 60  # of a gap: two seconds
 # Chosen on gaps of films of coverage_films.yaml (docs/lab/blind_stretch.md), the way back on earlier ones.
 MOST_WORSE = 1.6  # times as far from the wall as a cloud of either side lies from its own, and it does not belong there
 LEAST_SHARE = 0.3  # of the first cloud after the gap that lies where wall was seen before it
-MOST_TURN, MOST_SHIFT_MM = np.radians(6.0), 2.5  # between the way over the gap and the way back
+MOST_BACK = np.radians(6.0), 2.5  # turn and shift, mm, between a registration and the one back
 MOST_APART = np.radians(6.0), 3.0  # between registrations from two ways
 MOST_OFF_WAY = np.radians(8.0), 4.0  # between a registration and depth odometry over the gap
 
@@ -45,10 +45,7 @@ def bridge_maps(
         gap = min(local_map.frames) - max(before.frames)
         whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
         by = adjust_to_features(whole, find)
-        first, held = (
-            min(local_map.frames),
-            "" if by is not None else "; too few features agree to adjust it",
-        )
+        first, held = min(local_map.frames), "" if by is not None else "; too few features agree to adjust it"
         progress.log(f"submap from frame {first} on joined to the one before over {gap} frames by depth{held}")
         result[-1], count = whole, count + 1
     return result, count
@@ -114,10 +111,12 @@ def _is_near(pose: Array, other: Array, most: tuple[float, float]) -> bool:
 @dataclass(frozen=True)
 class _Sides:
     """Clouds on both sides of a gap, each in the axes of its frame next to the gap, mm: of the frames before (N,3), of
-    those after (M,3), and of the first one after (K,3); usual: how far such a one lies from those beside it."""
+    those after (M,3), as patches too, and of the first one after (K,3); usual: how far, mm, such a one lies from those
+    beside it."""
 
     before: Array
     after: Array
+    after_patches: WallPatches
     first: Array
     usual: float
 
@@ -132,19 +131,18 @@ class _Sides:
         off = [WallPatches.of(joint).fit(one, np.eye(4))[0] for joint, one in ((before, last), (after, first))]
         if not np.isfinite(off).all():
             return None
-        return _Sides(np.concatenate([before, last]), np.concatenate([first, after]), first, max(off))
+        after = np.concatenate([first, after])
+        return _Sides(np.concatenate([before, last]), after, WallPatches.of(after), first, max(off))
 
     def checked(self, wall: WallPatches, last_pose: Array, found: Array) -> Registered | None:
-        """The middle of `found`, world_from_camera (4,4) of the first frame after the gap, and of the way back from
-        there; None where the two differ, or the first cloud does not lie on the wall from before the gap."""
-        back = WallPatches.of(self.after).registered(self.before, inverse(found) @ last_pose)
-        apart = tangent_of(inverse(found) @ last_pose @ inverse(back))  # of the first frame, by the way back
+        """The middle of `found`, world_from_camera (4,4) of the first frame after the gap, and of that frame by the
+        registration back; None where the two differ, or its cloud does not lie on the wall from before the gap."""
+        back = self.after_patches.registered(self.before, inverse(found) @ last_pose)
+        by_back = np.asarray(last_pose @ inverse(back))
         off, share = wall.fit(self.first, found)
-        if np.linalg.norm(apart[:3]) > MOST_TURN or np.linalg.norm(apart[3:]) > MOST_SHIFT_MM:
+        if not _is_near(found, by_back, MOST_BACK) or off > MOST_WORSE * self.usual or share < LEAST_SHARE:
             return None
-        if off > MOST_WORSE * self.usual or share < LEAST_SHARE:
-            return None
-        pose = np.asarray(found @ motion_of(apart / 2))
+        pose = np.asarray(found @ motion_of(tangent_of(inverse(found) @ by_back) / 2))
         return Registered(pose, wall.misfit(self.after, pose))
 
 
