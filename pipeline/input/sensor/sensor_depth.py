@@ -104,13 +104,14 @@ class SensorDepth:
             return None
         depth, sigma = (values.ravel() for values in found)
         known = np.flatnonzero(depth > 0)
-        pixels = (self._centres(found[0].shape)[known] - np.array(self.box[:2])) * self.scale
+        height, width = found[0].shape
+        row, column = np.divmod(known, width)
+        pixels = self.working_pixels((np.stack([column, row], axis=1) + 0.5) / [width, height])
         return pixels, depth[known], sigma[known]
 
-    def _centres(self, shape: tuple[int, ...]) -> Array:
-        """(h*w,2) source pixels of the sensor's cells."""
-        y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
-        return np.stack([x.ravel() / shape[1] * self.size[0], y.ravel() / shape[0] * self.size[1]], axis=1)
+    def working_pixels(self, shares: Array) -> Array:
+        """(K,2) of places in a depth image, x and y (K,2) as shares of its width and height."""
+        return np.asarray((shares * np.array(self.size) - np.array(self.box[:2])) * self.scale)
 
     def __hash__(self) -> int:
         return id(self)

@@ -2,7 +2,8 @@
 
 Directions in which a tube looks the same, along its axis and about it, are those eigenvectors of the Hessian along
 which hardly a normal points: there the guess stays (Zhang et al., "On degeneracy of optimization-based state estimation
-problems", ICRA 2016). Point to point, as in KISS-ICP (Vizzo et al., RA-L 2023), slides: docs/lab/blind_stretch.md.
+problems", ICRA 2016). Normals with errors point a little along any direction, so that much is taken off first.
+Point to point, as in KISS-ICP (Vizzo et al., RA-L 2023), slides: docs/lab/blind_stretch.md.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,9 @@ FLAT = 0.5  # least over middle spread of a plane's points
 MOST_OFF_MM = 4.0  # of a match from its plane's place
 NARROWING_MM = 4.0, 2.0  # the same while a cloud is registered
 LOSS_MM = 0.7  # Cauchy's
-HELD = 0.03  # mean square of what a unit step moves along the normals, of 1: a third where no direction is special
+# Mean square of what a unit step moves along the normals, of 1, above that of the normals' own errors: a direction that
+# has less is not held by the wall (a third where no direction is special).
+HELD = 0.003
 ITERATIONS, DONE_MM = 15, 1e-3
 FEWEST = 50  # matches
 BESIDE = 3  # neighbours, and the least distance as well: a point farther beside its match lies beyond the wall's edge
@@ -28,11 +31,13 @@ BESIDE = 3  # neighbours, and the least distance as well: a point farther beside
 
 @dataclass(frozen=True)
 class WallPatches:
-    """Planes through points: centres (N,3), mm, and normals (N,3) in one world; reach (N,), mm: how far from its place
-    along a plane a point may lie; tree: of the places (N,3) where planes are found."""
+    """Planes through points: centres (N,3), mm, and normals (N,3) in one world; unsure (N,3,3): covariance of the
+    normals; reach (N,), mm: how far from its place along a plane a point may lie; tree: of the places (N,3) where
+    planes are found."""
 
     centres: Array
     normals: Array
+    unsure: Array
     reach: Array
     flat: NDArray[np.bool_]
     tree: cKDTree
@@ -48,16 +53,20 @@ class WallPatches:
         centres = near.mean(axis=1)
         off = near - centres[:, None]
         spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
-        return WallPatches(centres, axes[:, :, 0], reach, spread[:, 0] < FLAT * spread[:, 1], tree)
+        flat = spread[:, 0] < FLAT * spread[:, 1]
+        # A normal tilts toward an axis by a variance of noise over spread (first order; noise: the least spread).
+        tilt = spread[:, :1] / np.maximum(spread[:, 1:], 1e-12) / near.shape[1]
+        unsure = np.einsum("nik,nk,njk->nij", axes[:, :, 1:], tilt, axes[:, :, 1:])
+        return WallPatches(centres, axes[:, :, 0], unsure, reach, flat, tree)
 
     def joined(self, other: "WallPatches") -> "WallPatches":
         """Both, in one world; where they overlap a point takes the plane whose place is nearest."""
-        parts = zip(self._arrays(), other._arrays(), strict=True)
-        centres, normals, reach, flat, places = (np.concatenate(pair) for pair in parts)
-        return WallPatches(centres, normals, reach, flat, cKDTree(places))
+        both = zip(self._arrays(), other._arrays(), strict=True)
+        centres, normals, unsure, reach, flat, places = (np.concatenate(pair) for pair in both)
+        return WallPatches(centres, normals, unsure, reach, flat, cKDTree(places))
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        return self.centres, self.normals, self.reach, self.flat, self.tree.data
+        return self.centres, self.normals, self.unsure, self.reach, self.flat, self.tree.data
 
     def registered(self, cloud: Array, guess: Array) -> Array:
         """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
@@ -69,11 +78,17 @@ class WallPatches:
                 sure = self.flat[patch]
                 if sure.sum() < FEWEST:
                     return guess
-                step, size = self._step(points[sure], patch[sure])
+                step, size = self._equations(points[sure], patch[sure]).step()
                 world_from_camera = step @ world_from_camera
                 if size < DONE_MM:
                     break
         return np.asarray(world_from_camera)
+
+    def holds(self, cloud: Array, world_from_camera: Array) -> bool:
+        """Whether the wall holds a cloud at a pose in all six directions, or in some any pose would do as well."""
+        points, patch = self._matched(in_camera(world_from_camera, cloud), NARROWING_MM[-1])
+        sure = self.flat[patch]
+        return bool(sure.sum() >= FEWEST and self._equations(points[sure], patch[sure]).held.all())
 
     def fit(self, cloud: Array, world_from_camera: Array) -> tuple[float, float]:
         """Median distance (mm) of a cloud's points at a pose from the flat patches that they lie on, and the share that
@@ -105,23 +120,44 @@ class WallPatches:
         """(K,) signed distances, mm, of points (K,3) from their planes."""
         return np.asarray(np.einsum("ni,ni->n", points - self.centres[patch], self.normals[patch]))
 
-    def _step(self, points: Array, patch: NDArray[np.int64]) -> tuple[Array, float]:
-        """A motion (4,4) of the world that brings points (N,3) to their planes, and its length, mm."""
+    def _equations(self, points: Array, patch: NDArray[np.int64]) -> "_NormalEquations":
+        """Of the step that brings points (N,3) to their planes."""
         normals = self.normals[patch]
         off = self._off(points, patch)
         weight = 1 / (1 + (off / LOSS_MM) ** 2)
+        weight /= weight.sum()
         centre = points.mean(axis=0)
         arm = points - centre
         reach = float(np.sqrt((arm**2).sum(axis=1).mean()))
-        slopes = np.concatenate([np.cross(arm, normals) / reach, normals], axis=1)  # of a turn by 1 / reach, a shift
-        hessian = (slopes * weight[:, None]).T @ slopes / weight.sum()
-        strength, directions = np.linalg.eigh(hessian)
-        sure = strength > HELD
-        side = -directions[:, sure].T @ (slopes.T @ (weight * off)) / weight.sum()
-        tangent = directions[:, sure] @ (side / strength[sure])
+        slopes = np.concatenate([np.cross(arm, normals) / reach, normals], axis=1)
+        strength, directions = np.linalg.eigh((slopes * weight[:, None]).T @ slopes)
+        # What a unit step along each direction moves the points (6,N,3), and what of that a normal's error makes of it.
+        turn, shift = directions[:3].T[:, None], directions[3:].T[:, None]
+        moved = shift + np.cross(turn, arm[None] / reach)
+        by_error = np.einsum("dni,nij,dnj->dn", moved, self.unsure[patch], moved, optimize=True) @ weight
+        gradient = directions.T @ (slopes.T @ (weight * off))
+        return _NormalEquations(directions, strength, gradient, strength > HELD + by_error, centre, reach)
+
+
+@dataclass(frozen=True)
+class _NormalEquations:
+    """Of a small motion of points about their centre (3,). directions: (6,6), one a column, a turn in units of 1 / reach,
+    mm, radians over a shift in mm; strength (6,), gradient (6,) and whether the wall holds it (6,), of each."""
+
+    directions: Array
+    strength: Array
+    gradient: Array
+    held: NDArray[np.bool_]
+    centre: Array
+    reach: float
+
+    def step(self) -> tuple[Array, float]:
+        """A motion (4,4) of the world, nothing where the wall does not hold, and its length, mm."""
+        along = -self.gradient[self.held] / self.strength[self.held]
+        tangent = self.directions[:, self.held] @ along
         step = np.eye(4)
-        step[:3, :3] = exp_rotation(tangent[:3] / reach)
-        step[:3, 3] = centre + tangent[3:] - step[:3, :3] @ centre
+        step[:3, :3] = exp_rotation(tangent[:3] / self.reach)
+        step[:3, 3] = self.centre + tangent[3:] - step[:3, :3] @ self.centre
         return step, float(np.linalg.norm(tangent))
 
 

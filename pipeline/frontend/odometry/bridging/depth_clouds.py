@@ -12,25 +12,48 @@ Clouds = Callable[[int], Array | None]  # (N,3) of a frame, mm, in the camera's 
 REACH, STEP = 40, 4  # frames on one side of a frame that are taken together, and how far apart
 MOST_POINTS, FARTHEST_MM = 1500, 80.0  # of a cloud
 FEWEST_POINTS = 200
+MIXED = 0.3  # between a block's nearest and farthest depth, of their mean: an edge lies in it
 
 
 def clouds_of(sensor: SensorDepth, rays: RayTable) -> Clouds:
-    """Thinned evenly; None for a frame of which the sensor saw too little."""
+    """A point for each block of the sensor's cells, the mean of those that measured: a block's noise is that of a cell
+    over the root of their number, and cells left out would help nobody. None for a frame of which the sensor saw too
+    little."""
 
     def cloud(frame: int) -> Array | None:
-        found = sensor.cells(frame)
+        found = sensor.image(frame)
         if found is None:
             return None
-        pixels, depth, _ = found
+        depth, pixels = _blocks(found[0])
+        pixels = sensor.working_pixels(pixels / np.array(found[0].shape[::-1]))
         near = (depth < FARTHEST_MM) & (pixels >= 0).all(axis=1)
         near &= (pixels < [rays.camera.width, rays.camera.height]).all(axis=1)
-        step = max(1, int(near.sum()) // MOST_POINTS)
-        pixels, depth = pixels[near][::step], depth[near][::step]
+        pixels, depth = pixels[near], depth[near]
         if len(depth) < FEWEST_POINTS:
             return None
         return np.asarray(np.column_stack([rays.unproject(pixels)[0], np.ones(len(depth))]) * depth[:, None])
 
     return cloud
+
+
+def _blocks(depth: Array) -> tuple[Array, Array]:
+    """Mean depth (K,) of square blocks of cells of which at least half have depth and between which no edge lies, of an
+    image (h,w), 0 = none; and the mean place (K,2) of those cells, x and y, in cells."""
+    edge = int(np.ceil(np.sqrt(depth.size / MOST_POINTS)))
+    rows, columns = np.array(depth.shape) // edge
+    corners = depth[: rows * edge, : columns * edge].reshape(rows, edge, columns, edge)
+    blocks = corners.swapaxes(1, 2).reshape(rows * columns, edge * edge)
+    known = blocks > 0
+    count = np.maximum(known.sum(axis=1), 1)
+    mean = blocks.sum(axis=1) / count
+    nearest, farthest = np.where(known, blocks, np.inf).min(axis=1), blocks.max(axis=1)
+    whole = (2 * known.sum(axis=1) >= edge * edge) & (farthest - nearest < MIXED * mean)
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    y, x = np.divmod(np.arange(edge * edge), edge)
+    places = [
+        edge * corner + (known * (within + 0.5)).sum(axis=1) / count for corner, within in ((column, x), (row, y))
+    ]
+    return mean[whole], np.stack(places, axis=1)[whole]
 
 
 def joint_cloud(

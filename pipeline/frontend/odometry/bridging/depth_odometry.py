@@ -13,7 +13,7 @@ from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
 from pipeline.frontend.odometry.bridging.depth_clouds import Clouds, joint_cloud
 
 PACE = 8  # frames of known poses over which the first velocity is measured
-OVER = 3  # frames over which the later ones are
+OVER = 6  # frames over which the later ones are
 KEPT = 8  # latest clouds that are part of the wall
 
 

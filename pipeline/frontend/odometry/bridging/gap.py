@@ -23,6 +23,7 @@ from pipeline.matching.sift import FindFeatures
 MOST_FRAMES = 60  # of a gap: two seconds
 # Chosen on gaps of films of coverage_films.yaml (docs/lab/blind_stretch.md), the way back on earlier ones.
 MOST_WORSE = 1.6  # times as far from the wall as a cloud of either side lies from its own, and it does not belong there
+LEAST_WORSE_MM = 0.3  # of a median distance, below which it says nothing
 LEAST_SHARE = 0.3  # of the first cloud after the gap that lies where wall was seen before it
 MOST_BACK = np.radians(6.0), 2.5  # turn and shift, mm, between a registration and the one back
 MOST_APART = np.radians(6.0), 3.0  # between registrations from two ways
@@ -136,11 +137,16 @@ class _Sides:
 
     def checked(self, wall: WallPatches, last_pose: Array, found: Array) -> Registered | None:
         """The middle of `found`, world_from_camera (4,4) of the first frame after the gap, and of that frame by the
-        registration back; None where the two differ, or its cloud does not lie on the wall from before the gap."""
+        registration back; None where the two differ, where either wall leaves a direction free, or where the frame's
+        cloud does not lie on the wall from before the gap."""
         back = self.after_patches.registered(self.before, inverse(found) @ last_pose)
         by_back = np.asarray(last_pose @ inverse(back))
+        if not _is_near(found, by_back, MOST_BACK):
+            return None
+        if not (wall.holds(self.after, found) and self.after_patches.holds(self.before, back)):
+            return None
         off, share = wall.fit(self.first, found)
-        if not _is_near(found, by_back, MOST_BACK) or off > MOST_WORSE * self.usual or share < LEAST_SHARE:
+        if off > max(LEAST_WORSE_MM, MOST_WORSE * self.usual) or share < LEAST_SHARE:
             return None
         pose = np.asarray(found @ motion_of(tangent_of(inverse(found) @ by_back) / 2))
         return Registered(pose, wall.misfit(self.after, pose))

@@ -35,7 +35,7 @@ def radius(points: np.ndarray, folds: float, seed: int) -> np.ndarray:
 
 
 def cloud(
-    frame: int, folds: float = 3.0, seed: int = 0, noise: float = 0.02, path: tuple[float, float] = BACK
+    frame: int, folds: float = 3.0, seed: int = 0, noise: float = 0.015, path: tuple[float, float] = BACK
 ) -> np.ndarray:
     """Points (N,3) in the camera's axes by marching along 1000 rays to the first one outside."""
     rng = np.random.default_rng([seed, frame])
@@ -74,21 +74,30 @@ def test_the_pose_after_the_gap_is_found(seed, path):
 
 @pytest.mark.parametrize("folds", [0.0, 0.6])
 @pytest.mark.parametrize(("speed", "begin"), [(0.45, 81), (0.2, 66), (-0.1, 66), (-0.45, 81)])
-def test_what_a_smooth_tube_leaves_free_stays_with_the_velocity_over_a_gap(folds, speed, begin):
-    """Neither the way along it nor the turn about it is seen; what is found is as right as the velocity, or nothing."""
+def test_a_smooth_tube_tells_nothing(folds, speed, begin):
+    """Neither the way along it nor the turn about it is seen."""
     path = (AHEAD if speed > 0 else BACK)[0], speed
     poses = {k: world_from_camera(k, *path) for k in range(begin + 45)}
     here, there = {k: poses[k] for k in range(END + 1)}, {k: poses[k] for k in range(begin, begin + 45)}
-    found = registered_over_gap(here, there, lambda k: cloud(k, folds, path=path))
-    if found is not None:
-        by, expected = off(found, poses[begin]), off(by_velocity(here, there), poses[begin])
-        assert by[0] < expected[0] + 0.5
-        assert by[1] < expected[1] + 0.5
+    assert registered_over_gap(here, there, lambda k: cloud(k, folds, path=path)) is None
 
 
-@pytest.mark.parametrize(("seed", "folds"), [(3, 5.0), (2, 3.0), (4, 3.0), (8, 3.0), (9, 2.0)])
+def least_difference(folds: float, seed: int) -> float:
+    """RMS, mm, of another tube's radius to the first one's, at the turn and the shift at which they are most alike."""
+    angle, along = np.meshgrid(np.linspace(0, 2 * np.pi, 72, endpoint=False), np.linspace(0, APART_MM, 56, False))
+
+    def wall(turn: float, shift: float, folds: float, seed: int) -> np.ndarray:
+        x, y = np.cos(angle - turn), np.sin(angle - turn)
+        return radius(np.column_stack([x.ravel(), y.ravel(), (along - shift).ravel()]), folds, seed)
+
+    first = wall(0, 0, 3.0, 0)
+    turns, shifts = np.linspace(0, 2 * np.pi, 36, endpoint=False), np.linspace(0, APART_MM, 28, False)
+    return min(np.sqrt(np.mean((wall(t, s, folds, seed) - first) ** 2)) for t in turns for s in shifts)
+
+
+@pytest.mark.parametrize(("seed", "folds"), [(3, 5.0), (2, 5.0), (3, 3.0), (4, 5.0), (9, 2.0)])
 def test_clouds_of_another_tube_are_refused(seed, folds):
-    """Of seeds 1 and 6 the other tube is nearly the same, a little moved along, and may be taken for it."""
+    assert least_difference(folds, seed) > 0.65  # above the noise; a tube that is more alike may be taken for the first
 
     def clouds(k):
         return folded(k) if k <= END else cloud(k, seed=seed, folds=folds)
