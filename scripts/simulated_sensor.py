@@ -63,8 +63,8 @@ def main() -> None:
     wanted = parser.parse_args()
     about, camera = json.loads((wanted.folder / "camera.json").read_text()), read_camera(wanted.folder / "camera.json")
     rng = np.random.default_rng(wanted.seed)
-    (wanted.out / "depth").mkdir(parents=True)
-    shutil.copytree(wanted.folder / "rgb", wanted.out / "rgb")
+    (wanted.out / "depth").mkdir(parents=True, exist_ok=True)
+    shutil.copytree(wanted.folder / "rgb", wanted.out / "rgb", dirs_exist_ok=True)
     files = sorted((wanted.folder / "depth").glob("*.png"))
     for number, path in enumerate(files):
         seen = files[int(np.clip(number - wanted.shift, 0, len(files) - 1))]

@@ -141,8 +141,8 @@ class WallPatches:
 
 @dataclass(frozen=True)
 class _NormalEquations:
-    """Of a small motion of points about their centre (3,). directions: (6,6), one a column, a turn in units of 1 / reach,
-    mm, radians over a shift in mm; strength (6,), gradient (6,) and whether the wall holds it (6,), of each."""
+    """Of a small motion of points about their centre (3,). directions: (6,6), one a column, a turn in 1 / reach
+    (1 / mm) over a shift in mm; strength (6,), gradient (6,), and whether the wall holds it (6,), of each."""
 
     directions: Array
     strength: Array
