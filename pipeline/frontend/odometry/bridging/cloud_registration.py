@@ -17,13 +17,15 @@ from haustra.core.se3 import Array, exp_rotation, in_camera
 
 VOXEL_MM = 1.0  # edge of a cube whose points are made one
 NEIGHBOURS = 20  # points that give a plane
+PLANE = 3  # numbers that a plane has
 FLAT = 0.5  # least over middle spread of a plane's points
 MOST_OFF_MM = 4.0  # of a match from its plane's place
 NARROWING_MM = 4.0, 2.0  # the same while a cloud is registered
 LOSS_MM = 0.7  # Cauchy's
-# Mean square of what a unit step moves along the normals, of 1, above that of the normals' own errors: a direction that
-# has less is not held by the wall (a third where no direction is special).
-HELD = 0.003
+# Mean square of what a unit step moves along the normals, of 1 (a third where no direction is special). Less than
+# HELD and NOISY times what comes of the normals' own errors: the wall does not hold that direction.
+HELD, NOISY = 0.003, 1.5
+LEAST_FLAT = 0.9  # of the matched patches; with fewer the noise is more than `unsure` can tell
 ITERATIONS, DONE_MM = 15, 1e-3
 FEWEST = 50  # matches
 BESIDE = 3  # neighbours, and the least distance as well: a point farther beside its match lies beyond the wall's edge
@@ -55,7 +57,7 @@ class WallPatches:
         spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
         flat = spread[:, 0] < FLAT * spread[:, 1]
         # A normal tilts toward an axis by a variance of noise over spread (first order; noise: the least spread).
-        tilt = spread[:, :1] / np.maximum(spread[:, 1:], 1e-12) / near.shape[1]
+        tilt = spread[:, :1] / np.maximum(spread[:, 1:], 1e-12) / max(near.shape[1] - PLANE, 1)
         unsure = np.einsum("nik,nk,njk->nij", axes[:, :, 1:], tilt, axes[:, :, 1:])
         return WallPatches(centres, axes[:, :, 0], unsure, reach, flat, tree)
 
@@ -68,16 +70,16 @@ class WallPatches:
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return self.centres, self.normals, self.unsure, self.reach, self.flat, self.tree.data
 
-    def registered(self, cloud: Array, guess: Array) -> Array:
+    def registered(self, cloud: Array, guess: Array) -> Array | None:
         """world_from_camera (4,4) of a cloud (N,3) in the camera's axes, near to `guess`, which stays in the directions
-        that the wall does not hold."""
+        that the wall does not hold; None where too little of the cloud lies on the wall."""
         world_from_camera = guess
         for most_off in NARROWING_MM:
             for _ in range(ITERATIONS):
                 points, patch = self._matched(in_camera(world_from_camera, cloud), most_off)
                 sure = self.flat[patch]
                 if sure.sum() < FEWEST:
-                    return guess
+                    return None
                 step, size = self._equations(points[sure], patch[sure]).step()
                 world_from_camera = step @ world_from_camera
                 if size < DONE_MM:
@@ -88,7 +90,9 @@ class WallPatches:
         """Whether the wall holds a cloud at a pose in all six directions, or in some any pose would do as well."""
         points, patch = self._matched(in_camera(world_from_camera, cloud), NARROWING_MM[-1])
         sure = self.flat[patch]
-        return bool(sure.sum() >= FEWEST and self._equations(points[sure], patch[sure]).held.all())
+        if sure.sum() < max(FEWEST, LEAST_FLAT * len(sure)):
+            return False
+        return bool(self._equations(points[sure], patch[sure]).held.all())
 
     def fit(self, cloud: Array, world_from_camera: Array) -> tuple[float, float]:
         """Median distance (mm) of a cloud's points at a pose from the flat patches that they lie on, and the share that
@@ -136,7 +140,7 @@ class WallPatches:
         moved = shift + np.cross(turn, arm[None] / reach)
         by_error = np.einsum("dni,nij,dnj->dn", moved, self.unsure[patch], moved, optimize=True) @ weight
         gradient = directions.T @ (slopes.T @ (weight * off))
-        return _NormalEquations(directions, strength, gradient, strength > HELD + by_error, centre, reach)
+        return _NormalEquations(directions, strength, gradient, strength > HELD + NOISY * by_error, centre, reach)
 
 
 @dataclass(frozen=True)

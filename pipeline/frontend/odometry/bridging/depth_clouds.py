@@ -12,7 +12,7 @@ Clouds = Callable[[int], Array | None]  # (N,3) of a frame, mm, in the camera's 
 REACH, STEP = 40, 4  # frames on one side of a frame that are taken together, and how far apart
 MOST_POINTS, FARTHEST_MM = 1500, 80.0  # of a cloud
 FEWEST_POINTS = 200
-MIXED = 0.3  # between a block's nearest and farthest depth, of their mean: an edge lies in it
+MIXED = 0.15  # standard deviation of a block's depths, of their mean: above it an edge lies in the block
 
 
 def clouds_of(sensor: SensorDepth, rays: RayTable) -> Clouds:
@@ -37,23 +37,21 @@ def clouds_of(sensor: SensorDepth, rays: RayTable) -> Clouds:
 
 
 def _blocks(depth: Array) -> tuple[Array, Array]:
-    """Mean depth (K,) of square blocks of cells of which at least half have depth and between which no edge lies, of an
-    image (h,w), 0 = none; and the mean place (K,2) of those cells, x and y, in cells."""
-    edge = int(np.ceil(np.sqrt(depth.size / MOST_POINTS)))
-    rows, columns = np.array(depth.shape) // edge
-    corners = depth[: rows * edge, : columns * edge].reshape(rows, edge, columns, edge)
-    blocks = corners.swapaxes(1, 2).reshape(rows * columns, edge * edge)
-    known = blocks > 0
-    count = np.maximum(known.sum(axis=1), 1)
-    mean = blocks.sum(axis=1) / count
-    nearest, farthest = np.where(known, blocks, np.inf).min(axis=1), blocks.max(axis=1)
-    whole = (2 * known.sum(axis=1) >= edge * edge) & (farthest - nearest < MIXED * mean)
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    y, x = np.divmod(np.arange(edge * edge), edge)
-    places = [
-        edge * corner + (known * (within + 0.5)).sum(axis=1) / count for corner, within in ((column, x), (row, y))
-    ]
-    return mean[whole], np.stack(places, axis=1)[whole]
+    """Mean depth (K,) of square blocks of cells between which no edge lies, of an image (h,w), 0 = none; and the mean
+    place (K,2) of the cells that have depth, x and y, in cells. The smallest blocks that are at most MOST_POINTS."""
+    row, column = np.nonzero(depth)
+    values = depth[row, column]
+    edge = max(1, int(np.sqrt(len(values) / MOST_POINTS)))
+    while True:
+        number = row // edge * depth.shape[1] + column // edge
+        _, block, count = np.unique(number, return_inverse=True, return_counts=True)
+        if len(count) <= MOST_POINTS:
+            break
+        edge += 1
+    mean, x, y = (np.bincount(block, of) / count for of in (values, column + 0.5, row + 0.5))
+    spread = np.sqrt(np.bincount(block, (values - mean[block]) ** 2) / count)
+    whole = spread < MIXED * mean
+    return mean[whole], np.stack([x, y], axis=1)[whole]
 
 
 def joint_cloud(

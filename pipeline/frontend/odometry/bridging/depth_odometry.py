@@ -5,6 +5,8 @@ on where the camera turns away from what it knew. Its errors add up: toward wall
 lumen, toward wall that was seen it does not.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,12 +16,13 @@ from pipeline.frontend.odometry.bridging.depth_clouds import Clouds, joint_cloud
 
 PACE = 8  # frames of known poses over which the first velocity is measured
 OVER = 6  # frames over which the later ones are
+MOST_UNSEEN = 3  # frames in a row that are not registered: beyond, a way is a guess
 KEPT = 8  # latest clouds that are part of the wall
 
 
 def followed(world_from_camera: dict[int, Array], frame: int, last: int, clouds: Clouds) -> Array | None:
     """world_from_camera (4,4) of frame `last` by depth odometry, forwards or backwards from `frame` of known pose; None
-    where the sensor saw too little of the wall around it."""
+    where the sensor saw too little of the wall around it, or in more than `MOST_UNSEEN` frames in a row."""
     step = 1 if last > frame else -1
     known = joint_cloud(world_from_camera, frame, -step, clouds)
     if known is None:
@@ -28,16 +31,20 @@ def followed(world_from_camera: dict[int, Array], frame: int, last: int, clouds:
     poses = dict(world_from_camera)
     recent: list[Array] = []
     velocity = step * pace(world_from_camera, frame, -step * PACE)
+    unseen = 0
     for now in range(frame + step, last + step, step):
-        poses[now] = poses[now - step] @ motion_of(velocity)
+        guess = poses[now - step] @ motion_of(velocity)
         cloud = clouds(now)
-        if cloud is None:
-            continue
         whole = wall.joined(WallPatches.of(np.concatenate(recent))) if recent else wall
-        poses[now] = whole.registered(cloud, poses[now])
-        recent = [*recent, in_camera(poses[now], cloud)][-KEPT:]
-        if now - OVER * step in poses:
-            velocity = tangent_of(inverse(poses[now - OVER * step]) @ poses[now]) / OVER
+        found = None if cloud is None else whole.registered(cloud, guess)
+        unseen = unseen + 1 if found is None else 0
+        if unseen > MOST_UNSEEN:
+            return None
+        poses[now] = guess if found is None else found
+        if cloud is not None and found is not None:
+            recent = [*recent, in_camera(found, cloud)][-KEPT:]
+        latest = [now - back * step for back in range(OVER, -1, -1) if now - back * step in poses]
+        velocity = mean_motion(poses, latest)
     return poses[last]
 
 
@@ -54,12 +61,16 @@ def by_velocity(here: dict[int, Array], there: dict[int, Array]) -> Array:
 
 def pace(world_from_camera: dict[int, Array], frame: int, steps: int) -> Array:
     """Motion (6,) of one frame forwards, in the camera's axes, over `steps` frames from `frame` on."""
-    known = [other for other in world_from_camera if 0 < (other - frame) * np.sign(steps) <= abs(steps)]
-    other = max(known, key=lambda k: abs(k - frame), default=frame)
-    if other == frame:
+    known = [other for other in world_from_camera if 0 <= (other - frame) * np.sign(steps) <= abs(steps)]
+    return mean_motion(world_from_camera, sorted(known))
+
+
+def mean_motion(world_from_camera: dict[int, Array], frames: list[int]) -> Array:
+    """Motion (6,) of one frame, in the camera's own axes, of some frames in order; 0 of fewer than two."""
+    if len(frames) < 2:
         return np.zeros(6)
-    first, second = min(frame, other), max(frame, other)
-    return tangent_of(inverse(world_from_camera[first]) @ world_from_camera[second]) / (second - first)
+    steps = [tangent_of(inverse(world_from_camera[one]) @ world_from_camera[other]) for one, other in pairwise(frames)]
+    return np.asarray(np.sum(steps, axis=0) / abs(frames[-1] - frames[0]))
 
 
 def tangent_of(motion: Array) -> Array:

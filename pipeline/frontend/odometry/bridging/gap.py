@@ -43,11 +43,11 @@ def bridge_maps(
         if before is None or moved is None:
             result.append(local_map)
             continue
-        gap = min(local_map.frames) - max(before.frames)
+        between = min(local_map.frames) - max(before.frames) - 1
         whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
         by = adjust_to_features(whole, find)
         first, held = min(local_map.frames), "" if by is not None else "; too few features agree to adjust it"
-        progress.log(f"submap from frame {first} on joined to the one before over {gap} frames by depth{held}")
+        progress.log(f"submap from frame {first} on joined to the one before over {between} frames by depth{held}")
         result[-1], count = whole, count + 1
     return result, count
 
@@ -135,11 +135,13 @@ class _Sides:
         after = np.concatenate([first, after])
         return _Sides(np.concatenate([before, last]), after, WallPatches.of(after), first, max(off))
 
-    def checked(self, wall: WallPatches, last_pose: Array, found: Array) -> Registered | None:
+    def checked(self, wall: WallPatches, last_pose: Array, found: Array | None) -> Registered | None:
         """The middle of `found`, world_from_camera (4,4) of the first frame after the gap, and of that frame by the
-        registration back; None where the two differ, where either wall leaves a direction free, or where the frame's
-        cloud does not lie on the wall from before the gap."""
-        back = self.after_patches.registered(self.before, inverse(found) @ last_pose)
+        registration back; None where one fails or the two differ, where either wall leaves a direction free, or where
+        the frame's cloud does not lie on the wall from before the gap."""
+        back = None if found is None else self.after_patches.registered(self.before, inverse(found) @ last_pose)
+        if found is None or back is None:
+            return None
         by_back = np.asarray(last_pose @ inverse(back))
         if not _is_near(found, by_back, MOST_BACK):
             return None

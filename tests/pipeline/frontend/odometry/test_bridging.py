@@ -13,7 +13,7 @@ from pipeline.frontend.odometry.bridging.gap import Registered, _agreed, registe
 
 END, BEGIN, COUNT = 50, 81, 130
 BACK, AHEAD = (200.0, -0.45), (100.0, 0.45)  # start, mm, and speed, mm a frame
-APART_MM, ACROSS_MM = 14.0, 22.0  # of the folds, and the tube's radius
+APART_MM, FOLDS_MM, ACROSS_MM = 14.0, 5.0, 22.0  # from fold to fold, their height, and the tube's radius
 
 
 def world_from_camera(k: float, start: float = BACK[0], speed: float = BACK[1]) -> np.ndarray:
@@ -35,9 +35,10 @@ def radius(points: np.ndarray, folds: float, seed: int) -> np.ndarray:
 
 
 def cloud(
-    frame: int, folds: float = 3.0, seed: int = 0, noise: float = 0.015, path: tuple[float, float] = BACK
+    frame: int, folds: float = FOLDS_MM, seed: int = 0, noise: float = 0.01, path: tuple[float, float] = BACK
 ) -> np.ndarray:
-    """Points (N,3) in the camera's axes by marching along 1000 rays to the first one outside."""
+    """Points (N,3) in the camera's axes by marching along 1000 rays to the first one outside; noise: of depth, as
+    blocks of four cells of 2 % have it."""
     rng = np.random.default_rng([seed, frame])
     rays = np.column_stack([rng.uniform(-1, 1, (1000, 2)), np.ones(1000)])
     depth, hit = np.full(1000, 4.0), np.zeros(1000, bool)
@@ -82,6 +83,38 @@ def test_a_smooth_tube_tells_nothing(folds, speed, begin):
     assert registered_over_gap(here, there, lambda k: cloud(k, folds, path=path)) is None
 
 
+@pytest.mark.parametrize("speed", [-0.45, 0.45])
+def test_a_gap_that_the_sensor_does_not_see_either_is_refused(speed):
+    """The camera halts in it, and both velocities agree on a fold one period away, where the clouds fit as well."""
+    path = (AHEAD if speed > 0 else BACK)[0], speed
+
+    def held_up(k):  # the frame at which the camera would be without the halt
+        return k if k <= END else END + max(0, k - BEGIN)
+
+    def clouds(k):
+        return None if END < k < BEGIN else folded(held_up(k), path=path)
+
+    poses = {k: world_from_camera(held_up(k), *path) for k in range(COUNT)}
+    here, there = ({k: poses[k] for k in frames} for frames in (HERE, THERE))
+    assert registered_over_gap(here, there, clouds) is None
+    found = registered_over_gap(here, there, lambda k: folded(held_up(k), path=path))
+    assert found is not None
+    assert off(found, poses[BEGIN])[0] < 0.7
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.015, 0.03, 0.05])
+def test_a_smooth_tube_does_not_hold_a_cloud_however_noisy(noise):
+    wall = WallPatches.of(
+        np.concatenate([in_camera(world_from_camera(k), cloud(k, 0.0, noise=noise)) for k in range(0, 40, 4)])
+    )
+    assert not wall.holds(cloud(40, 0.0, noise=noise), world_from_camera(40))
+
+
+def test_a_folded_tube_holds_a_cloud():
+    wall = WallPatches.of(np.concatenate([in_camera(world_from_camera(k), folded(k)) for k in range(0, 40, 4)]))
+    assert wall.holds(folded(40), world_from_camera(40))
+
+
 def least_difference(folds: float, seed: int) -> float:
     """RMS, mm, of another tube's radius to the first one's, at the turn and the shift at which they are most alike."""
     angle, along = np.meshgrid(np.linspace(0, 2 * np.pi, 72, endpoint=False), np.linspace(0, APART_MM, 56, False))
@@ -90,14 +123,20 @@ def least_difference(folds: float, seed: int) -> float:
         x, y = np.cos(angle - turn), np.sin(angle - turn)
         return radius(np.column_stack([x.ravel(), y.ravel(), (along - shift).ravel()]), folds, seed)
 
-    first = wall(0, 0, 3.0, 0)
+    first = wall(0, 0, FOLDS_MM, 0)
     turns, shifts = np.linspace(0, 2 * np.pi, 36, endpoint=False), np.linspace(0, APART_MM, 28, False)
     return min(np.sqrt(np.mean((wall(t, s, folds, seed) - first) ** 2)) for t in turns for s in shifts)
 
 
-@pytest.mark.parametrize(("seed", "folds"), [(3, 5.0), (2, 5.0), (3, 3.0), (4, 5.0), (9, 2.0)])
+ALIKE = pytest.mark.xfail(strict=True, reason="walls within 0.8 mm RMS, turned by 30 deg, are taken for one another")
+
+
+@pytest.mark.parametrize(
+    ("seed", "folds"), [(3, 5.0), (2, 5.0), (4, 5.0), (3, 3.0), (9, 2.0), pytest.param(8, 5.0, marks=ALIKE)]
+)
 def test_clouds_of_another_tube_are_refused(seed, folds):
-    assert least_difference(folds, seed) > 0.65  # above the noise; a tube that is more alike may be taken for the first
+    """A tube that is nearly the first one, turned and moved along (seeds 1 and 6), may be taken for it."""
+    assert least_difference(folds, seed) > 0.5
 
     def clouds(k):
         return folded(k) if k <= END else cloud(k, seed=seed, folds=folds)

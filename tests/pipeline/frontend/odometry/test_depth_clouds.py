@@ -53,6 +53,26 @@ def test_noise_falls_with_the_root_of_the_cells(zones, edge, tmp_path):
     assert abs(off.mean()) < 3 * off.std() / np.sqrt(len(off))
 
 
+@pytest.mark.parametrize("side", [39, 40, 64, 128, 240, 320])
+@pytest.mark.parametrize("known", [0.3, 0.9])
+@pytest.mark.parametrize("noise", [0.0, 0.08])
+def test_sparse_and_noisy_sensors_have_clouds(side, known, noise, tmp_path):
+    rng = np.random.default_rng(2)
+    depth = plane((side, side)) * (1 + noise * rng.normal(size=(side, side))) * (rng.random((side, side)) < known)
+    points = cloud_of(depth, tmp_path)
+    assert points is not None
+    assert min(side * side * known, MOST_POINTS) / 5 < len(points) <= MOST_POINTS
+
+
+def test_a_coarse_grid_spread_over_a_fine_image_has_a_cloud(tmp_path):
+    depth = np.zeros((320, 320))
+    depth[2::5, 2::5] = plane((320, 320))[2::5, 2::5]
+    points = cloud_of(depth, tmp_path)
+    assert points is not None
+    assert len(points) > 1000
+    np.testing.assert_allclose(points @ NORMAL, AWAY_MM, atol=0.05)
+
+
 def test_no_point_floats_between_two_walls(tmp_path):
     depth = np.full((64, 64), 20.0)
     depth[:, 31:] = 60.0  # the edge falls within a block
