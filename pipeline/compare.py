@@ -55,10 +55,11 @@ class Comparison:
         lines = [f"frames      {self.posed} of {self.total} posed"]
         for errors, name in ((self.sim3, "Sim(3)"), (self.se3, "SE(3)")):
             if errors is not None:
+                scale = f", scale {errors.scale:.4f}" if name == "Sim(3)" else " without a scale"
                 lines.append(
                     f"ATE         RMSE {errors.ate_rmse:.4f}, median {errors.ate_median:.4f} {errors.unit}; rotation "
                     f"median {errors.rotation_median_deg:.3f}, max {errors.rotation_max_deg:.3f} deg "
-                    f"({errors.count} camera centres after {name} alignment, scale {errors.scale:.4f})"
+                    f"({errors.count} camera centres after {name} alignment{scale})"
                 )
         chained = self.simcol3d
         lines.append(

@@ -50,6 +50,10 @@ def _rgbd(folder: Path) -> Iterator[EvaluationFrame]:
     about = read_json(folder / "camera.json")
     if "depth_unit_mm" not in about:
         raise CompletionError(f"{folder}/camera.json names no depth_unit_mm: no folder of true depth")
+    if about.get("depth") == "sensor":
+        raise CompletionError(
+            f"{folder}/camera.json says that its depth is a sensor's, which is no truth: give the folder of true depth"
+        )
     try:
         lens = np.array([float(value) for value in about["params"][:4]]) if "params" in about else None
         unit_mm = np.float32(float(about["depth_unit_mm"]))

@@ -26,6 +26,14 @@ def few_posed(posed: int, total: int, advice: str) -> list[str]:
     return [] if posed >= FEW_POSED * total else [f"only {posed} of {total} usable frames have a pose; {advice}"]
 
 
+def carried_by_depth(bridged: float) -> list[str]:
+    """Of maps that a sensor's depth alone joined, over stretches whose pictures show nothing."""
+    if not bridged:
+        return []
+    places = "one stretch" if bridged == 1 else f"each of {bridged:.0f} stretches"
+    return [f"{places} without usable pictures is carried over by the sensor's depth alone; check the wall there first"]
+
+
 def doubts_of_submaps(candidates: list[Candidate], doubts: list[MapDoubt | None], advice: str) -> list[str]:
     """Sentences on submaps that are kept although they may be wrong, or the lighting check does not speak for them
     where nothing else does."""

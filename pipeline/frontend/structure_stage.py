@@ -16,7 +16,13 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
-from pipeline.frontend.map_cautions import advice_after, doubt_of_named_lens, doubts_of_submaps, few_posed
+from pipeline.frontend.map_cautions import (
+    advice_after,
+    carried_by_depth,
+    doubt_of_named_lens,
+    doubts_of_submaps,
+    few_posed,
+)
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND, chosen
 from pipeline.frontend.scoring import (
     MIN_STRETCH,
@@ -131,6 +137,7 @@ def _solve(
     warnings += few_posed(sum(len(one.submap.frames) for one in kept), total, advice)
     warnings += doubts_of_submaps(kept, doubts, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)
+    warnings += carried_by_depth(results[name].stats.get("bridged", 0))
     if results[name].mixed:  # loops between the submaps of two front ends are still open
         name = FIRST
     workspace.finish(

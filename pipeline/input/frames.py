@@ -84,6 +84,10 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     counts = Counter(verdict for _, _, verdict in verdicts)
     if counts["used"] < MIN_FRAMES:
         raise HaustraError(_too_few(counts, source.notes))
+    unused = {verdict: count for verdict, count in counts.items() if verdict != "used"}
+    if unused:
+        reasons = ", ".join(f"{count} {verdict}" for verdict, count in unused.items())
+        progress.log(f"{sum(unused.values())} of {len(verdicts)} frames are left out: {reasons}")
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     write_png(workspace.masks / "content.png", content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})

@@ -63,14 +63,15 @@ class OdometryFrontEnd:
 @dataclass(frozen=True)
 class Tracked:
     """submaps: most frames first. frames_per_second: wall time of tracking and local mapping, images read from disk.
-    maps: how many were begun and kept; joins: how many of them were merged into another. stitching: of a video
-    that was tracked in chunks."""
+    maps: how many were begun and kept; joins: how many of them were merged into another, bridged: of these, by a
+    sensor's depth alone. stitching: of a video that was tracked in chunks."""
 
     submaps: list[Submap]
     frames_per_second: float
     maps: int
     joins: int
     stitching: Stitching | None = None
+    bridged: int = 0
 
     @property
     def stats(self) -> dict[str, float]:
@@ -78,7 +79,8 @@ class Tracked:
         chunks = (
             {} if self.stitching is None else {"chunks": self.stitching.chunks, "closed_seams": self.stitching.closed}
         )
-        return {"frames_per_second": self.frames_per_second, "maps": self.maps, "joins": self.joins, **chunks}
+        rate = {"frames_per_second": self.frames_per_second}
+        return {**rate, "maps": self.maps, "joins": self.joins, "bridged": self.bridged, **chunks}
 
     @property
     def sentence(self) -> str:
@@ -106,10 +108,10 @@ def track_frames(
         if maps and not camera.trusted:
             camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
         merged, joins = merge_and_adjust(maps, held, features, settings.seed, progress)
+        bridged = 0
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
-            joins += bridged
-        return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins, stitching)
+        return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins + bridged, stitching, bridged)
 
 
 def _tracked(

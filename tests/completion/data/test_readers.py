@@ -182,6 +182,13 @@ def test_a_camera_file_without_depth_unit_is_no_folder_of_depth(tmp_path: Path) 
         list(read_evaluation_frames(tmp_path))
 
 
+def test_a_sensor_s_depth_is_no_truth(tmp_path: Path) -> None:
+    make("rgbd", tmp_path)
+    (tmp_path / "camera.json").write_text('{"depth_unit_mm": 0.01, "depth": "sensor"}')
+    with pytest.raises(CompletionError, match="which is no truth"):
+        list(read_evaluation_frames(tmp_path))
+
+
 def rgbd_folder(folder: Path, suffix: str = ".png", empty: tuple[int, ...] = ()) -> Path:
     """Four frames of 32 px; those in `empty` have no depth."""
     (folder / "rgb").mkdir(parents=True)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pipeline.frontend.map_cautions import advice_after, doubts_of_submaps, few_posed
+from pipeline.frontend.map_cautions import advice_after, carried_by_depth, doubts_of_submaps, few_posed
 
 DARK = SimpleNamespace(check=SimpleNamespace(n_checked=90, inconsistent_share=0.4))
 
@@ -40,3 +40,9 @@ def test_where_there_is_a_probability_light_alone_says_nothing():
 def test_a_film_of_which_little_is_posed_is_told():
     assert few_posed(17, 80, "use other frames") == ["only 17 of 80 usable frames have a pose; use other frames"]
     assert few_posed(40, 80, "use other frames") == []
+
+
+def test_a_map_that_depth_alone_carries_is_told():
+    assert carried_by_depth(0) == []
+    assert carried_by_depth(1)[0].startswith("one stretch without usable pictures is carried over")
+    assert carried_by_depth(3)[0].startswith("each of 3 stretches without usable pictures is carried over")
