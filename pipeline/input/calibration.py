@@ -77,7 +77,7 @@ def _from_file(path: Path, size: tuple[int, int]) -> Calibration:
     if scaled is None:
         raise HaustraError(
             f"{path} is for {camera.width}x{camera.height} pixels, but the frames have {size[0]}x{size[1]}, "
-            "which is another crop and not another scale"
+            "which is another crop and not another scale; give a calibration of these frames, or leave --camera out"
         )
     return Calibration(scaled, f"file {known}, scaled from {camera.width}x{camera.height} pixels")
 

@@ -12,7 +12,7 @@ RECORD = ROOT / "benchmarks/results/sensors.json"
 
 HEAD = """# Depth sensors and second eyes, part by part
 
-- **Date:** 2026-11-25
+- **Date:** 2026-11-27
 - **Question:** What do a time-of-flight sensor and a second eye give to scale, path and surface, and by which part?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction sensors SUITE/easy_withdrawal
   --parts --json benchmarks/results/sensors.json`, other films without `--parts`{sfm_command}, on commit {commit}.

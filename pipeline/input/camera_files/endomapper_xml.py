@@ -15,7 +15,7 @@ LAMP = ("gamma", "sls")
 
 
 def read_endomapper(document: CameraDocument) -> CalibratedLens | None:
-    if "<camera_model" not in document.text:
+    if not document.text.lstrip("\ufeff \t\r\n").startswith("<") or "<camera_model" not in document.text:
         return None
     try:
         rig = ElementTree.fromstring(document.text)
