@@ -61,7 +61,7 @@ def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None
     """Of a submap made from given poses, one scene unit of which is `unit` of theirs; doubted where the wall is then at
     a distance that few endoscopes see it from."""
     if mm_per_unit is None:
-        return Scale(unit, "scene", "the unit of the poses that were given; for mm say with --poses-mm how many that unit has")
+        return Scale(unit, "scene", "the unit of the given poses; give --poses-mm to have mm")
     factor, doubt = unit * mm_per_unit, ""
     depths = np.zeros(0) if submap is None else submap.depths()
     if (depths > 0).any():
