@@ -82,7 +82,7 @@ section).
 - A gap in which the sensor sees nothing either is refused. A hostile reviewer's case, folds as regular as a ruler and a
   camera that halts unseen, had been accepted one fold off.
 - Another tube whose wall, turned and moved along, is within 0.8 mm RMS of the first one may be taken for it (a test has
-  that, too, as an expected failure). The gates before these refused such a tube, and 9 of the 25 gaps above.
+  that, too, as an expected failure). The gates before these refused such a tube.
 - Earlier forms. Registration of the gap's clouds to the wall before it alone, from one velocity and from turned
   guesses, accepted wrong poses at gaps of `loop`: how well clouds fit says little in a tube, so a second way over the
   gap must agree. One cell in three, and a limit of 0.03 for a direction without regard to the normals' errors, left the
