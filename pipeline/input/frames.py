@@ -84,10 +84,9 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     counts = Counter(verdict for _, _, verdict in verdicts)
     if counts["used"] < MIN_FRAMES:
         raise HaustraError(_too_few(counts, source.notes))
-    unused = {verdict: count for verdict, count in counts.items() if verdict != "used"}
+    unused = Counter({verdict: count for verdict, count in counts.items() if verdict != "used"})
     if unused:
-        reasons = ", ".join(f"{count} {verdict}" for verdict, count in unused.items())
-        progress.log(f"{sum(unused.values())} of {len(verdicts)} frames are left out: {reasons}")
+        progress.log(f"{unused.total()} of {counts.total()} frames are left out: {_listed(unused)}")
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
     write_png(workspace.masks / "content.png", content)
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
@@ -235,9 +234,12 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def _too_few(verdicts: Counter[str], notes: list[str]) -> str:
-    counted = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
     tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
-    return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({counted})", *notes])
+    return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({_listed(verdicts)})", *notes])
+
+
+def _listed(verdicts: Counter[str]) -> str:
+    return ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
 
 
 def guessed_by(workspace: Workspace) -> str | None:

@@ -15,12 +15,12 @@ HEAD = """# Depth sensors and second eyes, part by part
 - **Date:** 2026-11-27
 - **Question:** What do a time-of-flight sensor and a second eye give to scale, path and surface, and by which part?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction sensors SUITE/easy_withdrawal
-  --parts --json benchmarks/results/sensors.json`, other films without `--parts`{sfm_command}, on commit {commit}.
-  Rendered by `python scripts/pages/sensors_page.py > docs/lab/sensors.md`.
+  --parts --json benchmarks/results/sensors.json`, other films without `--parts`, and with
+  `--front-end sfm`, on commit {commit}. Rendered by `python scripts/pages/sensors_page.py > docs/lab/sensors.md`.
 
 Sensors of 64x64 and of 240x180 zones: 3 % of noise, holes at grazing angles and highlights, 5 % dropped. Stereo: 4 mm
-between the eyes, 320 px each, both under the lamps of the left one. Odometry{sfm_rows}; lens given, one run each. ATE:
-RMSE of camera centres. F-score at 1 mm, in mm: the surface moved by the path's SE(3), without any scale.
+between the eyes, 320 px each, both under the lamps of the left one. Odometry, and in rows that say
+`sfm` COLMAP's mapper; lens given, one run each. ATE: RMSE of camera centres. F-score at 1 mm, in mm: the surface moved by the path's SE(3), without any scale.
 """
 
 COLUMNS = """
@@ -40,9 +40,7 @@ READ = """## What the parts are
 def page(record: dict[str, Any]) -> str:
     runs = record["runs"]
     commits = sorted({run["commit"][:7] for run in runs})
-    sfm = any(run["method"].startswith("sfm") for run in runs)
-    told = {"sfm_command": ", and with `--front-end sfm`", "sfm_rows": ", and in rows that say `sfm` COLMAP's mapper"}
-    parts = [HEAD.format(commit=", ".join(commits), **{name: text if sfm else "" for name, text in told.items()})]
+    parts = [HEAD.format(commit=", ".join(commits))]
     for film in dict.fromkeys(run["sequence"] for run in runs):
         mine = [run for run in runs if run["sequence"] == film]
         posed = ", ".join(dict.fromkeys(f"{run['posed']} of {run['frames']}" for run in mine if _tracked(run)))

@@ -35,14 +35,18 @@ def followed(world_from_camera: dict[int, Array], frame: int, last: int, clouds:
     for now in range(frame + step, last + step, step):
         guess = poses[now - step] @ motion_of(velocity)
         cloud = clouds(now)
-        whole = wall.joined(WallPatches.of(np.concatenate(recent))) if recent else wall
-        found = None if cloud is None else whole.registered(cloud, guess)
-        unseen = unseen + 1 if found is None else 0
+        found = None
+        if cloud is not None:
+            whole = wall.joined(WallPatches.of(np.concatenate(recent))) if recent else wall
+            found = whole.registered(cloud, guess)
+        if cloud is not None and found is not None:
+            recent = [*recent, in_camera(found, cloud)][-KEPT:]
+            unseen = 0
+        else:
+            unseen += 1
         if unseen > MOST_UNSEEN:
             return None
         poses[now] = guess if found is None else found
-        if cloud is not None and found is not None:
-            recent = [*recent, in_camera(found, cloud)][-KEPT:]
         latest = [now - back * step for back in range(OVER, -1, -1) if now - back * step in poses]
         velocity = mean_motion(poses, latest)
     return poses[last]
