@@ -20,7 +20,8 @@ HEAD = """# Depth sensors and second eyes, part by part
 
 Sensors of 64x64 and of 240x180 zones: 3 % of noise, holes at grazing angles and highlights, 5 % dropped. Stereo: 4 mm
 between the eyes, 320 px each, both under the lamps of the left one. Odometry, and in rows that say
-`sfm` COLMAP's mapper; lens given, one run each. ATE: RMSE of camera centres. F-score at 1 mm, in mm: the surface moved by the path's SE(3), without any scale.
+`sfm` COLMAP's mapper; lens given, one run each. ATE: RMSE of camera centres.
+F-score at 1 mm, in mm: the surface moved by the path's SE(3), without any scale.
 """
 
 COLUMNS = """
