@@ -35,10 +35,14 @@ def render(work: Path, scene: str) -> tuple[Path, Path]:
     return training.folder, judged.folder
 
 
-def judged_frames(folder: Path, most_mm: float) -> Iterator[EvaluationFrame]:
-    """Every frame, named by its mesh; truth beyond `most_mm` is left out, as in training."""
+def judged_frames(folder: Path, most_mm: float, trained_on: bool = False) -> Iterator[EvaluationFrame]:
+    """Every frame, or as many of those that were trained on, named by its mesh; truth beyond `most_mm` is left out, as
+    in training."""
     shard = Shard.open(folder)
-    for index in range(len(shard.images)):
+    training = shard.split()[0]
+    for index in (
+        training[:: len(training) // JUDGED_FRAMES][:JUDGED_FRAMES] if trained_on else range(len(shard.images))
+    ):
         depth = shard.depths[index].astype(np.float32)
         lens = None if shard.lenses is None else shard.lenses[index].astype(float)
         known = np.where(depth < most_mm, depth, 0)

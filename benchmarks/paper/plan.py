@@ -1,7 +1,7 @@
 """What is trained and judged for each of the paper's tables, in the order in which a queue should do it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -36,17 +36,25 @@ CHANGES: dict[str, dict[str, Any]] = {
     "float32": {"bf16": False},
     "constant rate": {"decay_at": 1.0},
     "a tenth of the rate after each third": {"schedule": "thirds"},
+    "every frame once before one comes again": {"passes": True},
     # The source trains MSC by itself on KITTI; the rest then has as many steps as it has in the other rows.
     "MSC trained first and held fixed": {"msc_first": 300, "steps": 1300, "decay_at": 1000 / 1300},
 }
+# The same training judged otherwise.
+FLOAT32, TRAINED_ON = "judged in float32", "judged on frames that were trained on"
 # How batches of four scenes were drawn at first: networks with batch normalisation are judged wrongly by it, since they
 # learn by the statistics of one scene at a time and are judged by a mixture of the last ones.
 ONE_SCENE = "batches of one scene"
 AT_FIRST: dict[str, dict[str, Any]] = {ONE_SCENE: {"mix_shards": False}}
-# Readings of what the paper calls features of its multi-scale module, on the same network.
+# Readings of what the paper leaves open of the network itself.
 READINGS = {
     "confidence at the last convolution too": "mscsa-early-fusion+confidence-last",
     "all scales of the pyramid handed on": "mscsa-early-fusion+all-scales",
+    "sparse depth at the input only": "mscsa-early-fusion+sparse-first",
+    "Gamma as printed, beta 1": "mscsa-early-fusion+gamma-1",
+    "epsilon 1e-6 in the numerator of Eq. 2": "mscsa-early-fusion+epsilon",
+    "half the channels (0.12 M parameters)": "mscsa-early-fusion+half-width",
+    "twice the channels (1.93 M parameters)": "mscsa-early-fusion+double-width",
 }
 UNTRAINED = {"linear": "linear", "nearest": "nearest", "shipped": "mscsa"}  # label: name for `load_predictor`
 RIVALS = ("std18", "std50", "gaenet", "nlspn")
@@ -73,7 +81,7 @@ class Run:
     model: str  # of completion.networks.registry, or of `UNTRAINED`
     seed: int = 0
     steps: int = STEPS
-    change: str = ""  # of `CHANGES` or `AT_FIRST`
+    change: str = ""  # of `CHANGES` or `AT_FIRST`, `FLOAT32` or `TRAINED_ON`
     size: str = "small"  # of completion.networks.registry
     points: int = POINTS
     sampler: str = "uniform"
@@ -81,12 +89,17 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Stem of its record and of its weights."""
+        """Stem of its record."""
         extra = [self.size] if self.size != "small" else []
         extra += [f"{self.points}-{self.sampler}"] if (self.points, self.sampler) != (POINTS, "uniform") else []
         extra += ["converged"] if self.converged else []
         parts = ["_".join(self.scenes), self.model, *self.change.split(), *extra, str(self.steps), str(self.seed)]
         return "-".join(parts).replace("+", "-")
+
+    @property
+    def weights(self) -> str:
+        """Stem of its weights, which runs that differ in how they are judged share."""
+        return (replace(self, change="") if self.change in (FLOAT32, TRAINED_ON) else self).name
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -126,7 +139,11 @@ def tables() -> dict[str, Table]:
     floors = [Run((scene,), label) for scene in ("colon", "small_intestine") for label in UNTRAINED]
     colon = [run for seed in range(SEEDS) for run in one_seed(seed)]
     intestine = list(ablation("small_intestine", range(SEEDS)))
-    changes = [Run(("colon",), "mscsa-early-fusion", seed, change=change) for seed in range(2) for change in CHANGES]
+    changes = [
+        Run(("colon",), "mscsa-early-fusion", seed, change=change)
+        for seed in range(2)
+        for change in (*CHANGES, FLOAT32, TRAINED_ON)
+    ]
     changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
     return {
         "2": Table("Table II, the ablation", [*unique(colon), *intestine]),

@@ -64,14 +64,23 @@ def main() -> None:
 
 
 def perform_all(record: Callable[[Run], str], runs: list[Run], workers: int) -> None:
-    """All runs, so many at once; says what came of each."""
+    """All runs, so many at once, but one after the other those that share weights; says what came of each."""
+    sharing: dict[str, list[Run]] = {}
+    for run in runs:
+        sharing.setdefault(run.weights, []).append(run)
+    one_by_one = partial(map_all, record)
     if workers == 1:
-        for run in runs:
-            print(record(run), flush=True)
+        for lines in map(one_by_one, sharing.values()):
+            print(*lines, sep="\n", flush=True)
         return
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        for line in pool.imap_unordered(record, runs):
-            print(line, flush=True)
+        for lines in pool.imap_unordered(one_by_one, sharing.values()):
+            print(*lines, sep="\n", flush=True)
+
+
+def map_all(record: Callable[[Run], str], runs: list[Run]) -> list[str]:
+    """What came of each run, in their order."""
+    return [record(run) for run in runs]
 
 
 def perform_and_record(run: Run, work: Path, results: Path, environment: dict[str, Any]) -> str:

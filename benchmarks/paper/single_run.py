@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from benchmarks.paper.batch_statistics import companion_effect
 from benchmarks.paper.frames import judged_frames, render
-from benchmarks.paper.plan import UNTRAINED, Run
+from benchmarks.paper.plan import FLOAT32, TRAINED_ON, UNTRAINED, Run
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.predictors import Predictor, load_predictor
-from completion.networks.checkpoint import read_metadata
+from completion.networks.checkpoint import load_tensors, read_metadata
 from completion.training.config import TrainConfig, make_config
 from completion.training.train import train
 from haustra.core.errors import CompletionError
@@ -30,7 +30,7 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
     config = make_config(
         "paper",
         shards=tuple(training for training, _ in folders.values()),
-        out=work / "runs" / f"{run.name}.safetensors",
+        out=work / "runs" / f"{run.weights}.safetensors",
         model="unet" if run.model in UNTRAINED else run.model,
         threads=1,
         **run.settings,
@@ -42,8 +42,14 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
     new = 0 if run.model in UNTRAINED else steps - before
     predictor = load_predictor(weights)
     network = predictor.network
+    if network and run.change == FLOAT32:
+        network.load_state_dict(before_halving(config))
+    trained_on = run.change == TRAINED_ON
     try:
-        scenes = {scene: judged(judge, predictor, config) for scene, (_, judge) in folders.items()}
+        scenes = {
+            scene: judged(both[0 if trained_on else 1], predictor, config, trained_on)
+            for scene, both in folders.items()
+        }
         failed = None
     except CompletionError as error:
         if "no pixel has both" not in str(error):
@@ -51,7 +57,11 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
         scenes, failed = {}, str(error)  # a network that says zero everywhere has no error to speak of
     about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change}
     about |= {"size": run.size, "points": run.points, "sampler": run.sampler, "converged": run.converged}
-    about |= {"steps_done": steps, "device": str(next(network.parameters()).device.type) if network else "cpu"}
+    about |= {
+        "steps_done": steps,
+        "steps_on": steps_on(config),
+        "device": str(next(network.parameters()).device.type) if network else "cpu",
+    }
     about |= {"settings": json.loads(config.model_dump_json(exclude={"shards", "out", "init", "threads"}))}
     return {
         "environment": environment,
@@ -70,6 +80,18 @@ def steps_done(config: TrainConfig) -> int:
     return read_metadata(checkpoint)["step"] if checkpoint.exists() else 0
 
 
+def steps_on(config: TrainConfig) -> dict[str, int]:
+    """Steps by the device that made them: a run that was stopped can go on elsewhere."""
+    checkpoint = config.out.with_suffix(".checkpoint")
+    return read_metadata(checkpoint)["steps_on"] if checkpoint.exists() else {}
+
+
+def before_halving(config: TrainConfig) -> dict[str, Tensor]:
+    """A finished run's weights as they were trained; weight files hold half precision."""
+    tensors, _ = load_tensors(config.out.with_suffix(".checkpoint"))
+    return {name.removeprefix("average."): t for name, t in tensors.items() if name.startswith("average.")}
+
+
 def trained(config: TrainConfig, run: Run) -> Path:
     """Weights of a finished run, trained now or on from its checkpoint."""
     return (
@@ -77,9 +99,9 @@ def trained(config: TrainConfig, run: Run) -> Path:
     )
 
 
-def judged(folder: Path, predictor: Predictor, config: TrainConfig) -> dict[str, Any]:
+def judged(folder: Path, predictor: Predictor, config: TrainConfig, trained_on: bool = False) -> dict[str, Any]:
     """Errors of every frame, lengths in mm and the rest as fractions, with the mesh that it shows."""
-    frames = judged_frames(folder, config.max_depth_mm)
+    frames = judged_frames(folder, config.max_depth_mm, trained_on)
     results = evaluate_frames(frames, predictor, Protocol(points=config.points, sampler=config.sampler))
     msc = getattr(predictor.network, "msc", None) if hasattr(predictor.network, "config") else None
     msc = msc if isinstance(msc, nn.Module) and not hasattr(predictor.network, "iterate") else None

@@ -27,10 +27,14 @@ class EarlyFusionConfig:
     """Channels and switches of `EarlyFusionMSCSANet`."""
 
     width: int = 80  # channels of every level of the encoder; the decoder's follow from it
+    widening: float = 1.0  # of `width`
     use_msc: bool = True
     use_sa: bool = True
     confidence_last: bool = False  # MSC's confidence joins again before the last convolution too
     all_scales: bool = False  # the input has depth and confidence of MSC's coarser levels too, enlarged
+    sparse_last: bool = True  # the raw sparse depth joins again before the last convolution
+    gamma_beta: float = 10.0  # of MSC: Gamma(w) = log(1 + exp(beta w)) / beta; 1 as printed in the paper
+    epsilon: float = 0.0  # of MSC: of the numerator of Eq. 2
 
     def __post_init__(self) -> None:
         if (self.confidence_last or self.all_scales) and not self.use_msc:
@@ -48,8 +52,9 @@ class EarlyFusionMSCSANet(nn.Module):
     def __init__(self, config: EarlyFusionConfig | None = None) -> None:
         super().__init__()
         self.config = config or EarlyFusionConfig()
-        width = self.config.width
-        self.msc = MultiScaleConfidence(levels=3) if self.config.use_msc else None
+        width = round(self.config.width * self.config.widening)
+        msc = MultiScaleConfidence(3, self.config.gamma_beta, self.config.epsilon) if self.config.use_msc else None
+        self.msc = msc
         self.attention = StructureAwareness() if self.config.use_sa else nn.Identity()
         inputs = 4 + 2 * self.config.use_msc + 12 * self.config.all_scales
         self.encoder = nn.ModuleList(
@@ -57,11 +62,14 @@ class EarlyFusionMSCSANet(nn.Module):
         )
         wide, narrow = 4 * width // 5, 2 * width // 5  # 64 and 32
         pairs = ((2 * width, wide), (wide + width, wide), (wide + width, narrow), (narrow + width, narrow))
-        self.decoder = nn.ModuleList(
-            nn.Conv2d(a, b, 3, padding=1) for a, b in (*pairs, (narrow + 1 + self.config.confidence_last, 1))
-        )
+        self.decoder = nn.ModuleList(nn.Conv2d(a, b, 3, padding=1) for a, b in (*pairs, (narrow + self._joins_last, 1)))
         for conv in (*self.encoder, *self.decoder):
             start_by_he(conv, 0.0, BIAS)  # type: ignore[arg-type]  # for a ReLU, as released, the decoder's too
+
+    @property
+    def _joins_last(self) -> int:
+        """Channels of the input that join again before the last convolution."""
+        return self.config.sparse_last + self.config.confidence_last
 
     def forward(self, rgb: Tensor, sparse_depth: Tensor, intrinsics: Tensor | None = None) -> Tensor:
         """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit; intrinsics
@@ -70,7 +78,8 @@ class EarlyFusionMSCSANet(nn.Module):
         rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
         channels = [sparse_depth, *self._dense(sparse_depth), rgb]
         x = torch.cat(channels, dim=1).contiguous(memory_format=torch.channels_last)
-        skips = [x[:, : 1 + self.config.confidence_last]]  # in the same layout as the features
+        first = 0 if self.config.sparse_last else 1
+        skips = [x[:, first : first + self._joins_last]]  # in the same layout as the features
         for conv in self.encoder:
             x = F.relu(conv(x), inplace=True)
             skips.append(x)

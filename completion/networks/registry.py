@@ -64,7 +64,7 @@ def _mscsa(use_msc: bool, use_sa: bool, residual: bool = False, similar: bool = 
     return Entry(MSCSANet, MSCSAConfig, switches, {"width": 8}, old_headers=("MSCSAModel",))
 
 
-def _early_fusion(use_msc: bool, use_sa: bool, **readings: bool) -> Entry:
+def _early_fusion(use_msc: bool, use_sa: bool, **readings: float) -> Entry:
     return Entry(EarlyFusionMSCSANet, EarlyFusionConfig, {"use_msc": use_msc, "use_sa": use_sa, **readings})
 
 
@@ -101,6 +101,11 @@ REGISTRY: dict[str, Entry] = {
     "mscsa-early-fusion": _early_fusion(True, True),
     "mscsa-early-fusion+confidence-last": _early_fusion(True, True, confidence_last=True),
     "mscsa-early-fusion+all-scales": _early_fusion(True, True, all_scales=True),
+    "mscsa-early-fusion+sparse-first": _early_fusion(True, True, sparse_last=False),
+    "mscsa-early-fusion+gamma-1": _early_fusion(True, True, gamma_beta=1.0),
+    "mscsa-early-fusion+epsilon": _early_fusion(True, True, epsilon=1e-6),
+    "mscsa-early-fusion+half-width": _early_fusion(True, True, widening=0.5),
+    "mscsa-early-fusion+double-width": _early_fusion(True, True, widening=2.0),
     "std18": Entry(
         SparseToDense, SparseToDenseConfig, {"layers": 18}, {"base": 36}, {"base": 16}, old_headers=("StDNet",)
     ),

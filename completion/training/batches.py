@@ -30,11 +30,23 @@ def draw_batch(
     group = groups[rng.choice(len(groups), p=share / share.sum())]
     frames = np.concatenate([splits[number] for number in group])
     of_shard = np.repeat(group, [len(splits[number]) for number in group])
-    own = rng.choice(len(frames), config.batch, replace=False)[processes.rank :: processes.size]
+    if config.passes:
+        drawn = next_of_pass(len(frames), config, step)
+    else:
+        drawn = rng.choice(len(frames), config.batch, replace=False)
+    own = drawn[processes.rank :: processes.size]
     where = None if config.augmentation else device
     parts = [shards[n].batch(frames[own[of_shard[own] == n]], where) for n in group if (of_shard[own] == n).any()]
     batch = parts[0] if len(parts) == 1 else joined(parts)
     return (augment(batch, generator) if config.augmentation else batch).to(device), generator
+
+
+def next_of_pass(frames: int, config: TrainConfig, step: int) -> NDArray[np.int64]:
+    """The step's frames where a pass over all of them ends before the next begins; what does not fill a batch at its
+    end is left out."""
+    batches = frames // config.batch
+    order = np.random.default_rng((config.seed, step // batches)).permutation(frames)
+    return order[step % batches * config.batch :][: config.batch]
 
 
 def shards_of_one_size(shards: list[Shard]) -> list[list[int]]:

@@ -30,6 +30,7 @@ class TrainConfig(BaseModel):
     points: int = Field(100, gt=0)  # per frame, of metric networks; mscsa-sfm is given random numbers of them
     sampler: Literal["uniform", "features"] = "uniform"  # of those points
     mix_shards: bool = True  # a batch has frames of all shards of one size; else of one shard
+    passes: bool = False  # every frame of a shard size once before one comes again; else each batch is drawn anew
     msc_first: int = Field(0, ge=0)  # steps in which a metric network's MSC learns alone; then it is held fixed
     optimizer: Literal["adamw", "adam"] = "adamw"
     learning_rate: float = Field(2e-3, gt=0)

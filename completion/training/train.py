@@ -51,7 +51,7 @@ from haustra.core.errors import CompletionError
 
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
 # What checkpoints that do not name these were trained with.
-LATER_SETTINGS = {"clip": 1.0, "sampler": "uniform", "msc_first": 0, "mix_shards": False}
+LATER_SETTINGS = {"clip": 1.0, "sampler": "uniform", "msc_first": 0, "mix_shards": False, "passes": False}
 ProgressCallback = Callable[[int, int | None], None]
 
 
@@ -80,6 +80,7 @@ class TrainingState:
         parameters = self.task.network.parameters()
         self.optimizer = kind(parameters, rate, weight_decay=decay, capturable=self.recorded is not None)
         self.step = 0
+        self.steps_on: dict[str, int] = {}  # by device, since a run can go on elsewhere
         self.plateau = Plateau(config.steps) if config.schedule == "plateau" else None
 
     @property
@@ -94,6 +95,12 @@ class TrainingState:
             return self.config.learning_rate * (0.1 if self.plateau.cooled_at else 1.0)
         return learning_rate(self.step, self.config)
 
+    def advance(self) -> None:
+        """Count a step, and where it was made."""
+        where = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else self.device.type
+        self.step += 1
+        self.steps_on[where] = self.steps_on.get(where, 0) + 1
+
     @property
     def checkpoint(self) -> Path:
         return self.config.out.with_suffix(".checkpoint")
@@ -102,7 +109,7 @@ class TrainingState:
         tensors = {f"network.{n}": t for n, t in self.task.network.state_dict().items()}
         tensors |= {f"average.{n}": t for n, t in self.average.state_dict().items()}
         tensors |= flatten_optimizer(self.optimizer)
-        about = {"step": self.step, "config": self._identity()}
+        about = {"step": self.step, "steps_on": self.steps_on, "config": self._identity()}
         about |= {"plateau": asdict(self.plateau)} if self.plateau else {}
         save_tensors(self.checkpoint, tensors, about)
 
@@ -120,6 +127,7 @@ class TrainingState:
             module.load_state_dict({n[len(name) :]: t for n, t in tensors.items() if n.startswith(name)})
         restore_optimizer(self.optimizer, tensors)
         self.step = metadata["step"]
+        self.steps_on = metadata.get("steps_on", {"not recorded": self.step})
         if self.plateau:
             self.plateau = Plateau(**metadata["plateau"])
 
@@ -201,7 +209,7 @@ def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.
         loss = run.recorded(run.task.draw(batch.rgb, batch.depth, batch.lens, generator))
     else:
         loss = optimise(run, lambda: run.task.loss(batch.rgb, batch.depth, batch.lens, generator))
-    run.step += 1
+    run.advance()
     update_average(run.average, run.task.network, min(run.config.ema, run.step / (run.step + 10)))
     return loss.item()
 
@@ -266,6 +274,8 @@ def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
         raise CompletionError(f"a batch of {config.batch} cannot be shared evenly by {processes} processes")
     if config.schedule == "plateau" and processes > 1:
         raise CompletionError("the schedule 'plateau' is for one process, which measures the held-out error")
+    if config.passes and len(shards_of_one_size(shards) if config.mix_shards else shards) > 1:
+        raise CompletionError("passes over all frames need frames of one size, in one batch")
     for shard, folder in zip(shards, config.shards, strict=True):
         training, held_out = shard.split()
         if len(training) < config.batch or not len(held_out):

@@ -10,7 +10,7 @@ from torch import nn
 from benchmarks.paper import frames, run_queue, single_run
 from benchmarks.paper.batch_statistics import companion_effect
 from benchmarks.paper.frames import render
-from benchmarks.paper.plan import CHANGES, SCENES, UNTRAINED, Run, tables
+from benchmarks.paper.plan import CHANGES, FLOAT32, SCENES, TRAINED_ON, UNTRAINED, Run, tables
 from completion.evaluation.metrics import depth_errors
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.registry import REGISTRY
@@ -21,7 +21,7 @@ def test_runs_have_names_of_their_own_and_networks_that_exist():
     runs = [run for table in tables().values() for run in table.runs]
     assert len({run.name for run in runs}) == len(set(runs))
     assert {run.model for run in runs} <= set(REGISTRY) | set(UNTRAINED)
-    assert {run.change for run in runs} == {"", *CHANGES}
+    assert {run.change for run in runs} == {"", *CHANGES, FLOAT32, TRAINED_ON}
     seeds = [seed for pair in SCENES.values() for seed in pair]
     assert len(set(seeds)) == len(seeds)  # frames of one seed share meshes
 
@@ -122,3 +122,34 @@ def test_a_run_with_a_change_has_other_settings():
     plain, changed = (Run(("colon",), "unet", change=change) for change in ("", "float32"))
     assert plain.settings | {"bf16": False} == changed.settings
     assert plain.name != changed.name
+
+
+def test_runs_that_differ_in_how_they_are_judged_share_weights_and_are_not_trained_at_once():
+    runs = [Run(("colon",), "mscsa-early-fusion", change=change) for change in ("", FLOAT32, TRAINED_ON, "float32")]
+    assert len({run.name for run in runs}) == 4
+    assert len({run.weights for run in runs}) == 2
+    order = []
+    run_queue.perform_all(lambda run: order.append(run) or run.name, [runs[0], runs[3], runs[2], runs[1]], 1)
+    assert order == [runs[0], runs[2], runs[1], runs[3]]
+
+
+def test_a_network_is_judged_by_its_trained_weights_or_on_its_training_frames(tmp_path, monkeypatch):
+    """The same training, three judgements: half precision moves a figure a little, frames trained on a lot."""
+    rng = np.random.default_rng(0)
+    for name in ("colon", "colon_judged"):
+        (tmp_path / name).mkdir()
+        np.save(tmp_path / name / "images.npy", rng.integers(0, 255, (40, 32, 32, 3), dtype=np.uint8))
+        np.save(tmp_path / name / "depths.npy", rng.uniform(10, 60, (40, 32, 32)).astype(np.float16))
+        np.save(tmp_path / name / "colon.npy", np.repeat(np.arange(20), 2).astype(np.int32))
+        np.save(tmp_path / name / "intrinsics.npy", np.full((40, 4), 16, np.float32))
+    monkeypatch.setattr(single_run, "render", lambda work, scene: (work / scene, work / f"{scene}_judged"))
+    monkeypatch.setattr(frames, "JUDGED_FRAMES", 10)
+    found = {}
+    for change in ("", FLOAT32, TRAINED_ON):
+        run = Run(("colon",), "mscsa-early-fusion+half-width", change=change, steps=3)
+        found[change] = single_run.perform(run, tmp_path, {})
+    assert [record["steps_on"] for record in found.values()] == [{"cpu": 3}] * 3
+    errors = {change: np.array(record["scenes"]["colon"]["frames"]["abs_rel"]) for change, record in found.items()}
+    assert 0 < np.abs(errors[""] - errors[FLOAT32]).max() < 0.01
+    assert len(errors[TRAINED_ON]) == 10
+    assert max(found[TRAINED_ON]["scenes"]["colon"]["frames"]["mesh"]) < 19  # the last mesh is held out

@@ -13,7 +13,7 @@ from haustra.core.errors import CompletionError
 NAMES = [name for name in (*REGISTRY, *ALIASES) if find_entry(name).is_metric]
 TINY = {
     **{name: {"width": 4} for name in NAMES if name.startswith(("unet", "mscsa", "full"))},
-    **{name: {"width": 5} for name in NAMES if "early-fusion" in name},
+    **{name: {"width": 10} for name in NAMES if "early-fusion" in name},
     "std18": {"base": 8},
     "std50": {"base": 4},
     "nlspn": {"base": 4, "layers": 18, "steps": 3},

@@ -59,3 +59,12 @@ def test_processes_share_a_batch(rank):
     part = draw_batch(config, 3, [one], [one.split()[0]], ProcessGroup(rank, 2), CPU)[0].depth
     assert set(part[:, 0, 0, 0].tolist()) < set(whole[:, 0, 0, 0].tolist())
     assert len(part) == 5
+
+
+def test_in_passes_every_frame_comes_once_before_one_comes_again():
+    one = shard(10)
+    frames = [batch.depth[:, 0, 0, 0] for batch in batches([one], steps=10, passes=True)]
+    count = len(one.split()[0]) // 10  # batches of a pass
+    passes = [torch.cat(frames[first : first + count]) for first in (0, count)]
+    assert all(len(of.unique()) == 10 * count for of in passes)
+    assert not torch.equal(*passes)

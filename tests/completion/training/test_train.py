@@ -178,6 +178,7 @@ def test_ctrl_c_ends_the_step_and_saves_it(shards, tmp_path):
     said: list[str] = []
     resumed = train(config(shards, tmp_path / "b.safetensors", steps=4), say=said.append)
     assert said[0].startswith("going on from step 3 of 4")
+    assert load_tensors(tmp_path / "b.checkpoint")[1]["steps_on"] == {"cpu": 4}
     for name, tensor in load_tensors(unbroken)[0].items():
         assert torch.equal(tensor, load_tensors(resumed)[0][name]), name
     with GracefulInterrupt() as interrupt:
