@@ -12,7 +12,11 @@ Verdict = Literal["used", "black", "overexposed", "no texture", "blurred", "dupl
 HISTORY = 15  # frames over which sharpness is compared
 MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
 SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see
-MIN_TEXTURE = 1.2  # grey levels, robust spread of the Laplacian; red-out is below it
+# Texture is looked for at a scale that the noise of the sensor and the smoothing of a codec leave alone. Red-out has
+# 0.7 grey levels there, the smoothest wall of a film 3.4 (events_b and low_texture_b, on which this was chosen).
+TEXTURE_SCALE_PX = 3.2
+MIN_TEXTURE = 1.5  # grey levels
+BORDER_PX = 19  # three scales to each side
 MIN_RELATIVE_SHARPNESS = 0.3  # of the running median; a third is motion blur
 MIN_CHANGE = 0.35  # grey levels between thumbnails; compression alone gives 0.2
 
@@ -36,15 +40,23 @@ class FrameJudge:
         thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
         if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
             return "duplicate"
-        sharpness = _sharpness(grey, inside)
-        if sharpness < MIN_TEXTURE:
+        if _texture(grey, inside) < MIN_TEXTURE:
             return "no texture"
+        sharpness = _sharpness(grey, inside)
         # A running median that only grows from sharp frames would never accept a softer passage: all count.
         self._sharpness.append(sharpness)
         if sharpness < MIN_RELATIVE_SHARPNESS * float(np.median(self._sharpness)):
             return "blurred"
         self._last = thumbnail
         return "used"
+
+
+def _texture(grey: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:
+    """Spread of the scale-normalised Laplacian of a Gaussian, grey levels, away from the border of the content."""
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), TEXTURE_SCALE_PX)
+    response = TEXTURE_SCALE_PX**2 * np.abs(cv2.Laplacian(smooth, cv2.CV_32F))
+    away = cv2.erode(inside.astype(np.uint8), np.ones((BORDER_PX, BORDER_PX), np.uint8)) > 0
+    return float(np.percentile(response[away if away.any() else inside], 90))
 
 
 def _sharpness(grey: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:

@@ -181,6 +181,24 @@ def test_each_kind_of_useless_frame_is_named():
     assert verdicts == ["used"] * 6 + ["blurred", "no texture", "black", "overexposed", "used", "duplicate"]
 
 
+@pytest.mark.parametrize("noise", [0, 2, 5])
+@pytest.mark.parametrize("contrast", [5, 0])
+def test_texture_is_seen_through_a_codec_and_noise_is_none(tmp_path, contrast, noise):
+    """Vessels some ten pixels wide and `contrast` grey levels strong, in light that falls off; or nothing but noise."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:240, :320]
+    vessels = cv2.GaussianBlur(rng.normal(size=(240, 320 + 48)), (0, 0), 3)
+    vessels *= contrast / vessels.std()
+    light = 150 - 60 * np.hypot((x - 160) / 160, (y - 120) / 120)
+    frames = []
+    for shift in range(0, 48, 4):
+        grey = light + vessels[:, shift : shift + 320] + noise * rng.normal(size=x.shape)
+        frames.append(np.clip(np.stack([grey * 1.2, grey * 0.6, grey * 0.5], axis=2), 0, 255).astype(np.uint8))
+    read = [frame.rgb for frame in Source(write_video(tmp_path / "a.mp4", frames, crf="30"))]
+    verdicts = set(judge_all(read)[1:])  # the first is never a duplicate
+    assert verdicts == {"used"} if contrast else verdicts <= {"no texture", "duplicate"}
+
+
 @pytest.mark.parametrize(
     ("cut", "said"),
     [("none", False), ("octagon", True), ("one corner under text", True), ("left", False), ("disc", False)],
