@@ -65,7 +65,7 @@ figures: table
 paper: $(STAMP)
 	$(BIN)/python -m benchmarks.paper --work runs/paper
 	$(BIN)/python -m benchmarks.paper.figures --work runs/paper
-	$(BIN)/python -m scripts.pages.paper_page > docs/lab/paper.md
+	$(BIN)/python -m scripts.pages.paper.page > docs/lab/paper.md
 
 clean:
 	rm -rf $(VENV) demo_run build *.egg-info

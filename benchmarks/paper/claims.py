@@ -7,9 +7,10 @@ on each body, with its interval. What has no record is called not measured.
 from dataclasses import dataclass
 
 from benchmarks.paper import judgements as of_networks
+from benchmarks.paper import judgements_figure_4 as of_pictures
 from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import Judge
-from benchmarks.paper.plan import BODIES, ROWS, Run
+from benchmarks.paper.plan import BODIES, ROWS, STEPS, Run
 from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
 from benchmarks.paper.records import Records
 
@@ -81,16 +82,22 @@ def claims() -> list[Claim]:
     of_colon = Reduction("colon", "+MSC", "baseline", "mae")
     gaenet, mscsa = TABLE_1["ccd"]["GAENet"], TABLE_1["ccd"]["MSCSA-Net"]
     return [
-        Claim("Figure 4: StD-ResNet18, GAENet and NLSPN produce abnormal results in the small intestine."),
-        Claim("Figure 4: the depth maps from StD have more blurred edges than ours."),
+        Claim(
+            "Figure 4: StD-ResNet18, GAENet and NLSPN produce abnormal results in the small intestine.",
+            judge=of_pictures.abnormal_in_small_intestine,
+        ),
+        Claim("Figure 4: the depth maps from StD have more blurred edges than ours.", judge=of_pictures.blurred_by_std),
         Claim(
             "GAENet is second only to ours in the colon and has large errors elsewhere.",
             _scenes_of("GAENet"),
             judge=of_networks.best_rival_in_colon,
         ),
-        Claim("Figure 4: NLSPN only predicts the rough direction of depth."),
-        Claim("Figure 4: our depth maps are closer to the truth, with clear edges, on all data sets."),
-        Claim("Figure 4: in CSD the depth of all methods is shifted in scale."),
+        Claim("Figure 4: NLSPN only predicts the rough direction of depth.", judge=of_pictures.rough_by_nlspn),
+        Claim(
+            "Figure 4: our depth maps are closer to the truth, with clear edges, on all data sets.",
+            judge=of_pictures.closest_everywhere,
+        ),
+        Claim("Figure 4: in CSD the depth of all methods is shifted in scale.", judge=of_pictures.shifted_scale_in_csd),
         Claim(
             "All methods do better in the colon than on the other data.",
             f"{_scenes('rmse')}; {_scenes('abs_rel')}",
@@ -169,9 +176,9 @@ def _scenes_of(method: str) -> str:
     return f"Table I, abs.REL of {method}: {', '.join(values)}"
 
 
-def finding(records: Records, of: Reduction, body: str) -> tuple[Interval, int] | None:
+def finding(records: Records, of: Reduction, body: str, steps: int = STEPS) -> tuple[Interval, int] | None:
     """The measured reduction on a body of `BODIES`, and the number of seeds."""
-    runs = {name: Run((of.scene,), model) for name, model in zip(ROWS, BODIES[body], strict=True)}
+    runs = {name: Run((of.scene,), model, steps=steps) for name, model in zip(ROWS, BODIES[body], strict=True)}
     return records.reduction(of.scene, runs[of.row], runs[of.beside], of.figure)
 
 

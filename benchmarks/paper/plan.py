@@ -40,8 +40,12 @@ CHANGES: dict[str, dict[str, Any]] = {
     # The source trains MSC by itself on KITTI; the rest then has as many steps as it has in the other rows.
     "MSC trained first and held fixed": {"msc_first": 300, "steps": 1300, "decay_at": 1000 / 1300},
 }
-# The same training judged otherwise.
-FLOAT32, TRAINED_ON = "judged in float32", "judged on frames that were trained on"
+# The same weights judged thrice: as they were trained, in half precision as all other rows are, and on other frames.
+FLOAT32, AS_SAVED, TRAINED_ON = JUDGED_THRICE = (
+    "judged in float32",
+    "the same weights in half precision",
+    "the same on frames that were trained on",
+)
 # How batches of four scenes were drawn at first: networks with batch normalisation are judged wrongly by it, since they
 # learn by the statistics of one scene at a time and are judged by a mixture of the last ones.
 ONE_SCENE = "batches of one scene"
@@ -81,7 +85,7 @@ class Run:
     model: str  # of completion.networks.registry, or of `UNTRAINED`
     seed: int = 0
     steps: int = STEPS
-    change: str = ""  # of `CHANGES` or `AT_FIRST`, `FLOAT32` or `TRAINED_ON`
+    change: str = ""  # of `CHANGES` or `AT_FIRST`, or `JUDGED_THRICE`
     size: str = "small"  # of completion.networks.registry
     points: int = POINTS
     sampler: str = "uniform"
@@ -99,7 +103,7 @@ class Run:
     @property
     def weights(self) -> str:
         """Stem of its weights, which runs that differ in how they are judged share."""
-        return (replace(self, change="") if self.change in (FLOAT32, TRAINED_ON) else self).name
+        return (replace(self, change="") if self.change in JUDGED_THRICE else self).name
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -142,7 +146,7 @@ def tables() -> dict[str, Table]:
     changes = [
         Run(("colon",), "mscsa-early-fusion", seed, change=change)
         for seed in range(2)
-        for change in (*CHANGES, FLOAT32, TRAINED_ON)
+        for change in (*CHANGES, *JUDGED_THRICE)
     ]
     changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
     return {

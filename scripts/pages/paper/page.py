@@ -1,53 +1,51 @@
 """docs/lab/paper.md from benchmarks/results/paper/*.json: the paper's claims beside our records.
 
-The words are in paper_page.txt; every figure that we measured comes from the records.
+The words are in words.txt; every figure that we measured comes from the records.
 
-python -m scripts.pages.paper_page > docs/lab/paper.md
+python -m scripts.pages.paper.page > docs/lab/paper.md
 """
 
 import json
-from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from string import Template
 
-from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
-from benchmarks.paper.intervals import Interval
+from benchmarks.paper.claims import SCENE_NAMES, Reduction, claims, finding, verdict
 from benchmarks.paper.judgements import NAMES, features_higher, percent, points
-from benchmarks.paper.judgements import row as row_of_table_1
 from benchmarks.paper.plan import (
+    AS_SAVED,
     BODIES,
     CHANGES,
+    FLOAT32,
     MOST_STEPS,
     NORMALISATIONS,
-    ONE_SCENE,
-    OTHER_PARAMETERS,
-    OURS,
     PAPER_LENGTH,
     PAPER_STEPS,
     POINT_COUNTS,
     READINGS,
     RESIDUAL,
-    RIVALS,
     ROWS,
-    SCENES,
     STEPS,
+    TRAINED_ON,
     UNTRAINED,
     Run,
 )
 from benchmarks.paper.published import TABLE_2, reduction
 from benchmarks.paper.records import FIGURES, Records
+from scripts.pages.paper.networks import (
+    FLOORS,
+    cost_of_batches,
+    equal_steps,
+    in_training_mode,
+    lead_over_best_rival,
+    median_frames,
+    seen_in_figure_4,
+    spread,
+    table_1,
+)
 
-WORDS = Path(__file__).with_name("paper_page.txt")
-FLOORS = {"linear": "(linear interpolation)", "nearest": "(nearest point)", "shipped": "(model of `reconstruct`)"}
+WORDS = Path(__file__).with_name("words.txt")
 FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
-
-
-def spread(found: Interval | None, factor: float = 1.0, digits: int = 2) -> str:
-    """Mean and 95 % interval in one cell."""
-    if found is None:
-        return "-"
-    value, low, high = (f"{factor * x:.{digits}f}" for x in (found.value, found.low, found.high))
-    return f"{value} [{low}, {high}]"
 
 
 def row(records: Records, scene: str, label: str, model: str, change: str = "", steps: int = STEPS) -> str:
@@ -80,7 +78,7 @@ def table_2(records: Records, scene: str) -> list[str]:
     return lines
 
 
-def reductions(records: Records, scene: str) -> list[str]:
+def reductions(records: Records, scene: str, steps: int = STEPS) -> list[str]:
     """Full below the baseline, and below MSC alone, by body."""
     bodies = " | ".join(BODIES)
     lines = [f"| {SCENE_NAMES[scene]}: reduction [%] | paper | {bodies} |", "|---" * (2 + len(BODIES)) + "|"]
@@ -88,8 +86,8 @@ def reductions(records: Records, scene: str) -> list[str]:
         for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE"), ("mae", "MAE")):
             cells = [f"{title} of {name} below {beside}", f"{100 * reduction(scene, name, beside, figure):.1f}"]
             for models in BODIES.values():
-                of = dict(zip(ROWS, models, strict=True))
-                found = records.reduction(scene, Run((scene,), of[name]), Run((scene,), of[beside]), figure)
+                runs = {n: Run((scene,), model, steps=steps) for n, model in zip(ROWS, models, strict=True)}
+                found = records.reduction(scene, runs[name], runs[beside], figure)
                 cells.append("-" if found is None else spread(found[0], 100, 1))
             lines.append(f"| {' | '.join(cells)} |")
     return lines
@@ -117,7 +115,9 @@ def changes(records: Records) -> list[str]:
     """Choices of training, one at a time."""
     lines = [f"| early fusion, full, colon {COLUMNS}", row(records, "colon", "as above", FULL)]
     lines += [row(records, "colon", change, FULL, change) for change in CHANGES]
-    return lines + [row(records, "colon", label, model) for label, model in READINGS.items()]
+    lines += [row(records, "colon", label, model) for label, model in READINGS.items()]
+    lines += [row(records, "colon", change, FULL, change) for change in (FLOAT32, AS_SAVED, TRAINED_ON)]
+    return lines
 
 
 def sentences(records: Records) -> list[str]:
@@ -129,44 +129,13 @@ def sentences(records: Records) -> list[str]:
             measured, findings = [judged[0]], [judged[1]]
         for of in claim.compared[:1]:
             claimed = reduction(of.scene, of.row, of.beside, of.figure)
-            for body in BODIES:
-                found = finding(records, of, body)
-                measured += [f"{body}: {spread(found[0], 100, 1)} %"] if found else []
-                findings += [f"{body}: {verdict(found, claimed)}"] if found else []
+            for steps, body in product((STEPS, PAPER_STEPS), BODIES):
+                name = body if steps == STEPS else f"{body}, {steps:,} steps"
+                found = finding(records, of, body, steps)
+                measured += [f"{name}: {spread(found[0], 100, 1)} %"] if found else []
+                findings += [f"{name}: {verdict(found, claimed)}"] if found else []
         found_text = "; ".join(findings) or "not measured"
         lines.append(f"| {claim.text} | {claim.own} | {'; '.join(measured)} | {found_text} |")
-    return lines
-
-
-def table_1(records: Records, figure: str, title: str, factor: float) -> list[str]:
-    """All networks on the four scenes, one network for all of them; a size is named where it differs."""
-    scenes = " | ".join(SCENE_NAMES.values())
-    lines = [f"| {title} | {scenes} | parameters [M] | steps | seeds |", "|---" * (4 + len(SCENES)) + "|"]
-    rows = [(NAMES[model], row_of_table_1(model)) for model in (*OURS, *RIVALS)]
-    rows += [(f"{NAMES[m]}, as many parameters", row_of_table_1(m, "same-parameters")) for m in OTHER_PARAMETERS]
-    rows += [(f"{NAMES[m]}, {ONE_SCENE}", replace(row_of_table_1(m), change=ONE_SCENE)) for m in OURS]
-    rows = [(name, run) for name, run in rows if records.of(run) or records.failed(run)]
-    rows += [(name, Run(tuple(SCENES), label)) for label, name in FLOORS.items()]
-    for name, run in rows:
-        cells = [spread(records.mean(scene, run, figure), factor) for scene in SCENES]
-        found = list(records.of(run).values())
-        trained = run.model not in UNTRAINED
-        size = f"{found[0]['parameters'] / 1e6:.2f}" if found and trained else ""
-        steps = ", ".join(f"{record['steps_done']:,}" for record in found) if trained else ""
-        failed = f", {records.failed(run)} zero everywhere" if records.failed(run) else ""
-        lines.append(f"| {' | '.join([name, *cells, size, steps, f'{len(found)}{failed}' if trained else ''])} |")
-    return lines
-
-
-def equal_steps(records: Records) -> list[str]:
-    """abs.REL where every network has the same number of steps."""
-    runs = [(model, Run(tuple(SCENES), model, steps=MOST_STEPS)) for model in ("mscsa-plain", *RIVALS)]
-    if not any(records.of(run) for _, run in runs):
-        return [f"No training with one number of steps, {MOST_STEPS:,}, for every network is recorded."]
-    lines = [f"| abs.REL [%], {MOST_STEPS:,} steps | {' | '.join(SCENE_NAMES.values())} |", "|---" * 5 + "|"]
-    for model, run in runs:
-        cells = [spread(records.mean(scene, run, "abs_rel"), 100) for scene in SCENES]
-        lines.append(f"| {NAMES[model]} | {' | '.join(cells)} |")
     return lines
 
 
@@ -190,7 +159,7 @@ def sa_change() -> list[str]:
         "| scene | network | added, of the features' norm | of it one map | largest weight |",
         "|---|---|---|---|---|",
     ]
-    for scene, models in json.loads(FIGURES.read_text())["sa_change"].items():
+    for scene, models in json.loads(FIGURES.read_text())["figure_6"]["sa_change"].items():
         for model, of in models.items():
             cells = (
                 f"{100 * of['added']:.0f} % | {100 * of['one_map']:.1f} % | {of['largest_weight']:.2f} of equal ones"
@@ -201,7 +170,7 @@ def sa_change() -> list[str]:
 
 def keypoints() -> str:
     """SIFT keypoints of a judged frame: median and range."""
-    of = json.loads(FIGURES.read_text())["keypoints"]
+    of = json.loads(FIGURES.read_text())["figure_6"]["keypoints"]
     return f"{of['median']:.0f} ({of['least']}-{of['most']})"
 
 
@@ -214,7 +183,13 @@ def length(records: Records) -> list[str]:
     for model in done:
         for steps in (STEPS, PAPER_STEPS):
             lines.append(row(records, "colon", f"`{model}`, {steps:,} steps", model, steps=steps))
-    return lines
+    return [*lines, "", *reductions(records, "colon", PAPER_STEPS)]
+
+
+def at_length(records: Records, name: str, beside: str, figure: str) -> float:
+    """Reduction in early fusion at the paper's number of steps, a fraction."""
+    found = finding(records, Reduction("colon", name, beside, figure), "early fusion", PAPER_STEPS)
+    return found[0].value if found else float("nan")
 
 
 def provenance(records: Records) -> list[str]:
@@ -238,7 +213,23 @@ def page(records: Records) -> str:
         "table_2": [line for lines in tables for line in lines][:-1],
         "normalisations": normalisations(records),
         "changes": changes(records),
-        "table_1": [*table_1(records, "abs_rel", "abs.REL [%]", 100), "", *table_1(records, "rmse", "RMSE [mm]", 1)],
+        "table_1": [
+            *table_1(records, "abs_rel", "abs.REL [%]", 100),
+            *["", *table_1(records, "rmse", "RMSE [mm]", 1)],
+            *["", *median_frames(records)],
+        ],
+        "in_training_mode": in_training_mode(records),
+        "seen_in_figure_4": seen_in_figure_4(),
+        **{
+            name: [f"{100 * at_length(records, *rows):.1f} %"]
+            for name, rows in {
+                "full_at_length": ("full", "baseline", "abs_rel"),
+                "rmse_at_length": ("full", "baseline", "rmse"),
+                "sa_at_length": ("full", "+MSC", "abs_rel"),
+            }.items()
+        },
+        "lead": [lead_over_best_rival(records)],
+        "cost_of_batches": [cost_of_batches(records)],
         "equal_steps": equal_steps(records),
         "figure_5": figure_5(records),
         "length": length(records),
