@@ -48,9 +48,10 @@ class NormalizedConv2d(nn.Module):
         kernel = self.unit_kernel()
         known = F.conv2d(confidence, kernel, padding=self.padding)
         weighted = F.conv2d(depth * confidence, kernel, padding=self.padding)
-        return weighted / known.clamp_min(DIVISION_GUARD) + self.bias.view(
-            1, -1, 1, 1
-        ), known + self.epsilon if self.epsilon else known
+        spread = weighted / known.clamp_min(DIVISION_GUARD) + self.bias.view(1, -1, 1, 1)
+        if self.epsilon:
+            known = known + self.epsilon / self.applicability().sum(dim=(1, 2, 3)).view(1, -1, 1, 1)
+        return spread, known
 
 
 def _poisson_kernels(in_channels: int, out_channels: int, size: int, beta: float) -> Tensor:

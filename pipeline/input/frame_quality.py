@@ -13,9 +13,9 @@ HISTORY = 15  # frames over which sharpness is compared
 MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
 SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see
 # Texture is looked for at a scale that the noise of the sensor and the smoothing of a codec leave alone. Red-out has
-# 0.7 grey levels there, the smoothest wall of a film 3.4 (events_b and low_texture_b, on which this was chosen).
+# 0.7 grey levels there, the smoothest wall that was tracked 2.2 (events_b and loop_b, on which this was chosen).
 TEXTURE_SCALE_PX = 3.2
-MIN_TEXTURE = 1.5  # grey levels
+MIN_TEXTURE = 2.0  # grey levels
 BORDER_PX = 19  # three scales to each side
 MIN_RELATIVE_SHARPNESS = 0.3  # of the running median; a third is motion blur
 MIN_CHANGE = 0.35  # grey levels between thumbnails; compression alone gives 0.2
