@@ -27,6 +27,7 @@ SHOWN = ("linear", "nearest", *OURS, *RIVALS)  # what is trained of them
 EVERY = 8
 MOST_MM = TrainConfig(shards=(), out=Path()).max_depth_mm
 STEP = 1.1  # ratio of the largest to the smallest true depth in 3x3 px that is an edge, as in `strata`
+NEAR_PX = 4
 
 
 def weights(work: Path, model: str, run: Run) -> Path:
@@ -55,7 +56,7 @@ def draw(work: Path, picture: Path) -> dict[str, Any]:
     """Draw all networks on the four scenes; returns abs.REL of each picture, a fraction, and `figures_of` each."""
     names = NAMES | {"linear": "linear interpolation", "nearest": "nearest point"}
     shown: dict[str, list[FrameResult]] = {}
-    measured: dict[str, dict[str, dict[str, float]]] = {}
+    measured: dict[str, dict[str, dict[str, list[float]]]] = {}
     for model, path in trained(work).items():
         predictor = load_predictor(path)
         shown[model] = [
@@ -71,15 +72,17 @@ def draw(work: Path, picture: Path) -> dict[str, Any]:
     return {"abs_rel": errors, "measured": measured}
 
 
-def figures_of(results: list[FrameResult]) -> dict[str, float]:
-    """`sharpness`: at edges of the truth, the logarithm of the ratio of the largest to the smallest completed depth in
-    3x3 px over that of the true ones: 1 if an edge is as steep as it is, less if it is blurred; median over frames.
-    `scale`: median over frames of a frame's median ratio of completed to true depth; the 10th and 90th percentile."""
-    scales = [float(np.median(r.prediction[k] / r.truth[k])) for r in results if (k := known(r)).any()]
-    low, middle, high = np.percentile(scales, [10, 50, 90])
-    edges = [sharp for r in results if (sharp := sharpness(r)) is not None]
-    figures = {"sharpness": float(np.median(edges)), "scale": middle, "scale_low": low, "scale_high": high}
-    return {name: round(float(value), 5) for name, value in figures.items()}
+def figures_of(results: list[FrameResult]) -> dict[str, list[float]]:
+    """Of each frame: `mesh`, `sharpness`, `roughness` and `scale`, its median ratio of completed to true depth."""
+    columns: dict[str, list[float]] = {"mesh": [], "sharpness": [], "roughness": [], "scale": []}
+    for result in results:
+        if (edges := edge_figures(result)) is None:
+            continue
+        both = known(result)
+        scale = float(np.median(result.prediction[both] / result.truth[both]))
+        for name, value in zip(columns, (int(result.name), *edges, scale), strict=True):
+            columns[name].append(round(value, 5))
+    return columns
 
 
 def known(result: FrameResult) -> NDArray[np.bool_]:
@@ -87,12 +90,23 @@ def known(result: FrameResult) -> NDArray[np.bool_]:
     return np.asarray((result.truth > 0) & (result.prediction > 0))
 
 
-def sharpness(result: FrameResult) -> float | None:
-    """Median over the frame's edges; None where it has none."""
+def edge_figures(result: FrameResult) -> tuple[float, float] | None:
+    """Sharpness at the edges of the true depth and roughness away from them; None for a frame without edges.
+
+    Steepness is the logarithm of the ratio of the largest to the smallest depth in 3x3 px. Sharpness: the greatest
+    completed steepness within `NEAR_PX` of an edge over the greatest true one, so that an edge that is a little out of
+    place counts as sharp; median over edges. Roughness: completed over true steepness, medians of the pixels farther
+    away than that: noise raises it.
+    """
     both = cv2.erode(known(result).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    steps = [steepness(depth) for depth in (result.truth, result.prediction)]
-    edges = both & (steps[0] > np.log(STEP))
-    return float(np.median(steps[1][edges] / steps[0][edges])) if edges.any() else None
+    truth, completed = (np.where(both, steepness(depth), 0) for depth in (result.truth, result.prediction))
+    edges = truth > np.log(STEP)
+    window = np.ones((2 * NEAR_PX + 1,) * 2, np.uint8)
+    smooth = both & (cv2.dilate(edges.astype(np.uint8), window) == 0)
+    if not edges.any() or not smooth.any():
+        return None
+    sharp = cv2.dilate(completed, window)[edges] / cv2.dilate(truth, window)[edges]
+    return float(np.median(sharp)), float(np.median(completed[smooth]) / np.median(truth[smooth]))
 
 
 def steepness(depth: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -19,6 +19,16 @@ class Interval:
     low: float
     high: float
 
+    def word(self, claimed: float) -> str:
+        """What it says of a reduction that the paper claims, both fractions; a negative one is an increase."""
+        low, high = (self.low, self.high) if claimed >= 0 else (-self.high, -self.low)
+        claimed = abs(claimed)
+        if low <= 0:
+            return "not reproduced" if high < claimed / 2 else "not decided"
+        if high < claimed / 2:
+            return "in sign, less than half"
+        return "reproduced" if low <= claimed <= high else "in sign, larger" if low > claimed else "in sign, smaller"
+
 
 def by_mesh(values: list[float], meshes: list[int]) -> NDArray[np.float64]:
     """Mean of a figure over each mesh's frames, (M,), meshes by number."""

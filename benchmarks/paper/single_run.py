@@ -66,7 +66,7 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
     return {
         "environment": environment,
         **about,
-        "parameters": sum(p.numel() for p in network.parameters()) if network else 0,
+        "parameters": sum(p.numel() for p in network.parameters()) if network and run.model not in UNTRAINED else 0,
         **{name: value / new if new else None for name, value in spent.items()},
         "frames_digest": {scene: digest(both) for scene, both in folders.items()},
         "failed": failed,

@@ -1,16 +1,14 @@
 """The page's parts on networks side by side: Table I and Figure 4."""
 
-import json
 from dataclasses import replace
-
-import numpy as np
 
 from benchmarks.paper.claims import SCENE_NAMES
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import NAMES, PRINTED
+from benchmarks.paper.judgements import NAMES, PRINTED, rivals_of_all_sizes
 from benchmarks.paper.judgements import row as row_of_table_1
+from benchmarks.paper.judgements_figures import measured, median_of
 from benchmarks.paper.plan import MOST_STEPS, ONE_SCENE, OTHER_PARAMETERS, OURS, RIVALS, SCENES, UNTRAINED, Run
-from benchmarks.paper.records import FIGURES, Records
+from benchmarks.paper.records import Records
 
 FLOORS = {"linear": "(linear interpolation)", "nearest": "(nearest point)", "shipped": "(model of `reconstruct`)"}
 
@@ -40,7 +38,8 @@ def table_1(records: Records, figure: str, title: str, factor: float) -> list[st
         trained = run.model not in UNTRAINED
         size = f"{found[0]['parameters'] / 1e6:.2f}" if found and trained else ""
         steps = ", ".join(f"{record['steps_done']:,}" for record in found) if trained else ""
-        failed = f", {records.failed(run)} zero everywhere" if records.failed(run) else ""
+        steps = steps.replace(f"{MOST_STEPS:,}", f"{MOST_STEPS:,} (limit)")
+        failed = f", {records.failed(run)} without an error" if records.failed(run) else ""
         lines.append(f"| {' | '.join([name, *cells, size, steps, f'{len(found)}{failed}' if trained else ''])} |")
     return lines
 
@@ -54,39 +53,25 @@ def median_frames(records: Records) -> list[str]:
     return lines
 
 
-def in_training_mode(records: Records) -> list[str]:
-    """abs.REL by running statistics and by those of a batch, of networks with batch normalisation: means over scenes
-    and seeds."""
-    lines = ["| network | as judged [%] | by the batch's statistics [%] | companions [%] |", "|---|---|---|---|"]
-    for model in ("mscsa+residual", *RIVALS):
-        found = [of for record in records.of(row_of_table_1(model)).values() for of in record["scenes"].values()]
-        if found:
-            errors = np.mean([np.mean(of["frames"]["abs_rel"]) for of in found])
-            effects = [np.mean([of["batch_statistics"][key] for of in found]) for key in ("abs_rel", "companions")]
-            lines.append(f"| {NAMES[model]} | {' | '.join(f'{100 * x:.1f}' for x in (errors, *effects))} |")
-    return lines
-
-
 def seen_in_figure_4() -> list[str]:
-    """Sharpness of edges and scale, by scene."""
+    """Sharpness of edges, roughness, and by how much a frame's scale is off, by scene."""
     scenes = " | ".join(SCENE_NAMES.values())
-    lines = [f"| sharpness of edges; scale | {scenes} |", "|---" * 5 + "|"]
+    lines = [f"| sharpness; roughness; scale off by | {scenes} |", "|---" * 5 + "|"]
     names = NAMES | FLOORS
-    for model, of in json.loads(FIGURES.read_text()).get("figure_4", {}).get("measured", {}).items():
-        cells = [
-            f"{f['sharpness']:.2f}; {f['scale']:.3f} ({f['scale_low']:.3f}-{f['scale_high']:.3f})" for f in of.values()
-        ]
+    for model in measured():
+        cells = []
+        for scene in SCENES:
+            sharp, rough, off = (median_of(model, scene, figure) for figure in ("sharpness", "roughness", "scale"))
+            cells.append(f"{sharp:.2f}; {rough:.2f}; {100 * off:.1f} %")
         lines.append(f"| {names[model]} | {' | '.join(cells)} |")
     return lines
 
 
 def lead_over_best_rival(records: Records) -> str:
     """abs.REL of the best rival of any size over that of the plain U-Net: least and most of the scenes."""
-    rivals = [row_of_table_1(model) for model in RIVALS]
-    rivals += [row_of_table_1(model, "same-parameters") for model in OTHER_PARAMETERS]
     ratios = []
     for scene in SCENES:
-        found = [known.value for run in rivals if (known := records.mean(scene, run, "abs_rel"))]
+        found = [known.value for run in rivals_of_all_sizes() if (known := records.mean(scene, run, "abs_rel"))]
         ours = records.mean(scene, row_of_table_1(PRINTED), "abs_rel")
         ratios += [min(found) / ours.value] if found and ours else []
     return f"{min(ratios):.1f} to {max(ratios):.1f}"

@@ -6,11 +6,12 @@ python -m scripts.pages.paper.page > docs/lab/paper.md
 """
 
 import json
+from collections import Counter
 from itertools import product
 from pathlib import Path
 from string import Template
 
-from benchmarks.paper.claims import SCENE_NAMES, Reduction, claims, finding, verdict
+from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
 from benchmarks.paper.judgements import NAMES, features_higher, percent, points
 from benchmarks.paper.plan import (
     AS_SAVED,
@@ -32,11 +33,11 @@ from benchmarks.paper.plan import (
 )
 from benchmarks.paper.published import TABLE_2, reduction
 from benchmarks.paper.records import FIGURES, Records
+from scripts.pages.paper import in_words
 from scripts.pages.paper.networks import (
     FLOORS,
     cost_of_batches,
     equal_steps,
-    in_training_mode,
     lead_over_best_rival,
     median_frames,
     seen_in_figure_4,
@@ -124,7 +125,8 @@ def sentences(records: Records) -> list[str]:
     """Each sentence beside what the paper's own tables say and what we find on each body."""
     lines = ["| the paper's sentence | its own tables | ours | finding |", "|---|---|---|---|"]
     for claim in claims():
-        measured, findings = [], [claim.seen] if claim.seen else []
+        measured: list[str] = []
+        findings: list[str] = []
         if claim.judge and (judged := claim.judge(records)):
             measured, findings = [judged[0]], [judged[1]]
         for of in claim.compared[:1]:
@@ -186,22 +188,15 @@ def length(records: Records) -> list[str]:
     return [*lines, "", *reductions(records, "colon", PAPER_STEPS)]
 
 
-def at_length(records: Records, name: str, beside: str, figure: str) -> float:
-    """Reduction in early fusion at the paper's number of steps, a fraction."""
-    found = finding(records, Reduction("colon", name, beside, figure), "early fusion", PAPER_STEPS)
-    return found[0].value if found else float("nan")
-
-
 def provenance(records: Records) -> list[str]:
     """Commits, machines and number of the records."""
     trained = [record for record in records.records if record["model"] not in UNTRAINED]
     commits = sorted({record["environment"]["commit"][:7] for record in records.records})
-    on = {record["environment"].get("gpu") or record["environment"]["processor"] for record in trained}
-    counts = {
-        name: sum(name in (r["environment"].get("gpu"), r["environment"]["processor"]) for r in trained) for name in on
-    }
-    machines = ", ".join(f"{counts[name]} on `{name}`" for name in sorted(on))
-    return [f"{len(trained)} trainings are recorded: {machines}; commits {', '.join(commits)}."]
+    counts = Counter(record["environment"].get("gpu") or record["environment"]["processor"] for record in trained)
+    machines = ", ".join(f"{count} on `{name}`" for name, count in sorted(counts.items()))
+    moved = sum(len(record.get("steps_on", {})) > 1 for record in trained)
+    went_on = f" (where {moved} of them went on from a checkpoint of another device)" if moved else ""
+    return [f"{len(trained)} trainings are recorded: {machines}{went_on}; commits {', '.join(commits)}."]
 
 
 def page(records: Records) -> str:
@@ -218,16 +213,8 @@ def page(records: Records) -> str:
             *["", *table_1(records, "rmse", "RMSE [mm]", 1)],
             *["", *median_frames(records)],
         ],
-        "in_training_mode": in_training_mode(records),
         "seen_in_figure_4": seen_in_figure_4(),
-        **{
-            name: [f"{100 * at_length(records, *rows):.1f} %"]
-            for name, rows in {
-                "full_at_length": ("full", "baseline", "abs_rel"),
-                "rmse_at_length": ("full", "baseline", "rmse"),
-                "sa_at_length": ("full", "+MSC", "abs_rel"),
-            }.items()
-        },
+        **{name: [text] for name, text in in_words.figures(records).items()},
         "lead": [lead_over_best_rival(records)],
         "cost_of_batches": [cost_of_batches(records)],
         "equal_steps": equal_steps(records),
