@@ -37,7 +37,7 @@ class Claim:
 
 
 NAMES = {"rmse": "RMSE", "abs_rel": "abs.REL", "mae": "MAE", "delta_1": "delta 1"}
-SCENE_NAMES = {"colon": "colon", "small_intestine": "small intestine", "ccd": "CCD", "csd": "CSD"}
+SCENE_NAMES = of_networks.PRINTED_SCENES
 
 
 def published(*of: Reduction) -> str:

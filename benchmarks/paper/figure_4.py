@@ -23,7 +23,7 @@ from completion.evaluation.plots import comparison_plot
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.training.config import TrainConfig
 
-SHOWN = ("linear", "nearest", *OURS, *RIVALS)  # what is trained of them
+SHOWN = ("linear", "nearest", *OURS, *RIVALS)
 EVERY = 8
 MOST_MM = TrainConfig(shards=(), out=Path()).max_depth_mm
 STEP = 1.1  # ratio of the largest to the smallest true depth in 3x3 px that is an edge, as in `strata`
@@ -36,9 +36,8 @@ def weights(work: Path, model: str, run: Run) -> Path:
 
 
 def trained(work: Path) -> dict[str, Path]:
-    """The networks of Table I that are there, seed 0, by name."""
-    paths = {model: weights(work, model, row(model)) for model in SHOWN}
-    return {model: path for model, path in paths.items() if model in UNTRAINED or path.exists()}
+    """The networks of Table I, seed 0, by name."""
+    return {model: weights(work, model, row(model)) for model in SHOWN}
 
 
 def frames_of(work: Path, scene: str, start: int, step: int | None = None) -> list[EvaluationFrame]:

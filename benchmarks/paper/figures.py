@@ -22,7 +22,7 @@ from benchmarks.paper.claims import SCENE_NAMES
 from benchmarks.paper.figure_4 import EVERY, MOST_MM, completed, frames_of, trained, weights
 from benchmarks.paper.frames import judged_frames, plans
 from benchmarks.paper.judgements import FIGURE_5 as EARLY_FUSION
-from benchmarks.paper.plan import JUDGED_FRAMES, Run
+from benchmarks.paper.plan import JUDGED_FRAMES, UNTRAINED, Run
 from benchmarks.paper.records import FIGURES
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.sampling_benchmark import like_sfm
@@ -87,12 +87,8 @@ def keypoints(work: Path) -> dict[str, float]:
 
 def record_of_4(work: Path, pictures: Path) -> dict[str, Any]:
     """Of Figure 4, with its picture."""
-    used = [path for path in trained(work).values() if path.exists()]
-    return {
-        "environment": environment(),
-        **figure_4.draw(work, pictures / "paper_figure_4.jpg"),
-        "weights": named(used),
-    }
+    drawn = figure_4.draw(work, pictures / "paper_figure_4.jpg")
+    return {"environment": environment(), **drawn, "weights": named(needed(work, "4"))}
 
 
 def record_of_6(work: Path, pictures: Path) -> dict[str, Any]:
@@ -102,6 +98,25 @@ def record_of_6(work: Path, pictures: Path) -> dict[str, Any]:
         scene: {model: change_by_sa(work, scene, model) for model in (EARLY_FUSION, "mscsa-plain")} for scene in SCENES
     }
     return {"environment": environment(), "weights": named(paths), "keypoints": keypoints(work), "sa_change": change}
+
+
+def needed(work: Path, figure: str) -> list[Path]:
+    """Weight files of a figure."""
+    if figure == "4":
+        return [path for model, path in trained(work).items() if model not in UNTRAINED]
+    return [weights(work, model, Run((scene,), model)) for scene in SCENES for model in (EARLY_FUSION, "mscsa-plain")]
+
+
+def refuse_without_weights(work: Path, figures: list[str]) -> None:
+    """SystemExit unless all weights are there: a figure without some networks would replace the one with all."""
+    for figure in figures:
+        paths = needed(work, figure)
+        if missing := [path for path in paths if not path.exists()]:
+            raise SystemExit(
+                f"error: Figure {figure} needs {len(paths)} trained networks; {work / 'runs'} lacks {len(missing)}, "
+                f"{missing[0].stem} first; a queue leaves out runs that have a record, so train them with "
+                f"`python -m benchmarks.paper --work {work} --results OTHER --table {'1' if figure == '4' else '2'}`"
+            )
 
 
 def named(paths: list[Path]) -> dict[str, str]:
@@ -121,8 +136,10 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, default=PICTURES, help="where the pictures go")
     parser.add_argument("--json", type=Path, default=FIGURES, help="what was drawn, with commit")
     arguments = parser.parse_args()
+    figures = arguments.figure or [*draw]
+    refuse_without_weights(arguments.work, figures)
     records = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
-    for figure in arguments.figure or draw:
+    for figure in figures:
         records[f"figure_{figure}"] = draw[figure](arguments.work, arguments.pictures)
         arguments.json.write_text(json.dumps(records, indent=2) + "\n")
 

@@ -26,8 +26,8 @@ def render(work: Path, scene: str) -> tuple[Path, Path]:
     for plan in plans(work, scene):
         about = plan.folder / "shards.json"
         if not about.exists():
-            print(f"rendering {plan.frames} frames to {plan.folder}, from the first on if it was stopped", flush=True)
-            write_shards(plan, 2, lambda done, of: print(f"{done} of {of}", flush=True) if done % 300 == 0 else None)
+            print(f"rendering {plan.frames} frames to {plan.folder}; a stop keeps finished meshes", flush=True)
+            write_shards(plan, 2, lambda done, of: print(f"{done} of {of}", flush=True) if done % 100 == 0 else None)
         found = json.loads(about.read_text())
         if any(found[name] != getattr(plan, name) for name in ("frames", "size", "seed", "scene")):
             raise SystemExit(f"error: {plan.folder} has other frames than this table's; give another --work")

@@ -82,8 +82,8 @@ def edges_blurred(rivals: tuple[str, ...]) -> Found | None:
     if min(lows) > 0:
         finding = "reproduced"
     elif max(highs) < 0:
-        finding = "not reproduced, theirs are sharper"
-    return f"sharpness of edges in the four scenes: {'; '.join(texts)}", finding
+        finding = "not reproduced, theirs are steeper"
+    return f"steepness at edges in the four scenes: {'; '.join(texts)}", finding
 
 
 def sharpness_of_meshes(model: str, scene: str) -> dict[int, float]:
@@ -119,7 +119,7 @@ def closest_everywhere(records: Records) -> Found | None:
     ]
     finding = "reproduced" if closer else "not reproduced"
     if closer and sharper:
-        finding = f"closer to the truth on all; sharper edges have {' and '.join(NAMES[m] for m in sharper)}"
+        finding = f"closer to the truth on all; steeper at edges are {' and '.join(NAMES[m] for m in sharper)}"
     return f"abs.REL of ours against the best rival's of equal computation: {', '.join(cells)}", finding
 
 
@@ -130,8 +130,10 @@ def shifted_scale_in_csd(_: Records) -> Found | None:
         return None
     off = {model: [100 * median_of(model, scene, "scale") for scene in SCENES] for model in models}
     text = "; ".join(f"{NAMES[m]} {of[-1]:.1f} % ({', '.join(f'{x:.1f}' for x in of[:-1])})" for m, of in off.items())
-    more = all(of[-1] > max(of[:-1]) for of in off.values())
-    finding = "reproduced" if more else "a shift, but no larger than on the other scenes"
+    largest = [NAMES[model] for model, of in off.items() if of[-1] > max(of[:-1])]
+    finding = f"largest in CSD for {', '.join(largest)} only" if largest else "no larger in CSD than elsewhere"
+    if len(largest) == len(models):
+        finding = "reproduced"
     return f"a frame's scale is off by, in CSD (on the other scenes): {text}", finding
 
 

@@ -32,18 +32,21 @@ def budget(runs: list[Run], results: Path) -> str:
             taken.setdefault(record["environment"].get("gpu") or record["environment"]["processor"], []).append(seconds)
     paces = "; ".join(f"{sum(of) / len(of):.2g} s a step on {machine}" for machine, of in taken.items())
     left = sum(run.steps for run in runs if run.model not in UNTRAINED)
-    text = f"{len(records)} runs are recorded in {results}, {len(runs)} are left: at most {left:,} steps of 10 frames"
+    if not runs:
+        return f"all of these runs are recorded in {results}; python -m scripts.pages.paper.page prints their page"
+    text = f"{len(runs)} runs have no record in {results}: at most {left:,} steps of 10 frames"
     return text + (f" (recorded: {paces}, several at once on a GPU)" if paces else "")
 
 
 def main() -> None:
+    known = tables()
+    titles = "; ".join(f"{name}: {table.title}" for name, table in known.items())
     parser = argparse.ArgumentParser(
         "python -m benchmarks.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    known = tables()
     parser.add_argument("--work", type=Path, required=True, help="folder of frames, checkpoints and weights")
-    parser.add_argument("--table", choices=known, action="append", help="only this; again for more")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the records")
+    parser.add_argument("--table", choices=known, action="append", help=f"only this, again for more; {titles}")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="the records; runs that have one are left out")
     parser.add_argument("--workers", type=int, default=1, help="runs at once")
     arguments = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -53,14 +56,14 @@ def main() -> None:
     chosen = unique([run for name in arguments.table or known for run in known[name].runs])
     runs = [run for run in chosen if not (arguments.results / f"{run.name}.json").exists()]
     print(budget(runs, arguments.results), flush=True)
-    for scene in dict.fromkeys(scene for run in runs for scene in run.scenes):
-        render(arguments.work, scene)
     # The environment is read once: a run does not change the commit of the next.
     record = partial(perform_and_record, work=arguments.work, results=arguments.results, environment=environment())
     try:
+        for scene in dict.fromkeys(scene for run in runs for scene in run.scenes):
+            render(arguments.work, scene)
         perform_all(record, runs, arguments.workers)
     except KeyboardInterrupt:
-        raise SystemExit("stopped; the same command goes on from the last checkpoints") from None
+        raise SystemExit("stopped; the same command goes on after the last meshes and checkpoints") from None
 
 
 def perform_all(record: Callable[[Run], str], runs: list[Run], workers: int) -> None:

@@ -53,6 +53,11 @@ class ShardPlan:
         """Number of colons that the frames need."""
         return -(-self.frames // FRAMES_PER_COLON)
 
+    def about(self) -> dict[str, int | str | None]:
+        """What shards.json says."""
+        own = {"frames": self.frames, "size": self.size, "seed": self.seed, "scene": self.scene}
+        return own | {"colons": self.colons}
+
     def arrays(self) -> dict[str, tuple[type, tuple[int, ...]]]:
         """Type and shape of each array by its file's stem."""
         count, size = self.frames, self.size
@@ -67,30 +72,42 @@ class ShardPlan:
 
 
 def write_shards(plan: ShardPlan, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
-    """Render all frames of the plan; `progress(done, total)` counts frames."""
-    plan.folder.mkdir(parents=True, exist_ok=True)
-    for name, (dtype, shape) in plan.arrays().items():
-        open_memmap(plan.folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape).flush()
-    tasks = [(plan, colon) for colon in range(plan.colons)]
-    done = 0
+    """Render all frames of the plan, but for those that a stopped call of the same plan has rendered;
+    `progress(done, total)` counts frames."""
+    finished = _begin(plan)
+    done = sum(min(FRAMES_PER_COLON, plan.frames - colon * FRAMES_PER_COLON) for colon in finished)
+    tasks = [(plan, colon) for colon in range(plan.colons) if colon not in finished]
     context = multiprocessing.get_context("spawn")  # Open3D's threads do not survive a fork
     with context.Pool(workers) as pool:
-        for count in pool.imap_unordered(_render_colon, tasks):
+        for colon, count in pool.imap_unordered(_render_colon, tasks):
             done += count
+            finished.add(colon)
+            _unfinished(plan).write_text(json.dumps({"plan": plan.about(), "finished": sorted(finished)}))
             if progress:
                 progress(done, plan.frames)
-    about = {
-        "frames": plan.frames,
-        "size": plan.size,
-        "seed": plan.seed,
-        "scene": plan.scene,
-        "colons": plan.colons,
-    }
-    (plan.folder / "shards.json").write_text(json.dumps(about, indent=1) + "\n")
+    (plan.folder / "shards.json").write_text(json.dumps(plan.about(), indent=1) + "\n")
+    _unfinished(plan).unlink(missing_ok=True)
 
 
-def _render_colon(task: tuple[ShardPlan, int]) -> int:
-    """Fill one colon's slice of the arrays; returns its number of frames."""
+def _unfinished(plan: ShardPlan) -> Path:
+    """Which colons are rendered, while some are not."""
+    return plan.folder / "unfinished.json"
+
+
+def _begin(plan: ShardPlan) -> set[int]:
+    """Colons that an earlier call of this plan has rendered; where there are none, arrays are made."""
+    plan.folder.mkdir(parents=True, exist_ok=True)
+    if _unfinished(plan).exists():
+        before = json.loads(_unfinished(plan).read_text())
+        if before["plan"] == plan.about():
+            return set(before["finished"])
+    for name, (dtype, shape) in plan.arrays().items():
+        open_memmap(plan.folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape).flush()
+    return set()
+
+
+def _render_colon(task: tuple[ShardPlan, int]) -> tuple[int, int]:
+    """Fill one colon's slice of the arrays; returns the colon and its number of frames."""
     plan, colon = task
     cv2.setNumThreads(1)
     rng = np.random.default_rng([plan.seed, colon])
@@ -112,7 +129,7 @@ def _render_colon(task: tuple[ShardPlan, int]) -> int:
         arrays["lens"][index] = MODELS.index(view.camera.model)
         arrays["distortion"][index] = (*view.camera.params[4:], 0, 0, 0, 0)[:4]
         arrays["colon"][index] = colon
-    return last - first
+    return colon, last - first
 
 
 def _config(plan: ShardPlan, rng: np.random.Generator) -> PhantomConfig:

@@ -10,7 +10,11 @@ from benchmarks.paper.judgements_figures import measured, median_of
 from benchmarks.paper.plan import MOST_STEPS, ONE_SCENE, OTHER_PARAMETERS, OURS, RIVALS, SCENES, UNTRAINED, Run
 from benchmarks.paper.records import Records
 
-FLOORS = {"linear": "(linear interpolation)", "nearest": "(nearest point)", "shipped": "(model of `reconstruct`)"}
+FLOORS = {
+    "linear": "(linear interpolation)",
+    "nearest": "(nearest point)",
+    "shipped": "(shipped model, for comparison)",
+}
 
 
 def spread(found: Interval | None, factor: float = 1.0, digits: int = 2) -> str:
@@ -56,7 +60,7 @@ def median_frames(records: Records) -> list[str]:
 def seen_in_figure_4() -> list[str]:
     """Sharpness of edges, roughness, and by how much a frame's scale is off, by scene."""
     scenes = " | ".join(SCENE_NAMES.values())
-    lines = [f"| sharpness; roughness; scale off by | {scenes} |", "|---" * 5 + "|"]
+    lines = [f"| steepness at edges; roughness; scale off by | {scenes} |", "|---" * 5 + "|"]
     names = NAMES | FLOORS
     for model in measured():
         cells = []

@@ -12,6 +12,7 @@ from pathlib import Path
 from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
+from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import NAMES, features_higher, percent, points
 from benchmarks.paper.plan import (
     AS_SAVED,
@@ -32,8 +33,9 @@ from benchmarks.paper.plan import (
     Run,
 )
 from benchmarks.paper.published import TABLE_2, reduction
-from benchmarks.paper.records import FIGURES, Records
-from scripts.pages.paper import in_words
+from benchmarks.paper.records import FIGURES, Record, Records
+from scripts.pages.paper.in_words import FULL
+from scripts.pages.paper.in_words import figures as figures_in_words
 from scripts.pages.paper.networks import (
     FLOORS,
     cost_of_batches,
@@ -46,7 +48,6 @@ from scripts.pages.paper.networks import (
 )
 
 WORDS = Path(__file__).with_name("words.txt")
-FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
 
 
 def row(records: Records, scene: str, label: str, model: str, change: str = "", steps: int = STEPS) -> str:
@@ -65,7 +66,7 @@ def row(records: Records, scene: str, label: str, model: str, change: str = "", 
     return f"| {' | '.join(cells)} |"
 
 
-COLUMNS = "| RMSE [mm] | abs.REL [%] | median frame [%] | MAE [mm] | delta 1 | seeds |\n|---|---|---|---|---|---|---|"
+COLUMNS = "| RMSE [mm] | abs.REL [%] | abs.REL, median frame [%] | MAE [mm] | delta 1 | seeds |\n" + "|---" * 7 + "|"
 
 
 def table_2(records: Records, scene: str) -> list[str]:
@@ -114,10 +115,17 @@ def normalisations(records: Records) -> list[str]:
 
 def changes(records: Records) -> list[str]:
     """Choices of training, one at a time."""
-    lines = [f"| early fusion, full, colon {COLUMNS}", row(records, "colon", "as above", FULL)]
-    lines += [row(records, "colon", change, FULL, change) for change in CHANGES]
-    lines += [row(records, "colon", label, model) for label, model in READINGS.items()]
-    lines += [row(records, "colon", change, FULL, change) for change in (FLOAT32, AS_SAVED, TRAINED_ON)]
+    first, second = COLUMNS.split("\n")
+    lines = [f"| early fusion, full, colon {first} abs.REL higher by |", f"{second}---|"]
+    runs = {"as above": Run(("colon",), FULL)} | {of: Run(("colon",), FULL, change=of) for of in CHANGES}
+    runs |= {label: Run(("colon",), model) for label, model in READINGS.items()}
+    runs |= {of: Run(("colon",), FULL, change=of) for of in (FLOAT32, AS_SAVED, TRAINED_ON)}
+    for label, run in runs.items():
+        on_cpu = any("gpu" not in record["environment"] for record in records.of(run).values())
+        beside = Run(("colon",), FULL, change=AS_SAVED if on_cpu else "")
+        found = None if run == beside or label == TRAINED_ON else records.reduction("colon", run, beside, "abs_rel")
+        higher = percent(Interval(-found[0].value, -found[0].high, -found[0].low)) if found else ""
+        lines.append(f"{row(records, 'colon', label, run.model, run.change)} {higher} |")
     return lines
 
 
@@ -131,6 +139,8 @@ def sentences(records: Records) -> list[str]:
             measured, findings = [judged[0]], [judged[1]]
         for of in claim.compared[:1]:
             claimed = reduction(of.scene, of.row, of.beside, of.figure)
+            if len(claim.compared) > 1:
+                findings.append(f"beside {100 * claimed:.1f} %")
             for steps, body in product((STEPS, PAPER_STEPS), BODIES):
                 name = body if steps == STEPS else f"{body}, {steps:,} steps"
                 found = finding(records, of, body, steps)
@@ -182,21 +192,33 @@ def length(records: Records) -> list[str]:
     if not done:
         return [f"No training of {PAPER_STEPS:,} steps is recorded."]
     lines = [f"| colon {COLUMNS}"]
+    names = {m: f"{body}: {name}" for body, of in BODIES.items() for name, m in zip(ROWS, of, strict=True)}
     for model in done:
         for steps in (STEPS, PAPER_STEPS):
-            lines.append(row(records, "colon", f"`{model}`, {steps:,} steps", model, steps=steps))
+            lines.append(row(records, "colon", f"{names[model]}, {steps:,} steps", model, steps=steps))
     return [*lines, "", *reductions(records, "colon", PAPER_STEPS)]
 
 
 def provenance(records: Records) -> list[str]:
     """Commits, machines and number of the records."""
     trained = [record for record in records.records if record["model"] not in UNTRAINED]
-    commits = sorted({record["environment"]["commit"][:7] for record in records.records})
+    commits = sorted({commit[:7] + "+" * commit.endswith("+") for r in records.records if (commit := commit_of(r))})
     counts = Counter(record["environment"].get("gpu") or record["environment"]["processor"] for record in trained)
     machines = ", ".join(f"{count} on `{name}`" for name, count in sorted(counts.items()))
-    moved = sum(len(record.get("steps_on", {})) > 1 for record in trained)
-    went_on = f" (where {moved} of them went on from a checkpoint of another device)" if moved else ""
-    return [f"{len(trained)} trainings are recorded: {machines}{went_on}; commits {', '.join(commits)}."]
+    moved = [record["steps_on"] for record in trained if len(record.get("steps_on", {})) > 1]
+    went_on = "".join(
+        f" One went on elsewhere: {' and '.join(f'{steps:,} steps on {name}' for name, steps in of.items())}."
+        for of in moved
+    )
+    return [
+        f"{len(trained)} trainings are recorded: {machines}; commits {', '.join(commits)} (+: with "
+        f"changes that were not committed).{went_on}"
+    ]
+
+
+def commit_of(record: Record) -> str:
+    """Where a record was made."""
+    return str(record["environment"]["commit"])
 
 
 def page(records: Records) -> str:
@@ -214,7 +236,7 @@ def page(records: Records) -> str:
             *["", *median_frames(records)],
         ],
         "seen_in_figure_4": seen_in_figure_4(),
-        **{name: [text] for name, text in in_words.figures(records).items()},
+        **{name: [text] for name, text in figures_in_words(records).items()},
         "lead": [lead_over_best_rival(records)],
         "cost_of_batches": [cost_of_batches(records)],
         "equal_steps": equal_steps(records),

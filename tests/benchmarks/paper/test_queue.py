@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from benchmarks.paper import frames, run_queue, single_run
+from benchmarks.paper import figures, frames, run_queue, single_run
 from benchmarks.paper.batch_statistics import companion_effect
 from benchmarks.paper.frames import render
 from benchmarks.paper.plan import CHANGES, FLOAT32, JUDGED_THRICE, SCENES, TRAINED_ON, UNTRAINED, Run, tables
@@ -47,7 +47,7 @@ def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, cap
     run_queue.main()
     assert done == [*runs[:3], *runs[2:]]
     said = capsys.readouterr().out
-    assert f"0 runs are recorded in {tmp_path / 'records'}, {len(runs)} are left: at most 0 steps" in said
+    assert f"{len(runs)} runs have no record in {tmp_path / 'records'}: at most 0 steps" in said
     assert len(list((tmp_path / "records").glob("*.json"))) == len(runs)
 
 
@@ -153,3 +153,14 @@ def test_a_network_is_judged_by_its_trained_weights_or_on_its_training_frames(tm
     assert 0 < np.abs(errors[""] - errors[FLOAT32]).max() < 0.01
     assert len(errors[TRAINED_ON]) == 10
     assert max(found[TRAINED_ON]["scenes"]["colon"]["frames"]["mesh"]) < 19  # the last mesh is held out
+
+
+def test_a_figure_without_its_networks_is_refused_and_replaces_nothing(tmp_path, monkeypatch):
+    record = tmp_path / "figures.json"
+    record.write_text("{}")
+    command = ["figures", "--work", str(tmp_path), "--pictures", str(tmp_path), "--json", str(record), "--figure", "4"]
+    monkeypatch.setattr("sys.argv", command)
+    with pytest.raises(SystemExit, match=r"Figure 4 needs 8 trained networks; .* lacks 8, .*--results OTHER --table 1"):
+        figures.main()
+    assert [path.name for path in tmp_path.iterdir()] == ["figures.json"]
+    assert record.read_text() == "{}"

@@ -234,5 +234,27 @@ def test_shards_do_not_depend_on_the_workers(tmp_path: Path) -> None:
     assert (np.load(tmp_path / "1" / "depths.npy") > 0).mean() > 0.7
 
 
+def test_a_stopped_call_keeps_the_colons_that_it_rendered(tmp_path: Path) -> None:
+    plan = ShardPlan(tmp_path / "a", frames=22, size=24, seed=3, scene="small_intestine")
+    counts: list[int] = []
+
+    def stop(done: int, of: int) -> None:
+        counts.append(done)
+        if len(counts) == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_shards(plan, 1, stop)
+    assert not (plan.folder / "shards.json").exists()
+    write_shards(plan, 1, lambda done, of: counts.append(done))
+    assert counts == [20, 22]
+    assert {path.name for path in plan.folder.iterdir()} >= {"shards.json"}
+    assert not (plan.folder / "unfinished.json").exists()
+    write_shards(ShardPlan(tmp_path / "b", frames=22, size=24, seed=3, scene="small_intestine"), 1)
+    for name in ("images", "depths", "intrinsics", "colon"):
+        one, two = (np.load(tmp_path / folder / f"{name}.npy") for folder in ("a", "b"))
+        np.testing.assert_array_equal(one, two)
+
+
 def test_the_demo_has_the_advertised_lens() -> None:
     assert make_camera(DEMO.camera).params == pytest.approx((159.45, 159.45, 160.0, 160.0), abs=0.005)
