@@ -12,18 +12,19 @@ from completion.data.shards import Shard
 from haustra.phantom.dataset.shards import ShardPlan, write_shards
 
 
-def plans(work: Path, scene: str) -> tuple[ShardPlan, ShardPlan]:
-    """Frames to train on and to judge on."""
+def plans(work: Path, scene: str, side: int = SIZE) -> tuple[ShardPlan, ShardPlan]:
+    """Frames to train on and to judge on, `side` px square; of another side than usual in folders of that name."""
     training, judged = SCENES[scene]
+    name = scene if side == SIZE else f"{scene}_{side}px"
     return (
-        ShardPlan(work / scene, TRAINING_FRAMES, SIZE, training, scene),
-        ShardPlan(work / f"{scene}_judged", JUDGED_FRAMES, SIZE, judged, scene),
+        ShardPlan(work / name, TRAINING_FRAMES, side, training, scene),
+        ShardPlan(work / f"{name}_judged", JUDGED_FRAMES, side, judged, scene),
     )
 
 
-def render(work: Path, scene: str) -> tuple[Path, Path]:
+def render(work: Path, scene: str, side: int = SIZE) -> tuple[Path, Path]:
     """Folders of a scene's frames, rendered now unless they are there; SystemExit if those are of another plan."""
-    for plan in plans(work, scene):
+    for plan in plans(work, scene, side):
         about = plan.folder / "shards.json"
         if not about.exists():
             print(f"rendering {plan.frames} frames to {plan.folder}; a stop keeps finished meshes", flush=True)
@@ -31,7 +32,7 @@ def render(work: Path, scene: str) -> tuple[Path, Path]:
         found = json.loads(about.read_text())
         if any(found[name] != getattr(plan, name) for name in ("frames", "size", "seed", "scene")):
             raise SystemExit(f"error: {plan.folder} has other frames than this table's; give another --work")
-    training, judged = plans(work, scene)
+    training, judged = plans(work, scene, side)
     return training.folder, judged.folder
 
 

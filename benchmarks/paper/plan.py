@@ -8,6 +8,7 @@ from typing import Any
 SEEDS = 3
 STEPS = 1000  # of 10 frames: the budget of every row
 SIZE = 160  # px
+PAPER_SIZE = 320  # px
 POINTS = 100  # uniform, in training and judging
 JUDGED_MESHES = 12  # never trained on, 20 frames of each
 TRAINING_FRAMES, JUDGED_FRAMES = 1500, 240
@@ -90,6 +91,7 @@ class Run:
     points: int = POINTS
     sampler: str = "uniform"
     converged: bool = False  # `steps` are the most that it takes
+    side: int = SIZE  # px of its frames
 
     @property
     def name(self) -> str:
@@ -97,6 +99,7 @@ class Run:
         extra = [self.size] if self.size != "small" else []
         extra += [f"{self.points}-{self.sampler}"] if (self.points, self.sampler) != (POINTS, "uniform") else []
         extra += ["converged"] if self.converged else []
+        extra += [f"{self.side}px"] if self.side != SIZE else []
         parts = ["_".join(self.scenes), self.model, *self.change.split(), *extra, str(self.steps), str(self.seed)]
         return "-".join(parts).replace("+", "-")
 
@@ -149,6 +152,7 @@ def tables() -> dict[str, Table]:
         for change in (*CHANGES, *JUDGED_THRICE)
     ]
     changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
+    changes += [Run(("colon",), FIGURE_5, seed, side=PAPER_SIZE) for seed in range(2)]
     return {
         "2": Table("Table II, the ablation", [*unique(colon), *intestine]),
         "untrained": Table("interpolation, and the model that `reconstruct` ships", floors),

@@ -59,8 +59,8 @@ def main() -> None:
     # The environment is read once: a run does not change the commit of the next.
     record = partial(perform_and_record, work=arguments.work, results=arguments.results, environment=environment())
     try:
-        for scene in dict.fromkeys(scene for run in runs for scene in run.scenes):
-            render(arguments.work, scene)
+        for scene, side in dict.fromkeys((scene, run.side) for run in runs for scene in run.scenes):
+            render(arguments.work, scene, side)
         perform_all(record, runs, arguments.workers)
     except KeyboardInterrupt:
         raise SystemExit("stopped; the same command goes on after the last meshes and checkpoints") from None

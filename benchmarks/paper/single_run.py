@@ -26,7 +26,7 @@ FRACTION_DIGITS = 6
 
 def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]:
     """The record of a run: its settings, commit and machine, and each judged frame's errors by scene."""
-    folders = {scene: render(work, scene) for scene in run.scenes}
+    folders = {scene: render(work, scene, run.side) for scene in run.scenes}
     config = make_config(
         "paper",
         shards=tuple(training for training, _ in folders.values()),
@@ -56,7 +56,13 @@ def perform(run: Run, work: Path, environment: dict[str, Any]) -> dict[str, Any]
             raise
         scenes, failed = {}, str(error)  # a network that says zero everywhere has no error to speak of
     about = {"model": run.model, "seed": run.seed, "steps": run.steps, "change": run.change}
-    about |= {"size": run.size, "points": run.points, "sampler": run.sampler, "converged": run.converged}
+    about |= {
+        "size": run.size,
+        "points": run.points,
+        "sampler": run.sampler,
+        "converged": run.converged,
+        "side": run.side,
+    }
     about |= {
         "steps_done": steps,
         "steps_on": steps_on(config),

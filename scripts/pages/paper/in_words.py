@@ -4,8 +4,8 @@ import torch
 
 from benchmarks.paper.claims import Reduction, finding
 from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes, row
-from benchmarks.paper.plan import AS_SAVED, OURS, PAPER_STEPS, RIVALS, SIZE, STEPS, TRAINING_FRAMES, UNTRAINED, Run
-from benchmarks.paper.records import Records
+from benchmarks.paper.plan import AS_SAVED, OURS, PAPER_STEPS, RIVALS, STEPS, TRAINING_FRAMES, UNTRAINED, Run
+from benchmarks.paper.records import LATER, Records
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
 from completion.weights.shipped_weights import resolve_weights
@@ -84,7 +84,7 @@ def size_of(model: str, size: Size) -> int:
 def most_missing(records: Records) -> float:
     """Largest share of a scene's judged pixels that a training left out, since it said no positive depth there."""
     shares = [
-        sum(of["frames"]["missing"]) / len(of["frames"]["missing"]) / SIZE**2
+        sum(of["frames"]["missing"]) / len(of["frames"]["missing"]) / (LATER | record)["side"] ** 2
         for record in records.records
         if record["model"] not in UNTRAINED
         for of in record["scenes"].values()

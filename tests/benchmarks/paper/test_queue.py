@@ -39,7 +39,7 @@ def test_a_stopped_queue_leaves_out_what_has_a_record(tmp_path, monkeypatch, cap
         return about | {"model": run.model, "scenes": {run.scenes[0]: {"frames": judged}}}
 
     monkeypatch.setattr(single_run, "perform", performed)
-    monkeypatch.setattr(frames, "render", lambda work, scene: None)
+    monkeypatch.setattr(frames, "render", lambda work, scene, side: None)
     command = ["paper", "--work", str(tmp_path / "work"), "--results", str(tmp_path / "records")]
     monkeypatch.setattr("sys.argv", [*command, "--table", "untrained"])
     with pytest.raises(SystemExit, match="stopped; the same command goes on"):
@@ -142,7 +142,7 @@ def test_a_network_is_judged_by_its_trained_weights_or_on_its_training_frames(tm
         np.save(tmp_path / name / "depths.npy", rng.uniform(10, 60, (40, 32, 32)).astype(np.float16))
         np.save(tmp_path / name / "colon.npy", np.repeat(np.arange(20), 2).astype(np.int32))
         np.save(tmp_path / name / "intrinsics.npy", np.full((40, 4), 16, np.float32))
-    monkeypatch.setattr(single_run, "render", lambda work, scene: (work / scene, work / f"{scene}_judged"))
+    monkeypatch.setattr(single_run, "render", lambda work, scene, side: (work / scene, work / f"{scene}_judged"))
     monkeypatch.setattr(frames, "JUDGED_FRAMES", 10)
     found = {}
     for change in ("", FLOAT32, TRAINED_ON):
