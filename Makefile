@@ -61,10 +61,10 @@ table: $(STAMP)
 figures: table
 	$(BIN)/python -m benchmarks.records --work $(WORK) --data $(DATA)
 
-# The paper's tables on rendered scenes: prints its budget, goes on where it was stopped.
+# The paper's tables on rendered scenes: prints its budget, goes on where it was stopped. Figures 4 and 6 need the networks,
+# which have to be trained anew with another folder of records: python -m benchmarks.paper.figures says how.
 paper: $(STAMP)
 	$(BIN)/python -m benchmarks.paper --work runs/paper
-	$(BIN)/python -m benchmarks.paper.figures --work runs/paper
 	$(BIN)/python -m scripts.pages.paper.page > docs/lab/paper.md
 
 clean:
