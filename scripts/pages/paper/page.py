@@ -6,6 +6,7 @@ python -m scripts.pages.paper.page > docs/lab/paper.md
 """
 
 import json
+import textwrap
 from collections import Counter
 from itertools import product
 from pathlib import Path
@@ -216,10 +217,11 @@ def provenance(records: Records) -> list[str]:
         f" One went on elsewhere: {' and '.join(f'{steps:,} steps on {name}' for name, steps in of.items())}."
         for of in moved
     )
-    return [
-        f"{len(trained)} trainings are recorded: {machines}; commits {', '.join(commits)} (+: with "
-        f"changes that were not committed).{went_on}"
-    ]
+    text = (
+        f"{len(trained)} trainings are recorded: {machines}; commits {', '.join(commits)} (+: with changes that were "
+        f"not committed).{went_on}"
+    )
+    return textwrap.wrap(text, 118, break_on_hyphens=False)
 
 
 def commit_of(record: Record) -> str:
