@@ -12,11 +12,13 @@ Verdict = Literal["used", "black", "overexposed", "no texture", "blurred", "dupl
 HISTORY = 15  # frames over which sharpness is compared
 MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
 SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see
-# Texture is looked for at a scale that the noise of the sensor and the smoothing of a codec leave alone. Red-out has
-# 0.7 grey levels there, the smoothest wall that was tracked 2.2 (events_b and loop_b, on which this was chosen).
-TEXTURE_SCALE_PX = 3.2
-MIN_TEXTURE = 2.0  # grey levels
-BORDER_PX = 19  # three scales to each side
+# Texture is looked for at a scale that a codec and white noise of up to some eight levels leave alone: a share of the
+# long side, and at most so many pixels. Red-out has 0.6 grey levels there, the smoothest wall 1.7 (events_b and
+# low_texture_b, on which this was chosen).
+TEXTURE_SCALE, MOST_TEXTURE_SCALE_PX = 0.01, 3.2
+MIN_TEXTURE = 1.2  # grey levels
+GLINT = 240  # grey level of the brightest channel; a glint is structure of its own
+LEAST_LEFT = 0.1  # share of the content that must be left without glints and border for them to be left out
 MIN_RELATIVE_SHARPNESS = 0.3  # of the running median; a third is motion blur
 MIN_CHANGE = 0.35  # grey levels between thumbnails; compression alone gives 0.2
 
@@ -31,7 +33,8 @@ class FrameJudge:
     def judge(self, rgb: NDArray[np.uint8], content: NDArray[np.uint8]) -> Verdict:
         """rgb (H,W,3) and content mask (H,W), both at working size."""
         inside = content > 0
-        brightest = np.maximum.reduce(cv2.split(rgb))[inside]
+        channels = np.maximum.reduce(cv2.split(rgb))
+        brightest = channels[inside]
         if np.median(brightest) < MIN_BRIGHTNESS:
             return "black"
         if (brightest >= SATURATED).mean() > MAX_SATURATED:
@@ -40,7 +43,7 @@ class FrameJudge:
         thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
         if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
             return "duplicate"
-        if _texture(grey, inside) < MIN_TEXTURE:
+        if _texture(grey, inside, channels >= GLINT) < MIN_TEXTURE:
             return "no texture"
         sharpness = _sharpness(grey, inside)
         # A running median that only grows from sharp frames would never accept a softer passage: all count.
@@ -51,12 +54,15 @@ class FrameJudge:
         return "used"
 
 
-def _texture(grey: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:
-    """Spread of the scale-normalised Laplacian of a Gaussian, grey levels, away from the border of the content."""
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), TEXTURE_SCALE_PX)
-    response = TEXTURE_SCALE_PX**2 * np.abs(cv2.Laplacian(smooth, cv2.CV_32F))
-    away = cv2.erode(inside.astype(np.uint8), np.ones((BORDER_PX, BORDER_PX), np.uint8)) > 0
-    return float(np.percentile(response[away if away.any() else inside], 90))
+def _texture(grey: NDArray[np.uint8], inside: NDArray[np.bool_], glints: NDArray[np.bool_]) -> float:
+    """Spread of the scale-normalised Laplacian of a Gaussian, grey levels, away from glints and from the border."""
+    scale = min(MOST_TEXTURE_SCALE_PX, TEXTURE_SCALE * max(grey.shape))
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), scale)
+    response = scale**2 * np.abs(cv2.Laplacian(smooth, cv2.CV_32F))
+    around = 2 * round(3 * scale) + 1
+    away = cv2.erode((inside & ~glints).astype(np.uint8), np.ones((around, around), np.uint8)) > 0
+    enough = away.sum() > LEAST_LEFT * inside.sum()
+    return float(np.percentile(response[away if enough else inside], 90))
 
 
 def _sharpness(grey: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:

@@ -199,6 +199,19 @@ def test_texture_is_seen_through_a_codec_and_noise_is_none(tmp_path, contrast, n
     assert verdicts == {"used"} if contrast else verdicts <= {"no texture", "duplicate"}
 
 
+@pytest.mark.parametrize("side", [96, 320])
+@pytest.mark.parametrize("glints", [0, 60])
+def test_light_that_falls_off_and_glints_are_no_texture(side, glints):
+    """The lens on the wall, at a small and at the usual working size."""
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[: 3 * side // 4, :side]
+    grey = 150 - 60 * np.hypot((x - side / 2) / (side / 2), (y - 3 * side / 8) / (3 * side / 8)) ** 2
+    image = np.stack([grey * 1.2, grey * 0.6, grey * 0.5], axis=2).clip(0, 255).astype(np.uint8)
+    for across, down in rng.uniform(0, (side, 3 * side // 4), (glints if side > 100 else glints // 10, 2)):
+        cv2.circle(image, (int(across), int(down)), 2, (255, 255, 255), -1)
+    assert judge_all([image]) == ["no texture"]
+
+
 @pytest.mark.parametrize(
     ("cut", "said"),
     [("none", False), ("octagon", True), ("one corner under text", True), ("left", False), ("disc", False)],
