@@ -21,13 +21,13 @@ from completion.data.evaluation_frame import EvaluationFrame
 from completion.evaluation.evaluate import FrameResult, Protocol, evaluate_frames
 from completion.evaluation.plots import comparison_plot
 from completion.evaluation.predictors import Predictor, load_predictor
+from completion.evaluation.strata import EDGE_STEP
 from completion.training.config import TrainConfig
 
 SHOWN = ("linear", "nearest", *OURS, *RIVALS)
-EVERY = 8
+EVERY = 8  # so many judged frames apart are those that are measured
 MOST_MM = TrainConfig(shards=(), out=Path()).max_depth_mm
-STEP = 1.1  # ratio of the largest to the smallest true depth in 3x3 px that is an edge, as in `strata`
-NEAR_PX = 4
+NEAR_PX = 4  # of an edge
 
 
 def weights(work: Path, model: str, run: Run) -> Path:
@@ -99,7 +99,7 @@ def edge_figures(result: FrameResult) -> tuple[float, float] | None:
     """
     both = cv2.erode(known(result).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     truth, completed = (np.where(both, steepness(depth), 0) for depth in (result.truth, result.prediction))
-    edges = truth > np.log(STEP)
+    edges = truth > np.log(EDGE_STEP)
     window = np.ones((2 * NEAR_PX + 1,) * 2, np.uint8)
     smooth = both & (cv2.dilate(edges.astype(np.uint8), window) == 0)
     if not edges.any() or not smooth.any():

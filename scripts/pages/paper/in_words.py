@@ -3,8 +3,8 @@
 import torch
 
 from benchmarks.paper.claims import Reduction, finding
-from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes, row
-from benchmarks.paper.plan import AS_SAVED, OURS, PAPER_STEPS, RIVALS, STEPS, TRAINING_FRAMES, UNTRAINED, Run
+from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes
+from benchmarks.paper.plan import AS_SAVED, PAPER_STEPS, RIVALS, TRAINING_FRAMES, UNTRAINED, Run
 from benchmarks.paper.records import LATER, Records
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
@@ -15,16 +15,9 @@ EARLY, PLAIN, BATCH = "early fusion", "U-Net, plain", "U-Net, batch normalisatio
 # name: scene, row, row beside, figure, body, steps
 REDUCTIONS = {
     "full_at_length": ("colon", "full", "baseline", "abs_rel", EARLY, PAPER_STEPS),
-    "msc_at_length": ("colon", "+MSC", "baseline", "abs_rel", EARLY, PAPER_STEPS),
     "plain_at_length": ("colon", "full", "baseline", "abs_rel", PLAIN, PAPER_STEPS),
     "batch_at_length": ("colon", "full", "baseline", "abs_rel", BATCH, PAPER_STEPS),
-    "batch_rmse_at_length": ("colon", "full", "baseline", "rmse", BATCH, PAPER_STEPS),
     "full_rmse_at_length": ("colon", "full", "baseline", "rmse", EARLY, PAPER_STEPS),
-    "msc_rmse_at_length": ("colon", "+MSC", "baseline", "rmse", EARLY, PAPER_STEPS),
-    "sa_at_length": ("colon", "full", "+MSC", "abs_rel", EARLY, PAPER_STEPS),
-    "msc_rmse": ("colon", "+MSC", "baseline", "rmse", EARLY, STEPS),
-    "msc_rmse_intestine": ("small_intestine", "+MSC", "baseline", "rmse", EARLY, STEPS),
-    "sa_rmse_plain": ("colon", "full", "+MSC", "rmse", PLAIN, STEPS),
 }
 HELD_OUT = 0.05  # of the meshes to train on: watched, not trained on (`Shard.split`)
 
@@ -32,14 +25,8 @@ HELD_OUT = 0.05  # of the meshes to train on: watched, not trained on (`Shard.sp
 def figures(records: Records) -> dict[str, str]:
     """By name."""
     found = {name: reduced(records, *of) for name, of in REDUCTIONS.items()}
-    ours = [record for model in OURS for record in records.of(row(model)).values()]
     theirs = [record for run in rivals_of_all_sizes() for record in records.of(run).values()]
-    same = [
-        record["parameters"] / 1e6
-        for run in rivals_of_all_sizes()
-        for record in records.of(run).values()
-        if run.size == "same-parameters"
-    ]
+    same = [record["parameters"] / 1e6 for record in theirs if record["size"] == "same-parameters"]
     trained = TRAINING_FRAMES - round(HELD_OUT * TRAINING_FRAMES / 20) * 20
     growth = [size_of(model, "paper") / size_of(model, "small") for model in (PRINTED, *RIVALS)]
     shipped = sum(p.numel() for p in load_network(resolve_weights("mscsa")).parameters())
@@ -47,7 +34,6 @@ def figures(records: Records) -> dict[str, str]:
         "machines_differ": machines_differ(records),
         "passes": f"{PAPER_STEPS * 10 / trained:.0f}",
         "trained_frames": f"{trained:,}",
-        "least_steps_of_ours": f"{min(r['steps_done'] for r in ours):,}",
         "short_rivals": f"{sum(r['steps_done'] < 2000 for r in theirs)} of {len(theirs)}",
         "same_parameters": f"{min(same):.2f} to {max(same):.2f} M",
         "published": f"{min(growth):.0f} to {max(growth):.0f}",
