@@ -38,6 +38,8 @@ CHANGES: dict[str, dict[str, Any]] = {
     "constant rate": {"decay_at": 1.0},
     "a tenth of the rate after each third": {"schedule": "thirds"},
     "every frame once before one comes again": {"passes": True},
+    "depth in metres": {"unit_mm": 1000.0},
+    "each pixel by chance, 100 in the mean": {"sampler": "by_chance"},
     # The source trains MSC by itself on KITTI; the rest then has as many steps as it has in the other rows.
     "MSC trained first and held fixed": {"msc_first": 300, "steps": 1300, "decay_at": 1000 / 1300},
 }
@@ -58,6 +60,9 @@ READINGS = {
     "sparse depth at the input only": "mscsa-early-fusion+sparse-first",
     "Gamma as printed, beta 1": "mscsa-early-fusion+gamma-1",
     "epsilon 1e-6 in the numerator of Eq. 2": "mscsa-early-fusion+epsilon",
+    "epsilon 1e-6 in the denominator of Eq. 1": "mscsa-early-fusion+guard",
+    "like channels weigh most in SA": "mscsa-early-fusion+similar",
+    "four levels (0.34 M parameters)": "mscsa-early-fusion+four-levels",
     "half the channels (0.12 M parameters)": "mscsa-early-fusion+half-width",
     "twice the channels (1.93 M parameters)": "mscsa-early-fusion+double-width",
 }

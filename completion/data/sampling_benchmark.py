@@ -37,6 +37,13 @@ def uniform(rgb: NDArray[np.uint8], truth: NDArray[np.float32], points: int, rng
     return _keep(truth, _everywhere(truth, rng), points)
 
 
+def by_chance(rgb: NDArray[np.uint8], truth: NDArray[np.float32], points: int, rng: np.random.Generator) -> Sparse:
+    """Each pixel with truth by itself with one probability, so that `points` is the mean of the counts (the released
+    code of Ma and Karaman, ICRA 2018); exact depth."""
+    candidates = int((truth > 0).sum())
+    return uniform(rgb, truth, int(rng.binomial(candidates, min(1.0, points / max(candidates, 1)))), rng)
+
+
 def features(rgb: NDArray[np.uint8], truth: NDArray[np.float32], points: int, rng: np.random.Generator) -> Sparse:
     """FS-SD: SIFT keypoints, strongest first; where they run out, uniform pixels; exact depth.
 
@@ -60,7 +67,7 @@ def like_sfm(rgb: NDArray[np.uint8], truth: NDArray[np.float32], points: int, rn
 
 
 Sampler = Callable[[NDArray[np.uint8], NDArray[np.float32], int, np.random.Generator], Sparse]
-SAMPLERS: dict[str, Sampler] = {"uniform": uniform, "features": features, "sfm": like_sfm}
+SAMPLERS: dict[str, Sampler] = {"uniform": uniform, "by_chance": by_chance, "features": features, "sfm": like_sfm}
 
 
 def get_sampler(name: str) -> Sampler:

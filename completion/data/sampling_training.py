@@ -40,6 +40,13 @@ def sample_uniform(depth: Tensor, points: int, generator: torch.Generator) -> Te
     return torch.where(picked, depth, torch.zeros_like(depth))
 
 
+def sample_by_chance(depth: Tensor, points: int, generator: torch.Generator) -> Tensor:
+    """Each valid pixel by itself, `points` of a frame in the mean, as in evaluation."""
+    candidates = (depth > 0).flatten(1).sum(dim=1).view(-1, 1, 1, 1).clamp_min(1)
+    picked = (_uniform_score(depth, generator) < points / candidates) & (depth > 0)
+    return torch.where(picked, depth, torch.zeros_like(depth))
+
+
 def corner_response(rgb: Tensor) -> Tensor:
     """Shi-Tomasi's smaller eigenvalue of the structure tensor, (B,3,H,W) in [0,1] -> (B,1,H,W)."""
     grey = rgb.mean(dim=1, keepdim=True)

@@ -6,6 +6,7 @@ between encoder and decoder, and the raw sparse depth to the input (Fig. 2).
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -17,7 +18,7 @@ from completion.networks.normalized_conv import MultiScaleConfidence
 from completion.networks.padding import pad_to_multiple
 from haustra.core.errors import CompletionError
 
-STRIDE = 32  # px; five strided convolutions
+MSC_STRIDE = 8  # px; three halvings of its pyramid
 SLOPE = 0.2  # of the decoder's LeakyReLU, the output's too
 BIAS = 0.01  # of every convolution at the start
 
@@ -28,6 +29,7 @@ class EarlyFusionConfig:
 
     width: int = 80  # channels of every level of the encoder; the decoder's follow from it
     widening: float = 1.0  # of `width`
+    levels: int = 5  # strided convolutions, each halving the resolution; three or more
     use_msc: bool = True
     use_sa: bool = True
     confidence_last: bool = False  # MSC's confidence joins again before the last convolution too
@@ -35,14 +37,21 @@ class EarlyFusionConfig:
     sparse_last: bool = True  # the raw sparse depth joins again before the last convolution
     gamma_beta: float = 10.0  # of MSC: Gamma(w) = log(1 + exp(beta w)) / beta; 1 as printed in the paper
     epsilon: float = 0.0  # of MSC: of the numerator of Eq. 2
+    guard: float = 0.0  # of MSC: the epsilon that Eq. 1 adds to its denominator
+    similar: bool = (
+        False  # SA weighs like channels most, as the paper's words have it; else unlike ones, as its sources
+    )
 
     def __post_init__(self) -> None:
+        if self.levels < 3:
+            raise CompletionError(f"the early-fusion network has three levels or more, not {self.levels}")
         if (self.confidence_last or self.all_scales) and not self.use_msc:
             raise CompletionError("'confidence_last' and 'all_scales' are of MSC's output, and this network has none")
 
 
 class EarlyFusionMSCSANet(nn.Module):
-    """MSC, five strided 3x3 convolutions, SA, and five 3x3 convolutions after nearest enlarging; no normalisation.
+    """MSC, five strided 3x3 convolutions, SA, and five 3x3 convolutions after nearest enlarging; no normalisation. With
+    fewer `levels` the coarsest are left out.
 
     Input: MSC's depth and confidence, RGB and the raw sparse depth (six channels); without MSC the four of RGB-SD. The
     raw sparse depth joins again before the last convolution. 484,923 parameters at the released width. What the paper
@@ -53,15 +62,17 @@ class EarlyFusionMSCSANet(nn.Module):
         super().__init__()
         self.config = config or EarlyFusionConfig()
         width = round(self.config.width * self.config.widening)
-        msc = MultiScaleConfidence(3, self.config.gamma_beta, self.config.epsilon) if self.config.use_msc else None
-        self.msc = msc
-        self.attention = StructureAwareness() if self.config.use_sa else nn.Identity()
-        inputs = 4 + 2 * self.config.use_msc + 12 * self.config.all_scales
+        of_msc = (3, self.config.gamma_beta, self.config.epsilon, self.config.guard)
+        self.msc = MultiScaleConfidence(*of_msc) if self.config.use_msc else None
+        sign: Literal["similar", "distinct"] = "similar" if self.config.similar else "distinct"
+        self.attention = StructureAwareness(sign=sign) if self.config.use_sa else nn.Identity()
+        inputs, deeper = 4 + 2 * self.config.use_msc + 12 * self.config.all_scales, self.config.levels - 1
         self.encoder = nn.ModuleList(
-            nn.Conv2d(channels, width, 3, stride=2, padding=1) for channels in (inputs, *[width] * 4)
+            nn.Conv2d(channels, width, 3, stride=2, padding=1) for channels in (inputs, *[width] * deeper)
         )
         wide, narrow = 4 * width // 5, 2 * width // 5  # 64 and 32
-        pairs = ((2 * width, wide), (wide + width, wide), (wide + width, narrow), (narrow + width, narrow))
+        outputs = [wide] * (deeper - 2) + [narrow] * 2
+        pairs = [(given + width, out) for given, out in zip([width, *outputs], outputs, strict=False)]
         self.decoder = nn.ModuleList(nn.Conv2d(a, b, 3, padding=1) for a, b in (*pairs, (narrow + self._joins_last, 1)))
         for conv in (*self.encoder, *self.decoder):
             start_by_he(conv, 0.0, BIAS)  # type: ignore[arg-type]  # for a ReLU, as released, the decoder's too
@@ -75,7 +86,8 @@ class EarlyFusionMSCSANet(nn.Module):
         """rgb (B,3,H,W) in [0,1], sparse_depth (B,1,H,W) with 0 = none -> depth (B,1,H,W), same unit; intrinsics
         unused."""
         height, width = rgb.shape[2:]
-        rgb, sparse_depth = pad_to_multiple(rgb, STRIDE), pad_to_multiple(sparse_depth, STRIDE)
+        stride = max(2**self.config.levels, MSC_STRIDE)
+        rgb, sparse_depth = pad_to_multiple(rgb, stride), pad_to_multiple(sparse_depth, stride)
         channels = [sparse_depth, *self._dense(sparse_depth), rgb]
         x = torch.cat(channels, dim=1).contiguous(memory_format=torch.channels_last)
         first = 0 if self.config.sparse_last else 1

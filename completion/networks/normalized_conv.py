@@ -21,15 +21,23 @@ class NormalizedConv2d(nn.Module):
 
     The kernel is stored unconstrained and mapped by Gamma(w) = softplus(w) at each call, so that autograd itself
     supplies the chain rule of Eq. 3. `epsilon` is that of the numerator of Eq. 2: any but zero gives a pixel without
-    any known neighbour a positive confidence.
+    any known neighbour a positive confidence. `guard` is added to the denominator of Eq. 1 as printed; zero only keeps
+    that denominator from being zero.
     """
 
     def __init__(
-        self, in_channels: int, out_channels: int, kernel_size: int, beta: float = 10.0, epsilon: float = 0.0
+        self,
+        in_channels: int,
+        out_channels: int,
+        kernel_size: int,
+        beta: float = 10.0,
+        epsilon: float = 0.0,
+        guard: float = 0.0,
     ) -> None:
         super().__init__()
         self.beta = beta
         self.epsilon = epsilon
+        self.guard = guard
         self.padding = kernel_size // 2
         self.weight = nn.Parameter(_poisson_kernels(in_channels, out_channels, kernel_size, beta))
         self.bias = nn.Parameter(torch.zeros(out_channels))
@@ -48,10 +56,13 @@ class NormalizedConv2d(nn.Module):
         kernel = self.unit_kernel()
         known = F.conv2d(confidence, kernel, padding=self.padding)
         weighted = F.conv2d(depth * confidence, kernel, padding=self.padding)
-        spread = weighted / known.clamp_min(DIVISION_GUARD) + self.bias.view(1, -1, 1, 1)
-        if self.epsilon:
-            known = known + self.epsilon / self.applicability().sum(dim=(1, 2, 3)).view(1, -1, 1, 1)
-        return spread, known
+        divisor = known + self._share(self.guard) if self.guard else known
+        spread = weighted / divisor.clamp_min(DIVISION_GUARD) + self.bias.view(1, -1, 1, 1)
+        return spread, known + self._share(self.epsilon) if self.epsilon else known
+
+    def _share(self, epsilon: float) -> Tensor:
+        """A number beside the sums of Eqs. 1 and 2, divided by the kernel's sum as these are: (1,out,1,1)."""
+        return epsilon / self.applicability().sum(dim=(1, 2, 3)).view(1, -1, 1, 1)
 
 
 def _poisson_kernels(in_channels: int, out_channels: int, size: int, beta: float) -> Tensor:
@@ -81,14 +92,14 @@ class MultiScaleConfidence(nn.Module):
     encoder levels, one 3x3 `merge` per decoder level. With `levels=3` it has the published 481 parameters.
     """
 
-    def __init__(self, levels: int = 3, beta: float = 10.0, epsilon: float = 0.0) -> None:
+    def __init__(self, levels: int = 3, beta: float = 10.0, epsilon: float = 0.0, guard: float = 0.0) -> None:
         super().__init__()
         self.levels = levels
-        self.lift = NormalizedConv2d(1, 2, 5, beta, epsilon)
-        self.densify = NormalizedConv2d(2, 2, 5, beta, epsilon)
-        self.refine = NormalizedConv2d(2, 2, 5, beta, epsilon)
-        self.merge = nn.ModuleList(NormalizedConv2d(4, 2, 3, beta, epsilon) for _ in range(levels))
-        self.project = NormalizedConv2d(2, 1, 1, beta, epsilon)
+        self.lift = NormalizedConv2d(1, 2, 5, beta, epsilon, guard)
+        self.densify = NormalizedConv2d(2, 2, 5, beta, epsilon, guard)
+        self.refine = NormalizedConv2d(2, 2, 5, beta, epsilon, guard)
+        self.merge = nn.ModuleList(NormalizedConv2d(4, 2, 3, beta, epsilon, guard) for _ in range(levels))
+        self.project = NormalizedConv2d(2, 1, 1, beta, epsilon, guard)
 
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """Sparse depth and its confidence, both (B,1,H,W) with H and W divisible by 2**levels -> dense ones."""

@@ -104,6 +104,9 @@ REGISTRY: dict[str, Entry] = {
     "mscsa-early-fusion+sparse-first": _early_fusion(True, True, sparse_last=False),
     "mscsa-early-fusion+gamma-1": _early_fusion(True, True, gamma_beta=1.0),
     "mscsa-early-fusion+epsilon": _early_fusion(True, True, epsilon=1e-6),
+    "mscsa-early-fusion+guard": _early_fusion(True, True, guard=1e-6),
+    "mscsa-early-fusion+similar": _early_fusion(True, True, similar=True),
+    "mscsa-early-fusion+four-levels": _early_fusion(True, True, levels=4),
     "mscsa-early-fusion+half-width": _early_fusion(True, True, widening=0.5),
     "mscsa-early-fusion+double-width": _early_fusion(True, True, widening=2.0),
     "std18": Entry(

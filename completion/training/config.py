@@ -28,7 +28,7 @@ class TrainConfig(BaseModel):
     steps: int = Field(12000, gt=0)
     batch: int = Field(8, gt=0)
     points: int = Field(100, gt=0)  # per frame, of metric networks; mscsa-sfm is given random numbers of them
-    sampler: Literal["uniform", "features"] = "uniform"  # of those points
+    sampler: Literal["uniform", "by_chance", "features"] = "uniform"  # of those points
     mix_shards: bool = True  # a batch has frames of all shards of one size; else of one shard
     passes: bool = False  # every frame of a shard size once before one comes again; else each batch is drawn anew
     msc_first: int = Field(0, ge=0)  # steps in which a metric network's MSC learns alone; then it is held fixed

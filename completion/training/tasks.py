@@ -14,6 +14,7 @@ from completion.data.sampling_neighbours import merged, sample_like_neighbours
 from completion.data.sampling_training import (
     SfmPattern,
     normalise_log,
+    sample_by_chance,
     sample_keypoints,
     sample_like_sfm,
     sample_uniform,
@@ -153,6 +154,8 @@ class PaperTask:
     def _sample(self, rgb: Tensor, depth: Tensor, generator: torch.Generator) -> Tensor:
         if self.config.sampler == "features":
             return sample_keypoints(rgb, depth, self.config.points, generator)
+        if self.config.sampler == "by_chance":
+            return sample_by_chance(depth, self.config.points, generator)
         return sample_uniform(depth, self.config.points, generator)
 
     def _depth(self, network: nn.Module, rgb: Tensor, sparse: Tensor, lens: Tensor | None) -> Tensor:

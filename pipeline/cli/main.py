@@ -159,7 +159,7 @@ def evaluate(
     model: Annotated[
         list[str] | None, typer.Option(help="shipped name, weight file, nearest, linear, ip_basic")
     ] = None,
-    sampler: Annotated[list[str] | None, typer.Option(help="uniform, features or sfm; may be repeated")] = None,
+    sampler: Annotated[list[str] | None, typer.Option(help="uniform, by_chance, features, sfm; repeatable")] = None,
     points: Annotated[list[int] | None, typer.Option(min=1, help="per frame; repeat it for a sweep")] = None,
     align: Annotated[str, typer.Option(help="scale: none, points, median or least_squares")] = "none",
     averaging: Annotated[str, typer.Option(help="per_frame (the paper's lineage) or pooled")] = "per_frame",

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.stats import binom
 
 from completion.confidence import error_from_confidence
+from completion.data.sampling_benchmark import get_sampler
 from completion.data.sampling_neighbours import merged, sample_like_neighbours
-from completion.data.sampling_training import SfmPattern, sample_like_sfm
+from completion.data.sampling_training import SfmPattern, sample_by_chance, sample_like_sfm
 
 EVERYWHERE = SfmPattern(
     min_points=1500, max_points=1500, corner_share=0.0, hole_share=0.0, near_bare_share=0.0, border_bare_share=0.0
@@ -102,3 +104,20 @@ def test_the_same_seed_draws_the_same_points() -> None:
     for draw in (lambda g: sample_like_sfm(rgb, depth, pattern, g), lambda g: sample_like_neighbours(depth, g)):
         assert all(torch.equal(a, b) for a, b in zip(draw(generator(5)), draw(generator(5)), strict=True))
         assert not torch.equal(draw(generator(5))[0], draw(generator(6))[0])
+
+
+def test_points_by_chance_have_the_counts_of_a_binomial_law_in_training_and_judging() -> None:
+    _, depth = frames(400)
+    depth[:, :, :, ::2] = 0  # half of the pixels have no truth
+    trained = sample_by_chance(depth, 100, generator())
+    image, rng = np.zeros((SIZE, SIZE, 3), np.uint8), np.random.default_rng(0)
+    judge = get_sampler("by_chance")
+    judged = np.stack([judge(image, truth, 100, rng).depth for truth in depth[:, 0].numpy()])
+    candidates = SIZE * SIZE // 2
+    law = binom(candidates, 100 / candidates)
+    for sparse in (trained[:, 0].numpy(), judged):
+        assert np.all((sparse == 0) | (sparse == depth[:, 0].numpy()))
+        counts = (sparse > 0).sum(axis=(1, 2))
+        assert abs(counts.mean() - law.mean()) < 4 * law.std() / np.sqrt(len(counts))
+        assert counts.var(ddof=1) == pytest.approx(law.var(), rel=0.3)
+    assert torch.equal(trained, sample_by_chance(depth, 100, generator()))

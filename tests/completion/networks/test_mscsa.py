@@ -23,7 +23,7 @@ def seeded():
     torch.manual_seed(0)
 
 
-def literal_nconv(z, c, weight, bias, beta, epsilon):
+def literal_nconv(z, c, weight, bias, beta, epsilon, guard=0.0):
     """Paper Eqs. 1 and 2 as four nested loops."""
     gamma = np.log1p(np.exp(beta * weight)) / beta
     out_channels, in_channels, k, _ = gamma.shape
@@ -40,21 +40,22 @@ def literal_nconv(z, c, weight, bias, beta, epsilon):
                             if 0 <= y < height and 0 <= x < width:
                                 numerator += z[ch, y, x] * c[ch, y, x] * gamma[o, ch, m, n]
                                 denominator += c[ch, y, x] * gamma[o, ch, m, n]
-                z_out[o, i, j] = (numerator / denominator if denominator > 0 else 0.0) + bias[o]
+                divisor = denominator + guard
+                z_out[o, i, j] = (numerator / divisor if divisor > 0 else 0.0) + bias[o]
                 c_out[o, i, j] = (denominator + epsilon) / gamma[o].sum()
     return z_out, c_out
 
 
-@pytest.mark.parametrize("epsilon", [0.0, 0.01])
-def test_normalized_convolution_equals_the_literal_loop(epsilon):
-    layer = NormalizedConv2d(2, 3, 3, beta=1.0, epsilon=epsilon).double()
+@pytest.mark.parametrize(("epsilon", "guard"), [(0.0, 0.0), (0.01, 0.0), (0.0, 0.3)])
+def test_normalized_convolution_equals_the_literal_loop(epsilon, guard):
+    layer = NormalizedConv2d(2, 3, 3, beta=1.0, epsilon=epsilon, guard=guard).double()
     with torch.no_grad():
         layer.weight.normal_()
         layer.bias.normal_()
     rng = np.random.default_rng(1)
     z, c = rng.uniform(1, 5, (2, 7, 6)), (rng.random((2, 7, 6)) < 0.2).astype(float)
     got = layer(torch.tensor(z)[None], torch.tensor(c)[None])
-    expected = literal_nconv(z, c, layer.weight.detach().numpy(), layer.bias.detach().numpy(), 1.0, epsilon)
+    expected = literal_nconv(z, c, layer.weight.detach().numpy(), layer.bias.detach().numpy(), 1.0, epsilon, guard)
     for a, b in zip(got, expected, strict=True):
         np.testing.assert_allclose(a[0].detach().numpy(), b, atol=1e-12)
 

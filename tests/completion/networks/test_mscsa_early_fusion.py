@@ -59,6 +59,24 @@ def test_all_scales_add_three_levels_of_two_depths_and_two_confidences() -> None
         assert torch.equal(fine, expected)
 
 
+def test_a_level_less_is_the_released_table_without_its_coarsest() -> None:
+    network = EarlyFusionMSCSANet(EarlyFusionConfig(levels=4))
+    assert count(network) == RELEASED + 9 * 80 - (9 * 80 * 80 + 80) - (9 * 144 * 64 + 64)
+    assert network(torch.rand(1, 3, 50, 70), torch.rand(1, 1, 50, 70)).shape == (1, 1, 50, 70)
+    with pytest.raises(CompletionError, match="three levels or more, not 2"):
+        EarlyFusionConfig(levels=2)
+
+
+def test_like_channels_weigh_most_where_it_is_asked_for() -> None:
+    """A channel orthogonal to the others: by the paper it keeps to itself, by its sources it takes up the others."""
+    features = torch.zeros(1, 3, 8, 1)
+    features[0, 0, :4] = features[0, 1, :4] = features[0, 2, 4:] = 3.0
+    for similar, itself in ((True, 0.999), (False, 0.001)):
+        attention = EarlyFusionMSCSANet(EarlyFusionConfig(similar=similar)).attention
+        weight = float(attention.attention(features.flatten(2))[0, 2, 2])
+        assert weight > itself if similar else weight < itself
+
+
 @pytest.mark.parametrize("size", [64, 96])
 def test_layers_follow_the_released_table(size: int) -> None:
     """Written down again with plain layers, without attention and MSC."""
