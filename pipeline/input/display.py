@@ -52,6 +52,19 @@ class Clock:
         return self.last
 
 
+class RgbConverter:
+    """A film's frames as pixels (H,W,3) uint8. `VideoFrame.to_ndarray` sets a new converter up for every frame, which
+    takes longer than the conversion."""
+
+    def __init__(self) -> None:
+        from av.video.reformatter import VideoReformatter
+
+        self._reformatter = VideoReformatter()
+
+    def __call__(self, frame: "VideoFrame") -> NDArray[np.uint8]:
+        return np.asarray(self._reformatter.reformat(frame, format="rgb24").to_ndarray(), np.uint8)
+
+
 def display_matrix(frame: "VideoFrame") -> NDArray[np.float64]:
     """(2,2) by which a player moves a frame's pixels: (x, y) of what is shown from (x, y) of what is stored.
 

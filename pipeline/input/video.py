@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
-from pipeline.input.display import Clock, display_matrix, in_size, square_and_upright, upper_field
+from pipeline.input.display import Clock, RgbConverter, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
 from pipeline.input.image_folder import (
     bits_of,
@@ -139,8 +139,9 @@ class Source:
             rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
             clock = Clock(self._rate or rate, has_times and not self._rate)
             aspect = stream.sample_aspect_ratio or Fraction(1)
+            to_rgb = RgbConverter()
             for frame in self._decode(container, stream):
-                rgb = self._upright(frame, aspect)
+                rgb = self._upright(frame, to_rgb(frame), aspect)
                 size = size if count else (rgb.shape[1], rgb.shape[0])
                 stamp: float | None = frame.time
                 if container.format.name in BY_PACKET:
@@ -163,9 +164,11 @@ class Source:
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            decoded = self._decode(container, stream)
+            decoded, to_rgb = self._decode(container, stream), RgbConverter()
             faults = look_at(
-                self._of_one_time(frame) for frame in decoded if min(frame.width, frame.height) >= SMALLEST
+                self._of_one_time(frame, to_rgb(frame))
+                for frame in decoded
+                if min(frame.width, frame.height) >= SMALLEST
             )
             codec: CodecContext | None = stream.codec_context  # PyAV has none where FFmpeg has no decoder
             if codec is not None and codec.name in PALETTES:  # whose dither alternates from row to row
@@ -174,9 +177,8 @@ class Source:
             self._note(sentence)
         return faults
 
-    def _of_one_time(self, frame: "VideoFrame") -> NDArray[np.uint8]:
+    def _of_one_time(self, frame: "VideoFrame", rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Pixels (H,W,3) as stored; of an interlaced frame, and of two eyes in alternate rows, the upper rows."""
-        rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
         return upper_field(rgb) if frame.interlaced_frame or self.rows_are_eyes else rgb
 
     def _of_size(
@@ -213,9 +215,8 @@ class Source:
         if damaged:
             self._note(f"{damaged} damaged pieces of the video were passed over")
 
-    def _upright(self, frame: "VideoFrame", aspect: Fraction) -> NDArray[np.uint8]:
-        """Pixels (H,W,3) as they are to be looked at: square, and turned upright."""
-        rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+    def _upright(self, frame: "VideoFrame", rgb: NDArray[np.uint8], aspect: Fraction) -> NDArray[np.uint8]:
+        """A frame's pixels (H,W,3) as they are to be looked at: square, and turned upright."""
         flagged = frame.interlaced_frame and not self.rows_are_eyes
         if flagged:
             self._note("the video is interlaced: of each frame the upper field was taken, at half the height's detail")

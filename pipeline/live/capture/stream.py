@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
-from pipeline.input.display import Clock, display_matrix, in_size, square_and_upright, upper_field
+from pipeline.input.display import Clock, RgbConverter, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.video import RawFrame
 from pipeline.live.capture.growing_file import GrowingFile
 from pipeline.live.capture.pace import Pace
@@ -69,6 +69,7 @@ class Stream:
             clock = Clock(float(film.average_rate or film.guessed_rate or DEFAULT_RATE))
             size: tuple[int, int] | None = None
             index, damaged, pace = 0, 0, Pace()  # a file is written in gushes
+            to_rgb = RgbConverter()
             try:
                 for packet in container.demux(film):
                     if stopped.is_set():
@@ -83,7 +84,7 @@ class Stream:
                     if record is not None:
                         record.write(packet, frames)
                     for frame in frames:
-                        shown = _as_shown(frame, film.sample_aspect_ratio or Fraction(1))
+                        shown = _as_shown(frame, to_rgb(frame), film.sample_aspect_ratio or Fraction(1))
                         size = size or (shown.shape[1], shown.shape[0])
                         rgb = self._of_size(shown, size)
                         seconds = clock.seconds(frame.time)
@@ -207,9 +208,8 @@ class _Recorder:
             pass
 
 
-def _as_shown(frame: "VideoFrame", aspect: Fraction) -> NDArray[np.uint8]:
-    """Pixels (H,W,3) as they are to be looked at; of an interlaced frame the upper field alone."""
-    rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+def _as_shown(frame: "VideoFrame", rgb: NDArray[np.uint8], aspect: Fraction) -> NDArray[np.uint8]:
+    """A frame's pixels (H,W,3) as they are to be looked at; of an interlaced frame the upper field alone."""
     rgb = upper_field(rgb) if frame.interlaced_frame else rgb
     return square_and_upright(rgb, aspect, display_matrix(frame))
 
