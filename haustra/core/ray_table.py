@@ -5,6 +5,8 @@ xy_observed)` with `jacobian` = d pixel / d xy there. For a pinhole that is exac
 per camera, on the corners of the pixels, and read by bilinear interpolation; nothing is solved per frame.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from haustra.core.camera import WIDEST, Camera
 
 # Largest error of unprojecting a projected point, relative to 1 + its distance from the axis on the plane z = 1.
 ROUND_TRIP = 0.05
+KEPT = 4  # cameras whose tables `ray_table` keeps, 5 MB each at 320x320
 
 
 class RayTable:
@@ -72,3 +75,9 @@ class RayTable:
     def focal_px(self) -> float:
         """Geometric mean of the focal lengths, for thresholds on angles."""
         return float(np.sqrt(self.camera.focal[0] * self.camera.focal[1]))
+
+
+@lru_cache(KEPT)
+def ray_table(camera: Camera) -> RayTable:
+    """The table of a camera: submaps share one lens, and a table takes longer to make than a frame to track."""
+    return RayTable(camera)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import ray_table
 from haustra.core.se3 import Array, inverse
 from haustra.core.sim3 import transform_points
 from pipeline.config import LoopClosingSettings
@@ -108,7 +108,7 @@ class ReviewWork:
         self._store = DiskKeyframes(Workspace(folder))
         self._known: dict[int, KeyframeFeatures] = {}  # by frame
         self._reviewed: dict[int, _Reviewed] = {}  # the latest maps, by number
-        rays = RayTable(seen.camera)
+        rays = ray_table(seen.camera)
         self._fields = rays, lens_field_of_view(rays, seen.content)
 
     def __call__(self, job: ReviewJob) -> Review:

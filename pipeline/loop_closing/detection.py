@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.sim3 import scale_of
 from haustra.core.threads import prefetched, single_threaded, workers
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -66,7 +66,7 @@ def find_features(
     known: features by the keyframe's row, which are not detected again.
     """
     step = max(1, min(-(-len(completed) // max_keyframes), MAX_STEP))
-    return _features(completed, completed.rows[::step], known or {}, RayTable(completed.camera))
+    return _features(completed, completed.rows[::step], known or {}, ray_table(completed.camera))
 
 
 def features_of_all(known: SubmapFeatures) -> SubmapFeatures:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.se3 import Array, inverse
 from pipeline.mapping.local_map import FEATURES, DepthAt, LocalMap
 from pipeline.mapping.map_adjustment import fit_points
@@ -47,7 +47,7 @@ def triangulate_again(
     camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched.
     depth_at: what a sensor measured, by which the points were adjusted too.
     """
-    rays = RayTable(refined_camera(camera, submap))
+    rays = ray_table(refined_camera(camera, submap))
     rows, with_features = _rows(submap, rays.focal_px, motion_px)
     seed = map_of_submap(submap, rays, np.union1d(rows, with_features))
     scale = None if depth_at is None else make_metric(seed, depth_at)

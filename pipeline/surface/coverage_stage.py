@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.text import counted
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
@@ -125,7 +125,7 @@ def measure_supported(frames: Frames, completed: CompletedSubmap, surface: Surfa
     factor = surface.scale.factor
     submap = completed.submap.scaled(factor)
     # Before the depth maps are read: a picture that cannot be judged need not wait for them.
-    rays = RayTable(refined_camera(frames.camera, completed.submap))
+    rays = ray_table(refined_camera(frames.camera, completed.submap))
     half, picture = half_field_of_view(rays, completed.camera, frames.content), lens_field_of_view(rays, frames.content)
     support = DepthSupport(surface.mesh)
     for row in completed.rows:

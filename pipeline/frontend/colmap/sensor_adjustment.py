@@ -6,7 +6,7 @@ the scale along the whole path (`depth_residuals`), as it does in odometry.
 
 from haustra.core.camera import Camera
 from haustra.core.progress import Progress
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import ray_table
 from pipeline.frontend.base import FoundSubmap
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.map_adjustment import adjust_all
@@ -39,7 +39,7 @@ def adjusted_to_sensor(
 def metric_submap(submap: Submap, camera: Camera, sensor: SensorDepth) -> Submap | None:
     """The submap in mm, all its frames and points adjusted to its pixels and the sensor's depth; None where the sensor
     saw too few of its points, or frames are lost."""
-    local_map = map_of_submap(submap, RayTable(refined_camera(camera, submap)))
+    local_map = map_of_submap(submap, ray_table(refined_camera(camera, submap)))
     if make_metric(local_map, sensor.for_adjustment) is None:
         return None
     adjust_all(local_map)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.progress import Progress
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
@@ -102,11 +102,12 @@ def track_frames(
         sensor = open_sensor(workspace, frames.camera.width)
         if sensor is not None and sensor.settings.adjust:
             make_all_metric(maps, sensor.for_adjustment, progress)
-        held = adjust_maps(maps, features, progress, changed=stitching is not None)
-        camera = frames.camera
+        camera, changed = frames.camera, stitching is not None
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
-            camera, sigma, held = refine_intrinsics(maps, held, camera, settings.seed, features, workspace, progress)
+            camera, sigma, held = refine_intrinsics(maps, camera, settings.seed, features, workspace, progress, changed)
+        else:
+            held = adjust_maps(maps, features, progress, changed)
         merged, joins = merge_and_adjust(maps, held, features, settings.seed, progress)
         bridged = 0
         if sensor is not None and len(merged) > 1:
@@ -118,7 +119,7 @@ def _tracked(
     frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
 ) -> tuple[list[LocalMap], Stitching | None]:
     """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
-    rays = RayTable(frames.camera)
+    rays = ray_table(frames.camera)
     pieces = split(len(frames.index), settings.odometry.chunks)
     if settings.odometry.chunks > 1 and len(pieces) == 1:
         progress.log(f"{len(frames.index)} frames are too few for chunks; they are tracked in one go")

@@ -14,7 +14,7 @@ import numpy as np
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SilentProgress
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import ray_table
 from pipeline.frontend.base import COLMAP_WORKER, MAX_FOCAL_SIGMA
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.final_adjustment import adjust_maps
@@ -53,40 +53,48 @@ class Lens:
 
 def refine_intrinsics(
     maps: list[LocalMap],
-    held: list[float | None],
     guess: Camera,
     seed: int,
     find: FindFeatures,
     workspace: Workspace,
     progress: Progress,
+    changed: bool = False,
 ) -> tuple[Camera, tuple[float, ...], list[float | None]]:
     """All maps adjusted with the lens that the largest determines, or the next of the `MOST_ASKED` largest that does;
-    left with the guess if none does. The lens, its sigmas, and what holds the maps now: one film has one lens.
+    with the guess if none does. The lens, its sigmas, and what holds the maps, as of `adjust_maps`, which takes
+    `changed`: one film has one lens.
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
-    it, until it stays.
+    it, until it stays. The other maps wait for it, and are adjusted once.
     """
-    asked = sorted(maps, key=lambda m: -len(m.tracked_frames) - len(m.keyframes))[:MOST_ASKED]
+    asked = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))[:MOST_ASKED]
     camera = guess
     sigma: tuple[float, ...] = ()
+    held: dict[int, float | None] = {}
     for _ in range(ROUNDS):
-        lenses = []
-        for local_map in asked:
-            lenses.append(_lens_of(local_map, camera, seed, workspace, progress))
+        lenses: list[Lens] = []
+        for number in asked:
+            if number not in held:
+                held |= _adjusted(maps, [number], find, progress, changed)
+            lenses.append(_lens_of(maps[number], camera, seed, workspace, progress))
             if lenses[-1].determined:
                 break
         lens = lenses[-1]
         if not lens.determined:
-            return camera, sigma or lenses[0].sigma, held  # an earlier round's answer stands
-        asked = [asked[len(lenses) - 1]]
-        shift = lens_shift(camera, lens.camera)
-        sigma = lens.sigma
+            sigma = sigma or lenses[0].sigma  # an earlier round's answer stands
+            break
+        asked, shift, sigma = [asked[len(lenses) - 1]], lens_shift(camera, lens.camera), lens.sigma
         if shift < LENS_CONVERGED:
             break
         camera = lens.camera
-        held = _with_lens(maps, camera, shift > LENS_RESTART, find, progress)
-    return camera, sigma, held
+        held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress)
+    if camera == guess:
+        held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)
+    else:
+        others = [n for n in range(len(maps)) if n != asked[0]]
+        held |= _with_lens(maps, others, camera, lens_shift(guess, camera) > LENS_RESTART, find, progress)
+    return camera, sigma, [held[number] for number in range(len(maps))]
 
 
 def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:
@@ -102,8 +110,8 @@ def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspac
 def lens_shift(old: Camera, new: Camera) -> float:
     """By how much one lens puts what another sees elsewhere: RMS over the picture, as a share of its width. Where
     either has no ray does not count; infinite if that is everywhere."""
-    rays = RayTable(old)
-    rows, columns = np.nonzero(rays.usable & RayTable(new).usable)
+    rays = ray_table(old)
+    rows, columns = np.nonzero(rays.usable & ray_table(new).usable)
     if len(rows) == 0:
         return float("inf")
     pixels = np.stack([columns, rows], axis=1)[:: max(1, len(rows) // 5000)] + 0.5
@@ -112,18 +120,26 @@ def lens_shift(old: Camera, new: Camera) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()) / old.width)
 
 
+def _adjusted(
+    maps: list[LocalMap], numbers: list[int], find: FindFeatures, progress: Progress, changed: bool
+) -> dict[int, float | None]:
+    """Some of the maps after their last adjustment: what holds each, by its number."""
+    held = adjust_maps([maps[number] for number in numbers], find, progress, changed)
+    return dict(zip(numbers, held, strict=True))
+
+
 def _with_lens(
-    maps: list[LocalMap], camera: Camera, far: bool, find: FindFeatures, progress: Progress
-) -> list[float | None]:
-    """Adjust all maps with another lens; with one that is far from the last, first to the followed corners alone."""
-    rays = RayTable(camera)
-    for local_map in maps:
+    maps: list[LocalMap], numbers: list[int], camera: Camera, far: bool, find: FindFeatures, progress: Progress
+) -> dict[int, float | None]:
+    """The same with another lens; with one that is far from the last, adjusted first to the followed corners alone."""
+    rays = ray_table(camera)
+    for local_map in (maps[number] for number in numbers):
         local_map.recalibrate(rays)
         if far:
             local_map.forget_features()
             with progress.bar("adjusting to corners", None) as advance:
                 adjust_all(local_map, True, advance)
-    return adjust_maps(maps, find, progress, changed=True)
+    return _adjusted(maps, numbers, find, progress, changed=True)
 
 
 def refine_lens(

@@ -12,7 +12,7 @@ from pipeline.loop_closing.keyframe_pose_graph import MIN_COVISIBLE, REACH, _cov
 @pytest.mark.parametrize("count", [1, 59, 61, 480, 481, 2000])
 def test_places_lie_near_enough_to_support_each_other(monkeypatch, count):
     monkeypatch.setattr(loops, "SparseDepthMaker", lambda *_: None)
-    monkeypatch.setattr(loops, "RayTable", lambda *_: None)
+    monkeypatch.setattr(loops, "ray_table", lambda *_: None)
     monkeypatch.setattr(loops, "_lifted", lambda completed, maker, rays, row: row)
     workspace = SimpleNamespace(config=SimpleNamespace(sparse=None))
 

@@ -178,19 +178,47 @@ def test_a_lens_that_moved_far_is_asked_again_of_the_map_adjusted_with_it(monkey
         return Lens(replace(camera, params=(focal, *camera.params[1:])), (0.1 * len(seen),), True)
 
     monkeypatch.setattr(self_calibration, "refine_lens", refine)
-    monkeypatch.setattr(self_calibration, "_with_lens", lambda maps, camera, *_: [camera.params[0]])
+    monkeypatch.setattr(self_calibration, "adjust_maps", lambda maps, *_: [GUESS.params[0]] * len(maps))
+    monkeypatch.setattr(
+        self_calibration, "_with_lens", lambda maps, numbers, camera, *_: dict.fromkeys(numbers, camera.params[0])
+    )
     monkeypatch.setattr(
         self_calibration, "submaps_of", lambda maps, params, kind=None: [replace(whole, camera_params=params)]
     )
     workspace = SimpleNamespace(log=None)
-    camera, sigma, held = self_calibration.refine_intrinsics(
-        maps, [GUESS.params[0]], GUESS, 0, None, workspace, SilentProgress()
-    )
+    camera, sigma, held = self_calibration.refine_intrinsics(maps, GUESS, 0, None, workspace, SilentProgress())
     assert len(seen) == asked
     assert all(of_map == of_camera for of_map, of_camera in seen)
     assert camera.params[0] == last == held[0]
     # A later round that determines nothing leaves the lens that was found, and its sigma.
     assert sigma[0] == pytest.approx(9.0 if focals[0] is None else 0.1 * (asked - (focals[-1] is None)))
+
+
+def test_maps_that_are_not_asked_for_the_lens_are_adjusted_once_and_with_it(monkeypatch):
+    """Four maps: the largest, number 2, does not determine the lens, the next, number 0, does, in two rounds."""
+    maps = [SimpleNamespace(tracked_frames=[None] * count, keyframes=[]) for count in (30, 10, 40, 20)]
+    focals, adjusted = iter([None, 150.0, 150.01]), []
+
+    def lens_of(local_map, camera, *_):
+        focal = next(focals)
+        if focal is None:
+            return Lens(camera, (9.0,), False)
+        return Lens(replace(camera, params=(focal, *camera.params[1:])), (0.1,), True)
+
+    def adjust(some, *_):
+        adjusted.append(("guess", [maps.index(one) for one in some]))
+        return [None] * len(some)
+
+    def with_lens(maps, numbers, camera, far, *_):
+        adjusted.append((camera.params[0], numbers, far))
+        return dict.fromkeys(numbers, camera.params[0])
+
+    monkeypatch.setattr(self_calibration, "_lens_of", lens_of)
+    monkeypatch.setattr(self_calibration, "adjust_maps", adjust)
+    monkeypatch.setattr(self_calibration, "_with_lens", with_lens)
+    found = self_calibration.refine_intrinsics(maps, GUESS, 0, None, SimpleNamespace(log=None), SilentProgress())
+    assert adjusted == [("guess", [2]), ("guess", [0]), (150.0, [0], True), (150.0, [1, 2, 3], True)]
+    assert (found[0].params[0], found[1], found[2]) == (150.0, (0.1,), [150.0] * 4)
 
 
 @pytest.mark.parametrize(
