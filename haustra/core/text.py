@@ -18,9 +18,9 @@ MARKS = (
 )
 
 
-def counted(number: int, noun: str) -> str:
-    """The number with its noun in singular or plural: 1 submap, 2 submaps."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """The number with its noun in singular or plural: 1 submap, 2 submaps. plural: where an s does not make it."""
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def read_text(path: Path | str) -> str:

@@ -5,7 +5,7 @@ reprojection error do not tell a false two-view start.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +25,6 @@ MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pie
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
 MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for that part of it to be kept
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
-MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
-MARGIN = 10  # and frames on either side of them that go with them
 MAPPER_IN_DOUBT = "odometry"  # the one on whose maps `map_doubt` was fitted,
 MIN_JUDGED = 20  # and the fewest frames that they had
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
@@ -43,6 +41,7 @@ class Candidate:
     submap: Submap
     check: LightingCheck
     folder: Path
+    mapper: str
 
 
 def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspace: Workspace) -> list[Candidate]:
@@ -68,7 +67,7 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
         folder = model or workspace.log / mapper / f"{number}{part}"
         if model is None:
             write_model(submap, camera, folder)
-        candidates.append(Candidate(submap, check, folder))
+        candidates.append(Candidate(submap, check, folder, mapper))
     return candidates
 
 
@@ -103,21 +102,6 @@ def sure_of(candidates: list[Candidate], total: int) -> list[Candidate]:
     ]
 
 
-def frames_in_doubt(candidates: list[Candidate], frames: Frames) -> Frames:
-    """The frames that no sure submap poses, with some around each stretch of them by which it can be joined.
-
-    Stretches that are too short to be mapped are left out.
-    """
-    sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
-    doubtful = np.array([int(frame) not in sure for frame in frames.index])
-    edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0))
-    wanted = np.zeros(len(doubtful), dtype=bool)
-    for begin, end in edges.reshape(-1, 2):
-        if end - begin >= MIN_STRETCH:
-            wanted[max(0, begin - MARGIN) : end + MARGIN] = True
-    return replace(frames, index=frames.index[wanted], seconds=frames.seconds[wanted])
-
-
 def accepted(
     candidates: list[Candidate], doubts: list[MapDoubt | None]
 ) -> tuple[list[Candidate], list[MapDoubt | None]]:
@@ -133,18 +117,17 @@ def accepted(
     return [one for one, _ in kept], [doubt for _, doubt in kept]
 
 
-def doubts_of(found: list[Candidate], mapper: str, frames: Frames) -> list[MapDoubt | None]:
-    """Of each submap that a mapper found; None of those of another mapper than odometry, of which the probability is
-    not known, and of those that are too short for it."""
-    if mapper != MAPPER_IN_DOUBT:
-        return [None] * len(found)
+def doubts_of(found: list[Candidate], frames: Frames) -> list[MapDoubt | None]:
+    """Of each submap; None of those of another mapper than odometry, of which the probability is not known, and of
+    those that are too short for it."""
     total, asked = len(frames.index), coefficients()["weights"]
 
     def doubt(one: Candidate) -> MapDoubt:
         camera = refined_camera(frames.camera, one.submap)
         return judge(gather_evidence(one.submap, camera, one.check, total, len(found), asked=asked))
 
-    return [doubt(one) if len(one.submap.frames) >= MIN_JUDGED else None for one in found]
+    judged = [one.mapper == MAPPER_IN_DOUBT and len(one.submap.frames) >= MIN_JUDGED for one in found]
+    return [doubt(one) if is_judged else None for one, is_judged in zip(found, judged, strict=True)]
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:

@@ -5,7 +5,8 @@
 
 import shutil
 import time
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,24 +26,22 @@ from pipeline.frontend.map_cautions import (
 )
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND, chosen
 from pipeline.frontend.scoring import (
-    MIN_STRETCH,
     Candidate,
     accepted,
     best_mapper,
     candidates_of,
     doubts_of,
-    frames_in_doubt,
     needs_second_opinion,
     sure_of,
 )
+from pipeline.frontend.second_opinion import ByMapper, ask_of_each, joined, stretches_in_doubt
 from pipeline.input.frames import Frames
-from pipeline.mapping.submap import Submap, read_submap
+from pipeline.mapping.submap import Submap, read_submap, refined_camera
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "structure"
-MOST_SFM_FRAMES = 1000  # COLMAP needs half a second a frame and more; `auto` does not ask it of longer videos
 
 
 def solve_structure(
@@ -130,9 +129,11 @@ def _solve(
             f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
             f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
-    kept, doubts = accepted(found, doubts_of(found, mapper, frames))
-    _keep(kept, workspace)
-    warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
+    with ThreadPoolExecutor(1, "lens") as pool:  # of the largest submap, which is kept whatever is doubted
+        lens = pool.submit(doubt_of_named_lens, found[0].submap, frames.camera, settings, workspace)
+        kept, doubts = accepted(found, doubts_of(found, frames))
+        _keep(kept, workspace)
+        warnings = lens.result()
     advice = advice_after(results, workspace)
     warnings += few_posed(sum(len(one.submap.frames) for one in kept), total, advice)
     warnings += doubts_of_submaps(kept, doubts, advice)
@@ -162,17 +163,7 @@ class _Result:
 
     candidates: dict[str, list[Candidate]]  # of each mapper, in the order in which they were run
     stats: dict[str, float]
-    mixed: bool = False  # with submaps of the first front end among them
-
-    def together_with(self, sure: list[Candidate]) -> "_Result":
-        """Each mapper's submaps and those of the first front end that are not in doubt, most frames first."""
-        if not sure:
-            return self
-        joint = {
-            mapper: sorted([*sure, *found], key=lambda one: -one.check.frames)
-            for mapper, found in self.candidates.items()
-        }
-        return _Result(joint, self.stats, True)
+    mixed: bool = False  # of several stretches, or with submaps of the first front end among them
 
 
 def _run(
@@ -198,26 +189,41 @@ def _run(
     found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
     if not needs_second_opinion(found, total):
         return results, None
-    sure, asked = sure_of(found, total), frames_in_doubt(found, frames)
     budget = settings.second_opinion * (time.monotonic() - started) if found else None
-    if len(asked.index) > MOST_SFM_FRAMES or budget == 0 or len(asked.index) < MIN_STRETCH:
+    stretches = stretches_in_doubt(found, frames)
+    if not stretches or budget == 0:
         return results, None
+    count = sum(len(one.index) for one in stretches)
     limit = "" if budget is None else f", for {max(budget, 1):.0f} s at most"
     progress.log(
-        f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {len(asked.index)} of {total} frames{limit}"
-        " (Ctrl-C goes on without it)"
+        f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {count} of {total} frames, in "
+        f"{counted(len(stretches), 'stretch', 'stretches')}{limit} (Ctrl-C goes on without it)"
     )
-    deadline = None if budget is None else time.monotonic() + budget
-    try:
-        second = run(SECOND, asked, settings.model_copy(update={"deadline": deadline}))
-    except KeyboardInterrupt:
-        progress.log(f"{SECOND} was interrupted; going on with what {FIRST} found")
-        return results, None
-    except HaustraError as error:
-        progress.log(str(error))
-        return results, str(error)
-    results[SECOND] = second.together_with(sure)
+    deadline, camera = None if budget is None else time.monotonic() + budget, _lens_of(found, frames)
+    told = settings.model_copy(update={"deadline": deadline})
+
+    def second(stretch: Frames) -> ByMapper:
+        if len(stretches) > 1:
+            for path in workspace.root.glob(f"{workspace.features.name}*"):  # of another stretch
+                path.unlink()
+        return run(SECOND, replace(stretch, camera=camera), told).candidates
+
+    opinions, failure = ask_of_each(stretches, second, deadline, workspace.log, progress)
+    if not opinions:
+        return results, failure
+    results[SECOND] = _Result(joined(found, opinions), {}, mixed=len(stretches) > 1 or count < total)
     return results, None
+
+
+def _lens_of(found: list[Candidate], frames: Frames) -> Camera:
+    """The camera that a second front end is given: a guessed one as the sure maps of the first one have it, if they
+    determine it, since one film has one lens."""
+    sure = [] if frames.camera.trusted else [one.submap for one in sure_of(found, len(frames.index))]
+    for submap in sure:
+        sigma = submap.camera_sigma[0] if submap.camera_sigma else np.inf
+        if sigma <= MAX_FOCAL_SIGMA * submap.camera_params[0]:  # NaN: False
+            return replace(refined_camera(frames.camera, submap), trusted=True)
+    return frames.camera
 
 
 def _why(candidates: list[Candidate], total: int) -> str:

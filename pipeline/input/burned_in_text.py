@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.threads import prefetched, workers
+
 FEWEST_FRAMES = 6  # among which something moves
 LOOKED_AT = 640  # px, longer side
 # Shares of the picture's shorter side:
@@ -40,7 +42,7 @@ def find_overlay(frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
     small = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames]
     side = min(size)
     reach, letter = _disc(REACH * side), 2 * round(LETTER * side / 2) + 1
-    details = [_fine_detail(frame) for frame in small]
+    details = list(prefetched(_fine_detail, small, workers(), workers()))
     always = np.mean([cv2.dilate(detail, reach) for detail in details], axis=0) >= ALWAYS
     still = always & (cv2.dilate(_fine_detail(np.median(small, axis=0).astype(np.uint8)), reach) > 0)
     strokes = cv2.boxFilter(np.mean(details, axis=0, dtype=np.float32), -1, (letter, letter))

@@ -1,5 +1,6 @@
 """`--front-end auto`: odometry, and COLMAP for clips of which odometry's result is doubtful."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,26 +10,17 @@ import pytest
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, OdometrySettings
-from pipeline.frontend import scoring, structure_stage
+from pipeline.frontend import scoring, second_opinion, structure_stage
 from pipeline.frontend.base import FrontEndResult
 from pipeline.frontend.colmap import front_end as colmap
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
-from pipeline.frontend.scoring import MARGIN, Candidate, best_mapper, frames_in_doubt
-from pipeline.input.frames import Frames
-from pipeline.mapping.lighting_check import LightingCheck
+from pipeline.frontend.scoring import Candidate, best_mapper
 from pipeline.matching.sift_cache import SiftCache
+from tests.helpers.candidates import DARK, GOOD, many_frames, map_of
 from tests.helpers.tubes.textured_tube import CAMERA
 
 SETTINGS = Config().front_end_settings
-GOOD = Candidate(SimpleNamespace(frames=np.arange(90)), LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path())
-DARK = Candidate(SimpleNamespace(frames=np.arange(90)), LightingCheck(90, 600, 0.3, 5.0, -0.2, 0.4, 90), Path())
-
 NO_FEATURES = SiftCache(None)  # nobody asks for any
-
-
-def many_frames(count):
-    index = np.arange(count)
-    return Frames(index, index / 30.0, CAMERA, np.ones((CAMERA.height, CAMERA.width), np.uint8), {"used": count})
 
 
 @pytest.fixture
@@ -71,90 +63,8 @@ def test_colmap_is_asked_where_odometry_is_doubtful(asked):
 
 
 def test_colmap_is_not_asked_of_a_long_video(asked):
-    long = structure_stage.MOST_SFM_FRAMES + 1
+    long = second_opinion.MOST_FRAMES + 1
     assert asked("auto", long, {"odometry": [DARK]}) == (["odometry"], "odometry")
-
-
-def map_of(frames, inconsistent=0.0):
-    """A candidate that poses these frames."""
-    frames = np.asarray(frames)
-    return Candidate(
-        SimpleNamespace(frames=frames),
-        LightingCheck(len(frames), 600, 0.5, 5.0, -0.9, inconsistent, len(frames)),
-        Path(),
-    )
-
-
-def test_only_stretches_without_a_sure_map_are_in_doubt():
-    frames = many_frames(300)
-    sure, dark = map_of(range(100)), map_of(range(150, 200), 0.3)
-    short_gap = map_of(range(210, 300))
-    asked = frames_in_doubt([sure, dark, short_gap], frames)
-    assert asked.index.tolist() == list(range(100 - MARGIN, 210 + MARGIN))
-    np.testing.assert_array_equal(asked.seconds, asked.index / 30)
-    assert len(frames_in_doubt([map_of(range(100)), map_of(range(110, 300))], frames).index) == 0  # 10 are too few
-    assert len(frames_in_doubt([dark], frames).index) == 300
-
-
-class Clockwork:
-    """A clock that the front ends move on, and one front end of each kind that takes its time by it."""
-
-    def __init__(self, monkeypatch, first_s, found, second):
-        self.now, self.told, self.lines = 100.0, [], []
-        monkeypatch.setattr(structure_stage.time, "monotonic", lambda: self.now)
-        monkeypatch.setattr(structure_stage, "candidates_of", lambda mapper, *_: found[mapper])
-
-        def run_first(*_):
-            self.now += first_s
-            return FrontEndResult({"odometry": []})
-
-        def run_second(frames, features, settings, *_):
-            self.told.append((frames.index.tolist(), settings.deadline))
-            return second()
-
-        monkeypatch.setitem(FRONT_ENDS, "odometry", SimpleNamespace(run=run_first))
-        monkeypatch.setitem(FRONT_ENDS, "sfm", SimpleNamespace(run=run_second))
-
-    def run(self, count, settings=SETTINGS):
-        progress = SilentProgress()
-        progress.log = self.lines.append
-        return structure_stage._run(many_frames(count), NO_FEATURES, "auto", settings, SimpleNamespace(), progress)
-
-
-@pytest.mark.parametrize("share", [1.0, 0.25, 0.0])
-def test_the_second_opinion_gets_its_share_of_the_time_that_the_first_took(monkeypatch, share):
-    found = {"odometry": [map_of(range(60)), map_of(range(60, 100), 0.5)], "global": [map_of(range(50, 100))]}
-    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
-    results, _ = clock.run(100, SETTINGS.model_copy(update={"second_opinion": share}))
-    if share == 0:
-        assert clock.told == []
-        return
-    ((index, deadline),) = clock.told
-    assert index == list(range(50, 100))  # the sure map's frames are not asked again, but for the margin
-    assert deadline == pytest.approx(140.0 + 40.0 * share)
-    assert f"for {40 * share:.0f} s at most" in clock.lines[0]
-    posed = [len(c.submap.frames) for c in results["sfm"].candidates["global"]]
-    assert posed == [60, 50]
-    assert results["sfm"].mixed
-
-
-def test_where_the_first_found_nothing_the_second_has_all_the_time(monkeypatch):
-    found = {"odometry": [], "global": [map_of(range(100))]}
-    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
-    results, _ = clock.run(100)
-    assert clock.told == [(list(range(100)), None)]
-    assert not results["sfm"].mixed
-
-
-def test_an_interrupt_of_the_second_opinion_keeps_the_first(monkeypatch):
-    def interrupted():
-        raise KeyboardInterrupt
-
-    clock = Clockwork(monkeypatch, 5.0, {"odometry": [DARK]}, interrupted)
-    results, failure = clock.run(100)
-    assert list(results) == ["odometry"]
-    assert failure is None
-    assert "interrupted" in clock.lines[-1]
 
 
 def test_a_mapper_that_finds_nothing_does_not_win(asked):
@@ -168,7 +78,7 @@ def test_sfm_and_odometry_ask_nobody_else(asked):
 
 def test_who_asks_for_sfm_gets_sfm(asked):
     assert asked("sfm", 100, {"global": [], "incremental": [DARK]})[0] == ["global", "incremental"]
-    long = structure_stage.MOST_SFM_FRAMES + 1
+    long = second_opinion.MOST_FRAMES + 1
     assert asked("sfm", long, {"global": [], "incremental": []})[0][0] == "global"
 
 
@@ -227,10 +137,9 @@ def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
     monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
     monkeypatch.setattr(scoring, "judge", lambda evidence: f"judged by {evidence}")
-    short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path())
+    short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path(), "odometry")
     kept, frames = [GOOD, short], many_frames(100)
-    assert scoring.doubts_of(kept, "odometry", frames) == ["judged by evidence", None]
-    assert scoring.doubts_of(kept, "global", frames) == [None, None]
+    assert scoring.doubts_of([*kept, replace(GOOD, mapper="global")], frames) == ["judged by evidence", None, None]
 
 
 def test_choices_that_cannot_work_are_refused_at_once():

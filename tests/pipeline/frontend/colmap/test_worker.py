@@ -95,16 +95,18 @@ def test_light_agrees_with_a_true_model_and_contradicts_a_mirrored_depth(tube):
     assert true.spearman < -0.8
     false = check_lighting(tube, lambda index: lit_image(tube, rows[index], exponent=1.0))
     assert false.inconsistent_share > 0.9
-    assert score([Candidate(tube, true, Path())], 12) > score([Candidate(tube, false, Path())], 12) + 1
+    assert (
+        score([Candidate(tube, true, Path(), "global")], 12) > score([Candidate(tube, false, Path(), "global")], 12) + 1
+    )
 
 
 def test_a_mapper_that_leaves_frames_out_needs_clearly_better_light_to_win(tube):
     whole = LightingCheck(12, 600, 0.5, 5.0, -0.9, 0.0, 12)
     half = LightingCheck(6, 300, 0.4, 5.0, -0.95, 0.0, 6)
     wrong = LightingCheck(12, 600, 0.3, 5.0, -0.86, 0.17, 12)
-    scores = [score([Candidate(tube, evidence, Path())], 12) for evidence in (whole, half, wrong)]
+    scores = [score([Candidate(tube, evidence, Path(), "global")], 12) for evidence in (whole, half, wrong)]
     assert scores[0] > scores[1] > scores[2]
-    two_halves = [Candidate(tube, half, Path()), Candidate(tube, half, Path())]
+    two_halves = [Candidate(tube, half, Path(), "global"), Candidate(tube, half, Path(), "global")]
     assert scores[2] < score(two_halves, 12) < scores[0]
 
 

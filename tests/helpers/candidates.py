@@ -1,0 +1,32 @@
+"""Submaps as front ends' scoring sees them, of which only frames and lighting are asked."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from pipeline.frontend.scoring import Candidate
+from pipeline.input.frames import Frames
+from pipeline.mapping.lighting_check import LightingCheck
+from tests.helpers.tubes.textured_tube import CAMERA
+
+NINETY = SimpleNamespace(frames=np.arange(90))
+GOOD = Candidate(NINETY, LightingCheck(90, 600, 0.5, 5.0, -0.9, 0.0, 90), Path(), "odometry")
+DARK = Candidate(NINETY, LightingCheck(90, 600, 0.3, 5.0, -0.2, 0.4, 90), Path(), "odometry")
+
+
+def many_frames(count):
+    """So many working frames at 30 a second."""
+    index = np.arange(count)
+    return Frames(index, index / 30.0, CAMERA, np.ones((CAMERA.height, CAMERA.width), np.uint8), {"used": count})
+
+
+def map_of(frames, inconsistent=0.0, mapper="odometry"):
+    """A candidate that poses these frames."""
+    frames = np.asarray(frames)
+    return Candidate(
+        SimpleNamespace(frames=frames),
+        LightingCheck(len(frames), 600, 0.5, 5.0, -0.9, inconsistent, len(frames)),
+        Path(),
+        mapper,
+    )
