@@ -134,7 +134,7 @@ def _solve(
         kept, doubts = accepted(found, doubts_of(found, frames))
         _keep(kept, workspace)
         warnings = lens.result()
-    advice = advice_after(results, workspace)
+    advice = advice_after([of for of, result in results.items() if not result.mixed], workspace)
     warnings += few_posed(sum(len(one.submap.frames) for one in kept), total, advice)
     warnings += doubts_of_submaps(kept, doubts, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)

@@ -86,7 +86,7 @@ class Centreline:
         """Row (N,) of the station nearest to each point (N,3)."""
         from scipy.spatial import cKDTree
 
-        return np.asarray(cKDTree(self.points).query(points)[1], np.int64)
+        return np.asarray(cKDTree(self.points).query(points, workers=-1)[1], np.int64)
 
     def locate(self, points: Array) -> tuple[Array, Array, Array]:
         """Cylindrical coordinates (N,) of points (N,3): arc length, angle and distance from the line.
