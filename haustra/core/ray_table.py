@@ -14,7 +14,7 @@ from haustra.core.camera import WIDEST, Camera
 
 # Largest error of unprojecting a projected point, relative to 1 + its distance from the axis on the plane z = 1.
 ROUND_TRIP = 0.05
-KEPT = 4  # cameras whose tables `ray_table` keeps, 5 MB each at 320x320
+KEPT = 2  # cameras whose tables `ray_table` keeps, 5 MB each at 320x320 px
 
 
 class RayTable:

@@ -63,8 +63,8 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
                 few = submap.without_frames(set(np.delete(submap.frames, np.s_[begin:end]).tolist()))
                 submap = few.without_points(few.track_lengths() < 2)
                 check, model = summarised(submap, correlations[begin:end]), None
-        part = "" if one.model is None else "_stretch"  # COLMAP's own model stays as it is
-        folder = model or workspace.log / mapper / f"{number}{part}"
+        # COLMAP's own models, which are numbered too, stay as they are.
+        folder = model or workspace.log / mapper / f"{number}_written"
         if model is None:
             write_model(submap, camera, folder)
         candidates.append(Candidate(submap, check, folder, mapper))
@@ -115,6 +115,18 @@ def accepted(
         or (doubt is not None and doubt.probability < MOST_DOUBT)
     ]
     return [one for one, _ in kept], [doubt for _, doubt in kept]
+
+
+def uncovered(kept: list[Candidate], doubts: list[MapDoubt | None]) -> tuple[list[Candidate], list[MapDoubt | None]]:
+    """Those with frames that none before them has, and their doubts: a frame belongs to the first."""
+    parts = disjoint(one.submap for one in kept)
+    left = [number for number, part in enumerate(parts) if len(part.frames) >= MIN_FRAMES]
+    return [kept[number] for number in left], [doubts[number] for number in left]
+
+
+def frames_posed(candidates: list[Candidate]) -> int:
+    """By any of them."""
+    return len({int(frame) for one in candidates for frame in one.submap.frames})
 
 
 def doubts_of(found: list[Candidate], frames: Frames) -> list[MapDoubt | None]:

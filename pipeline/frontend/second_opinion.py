@@ -1,23 +1,28 @@
 """The second front end, asked of the stretches of a film that the first one leaves in doubt, within a budget of time.
 
 Each stretch is mapped by itself, the shortest first: what is finished when the time is over counts, and the pace of the
-finished ones tells which of the others the time that is left is too short for.
+finished ones tells which of the others the time that is left is too short for. Where nobody knows the lens, all are
+mapped at once, since one film has one lens.
 """
 
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.text import counted
-from pipeline.frontend.scoring import Candidate, best_mapper, score, sure_of
+from pipeline.frontend.base import MAX_FOCAL_SIGMA
+from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
 from pipeline.input.frames import Frames
+from pipeline.mapping.colmap_io import write_camera_sigma
+from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
@@ -27,87 +32,180 @@ ByMapper = dict[str, list[Candidate]]
 
 
 @dataclass(frozen=True)
-class Opinion:
-    """What the second front end found of one stretch, by mapper. frames (N,): that it was asked of."""
+class Stretch:
+    """frames: with some around it by which it can be joined. doubtful (N,): numbers of those that no sure map poses."""
 
-    frames: NDArray[np.int64]
+    frames: Frames
+    doubtful: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What the second front end found of one stretch, by mapper."""
+
+    stretch: Stretch
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames) -> list[Frames]:
-    """Stretches of frames that no sure submap poses, each with some frames around it by which it can be joined, the
-    shortest first; those that are too short to be mapped are left out, and the longest, where all are too many."""
+def stretches_in_doubt(candidates: list[Candidate], frames: Frames) -> list[Stretch]:
+    """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
+    out, and the longest, where all are too many."""
     sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
     edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
-    found: list[tuple[int, int]] = []
-    for begin, end in ((b, e) for b, e in edges if e - b >= MIN_STRETCH):
-        wide = max(0, int(begin) - MARGIN), min(int(end) + MARGIN, len(doubtful))
-        if found and wide[0] <= found[-1][1]:
-            wide = found.pop()[0], wide[1]
-        found.append(wide)
-    found.sort(key=lambda one: one[1] - one[0])
-    few = np.cumsum([end - begin for begin, end in found]) <= MOST_FRAMES
-    parts = [(frames.index[b:e], frames.seconds[b:e]) for (b, e), is_few in zip(found, few, strict=True) if is_few]
-    return [replace(frames, index=index, seconds=seconds) for index, seconds in parts]
+    spans: list[tuple[int, int]] = []
+    for begin, end in ((int(b), int(e)) for b, e in edges if e - b >= MIN_STRETCH):
+        wide = max(0, begin - MARGIN), min(end + MARGIN, len(doubtful))
+        if spans and wide[0] <= spans[-1][1]:
+            wide = spans.pop()[0], wide[1]
+        spans.append(wide)
+    spans.sort(key=lambda span: span[1] - span[0])
+    few = np.cumsum([end - begin for begin, end in spans]) <= MOST_FRAMES
+    rows = [np.arange(*span) for span, is_few in zip(spans, few, strict=True) if is_few]
+    return [
+        Stretch(replace(frames, index=frames.index[r], seconds=frames.seconds[r]), frames.index[r[doubtful[r]]])
+        for r in rows
+    ]
+
+
+def at_once(stretches: list[Stretch]) -> list[Stretch]:
+    """All of them as one."""
+    index = np.concatenate([one.frames.index for one in stretches])
+    order = np.argsort(index)
+    seconds = np.concatenate([one.frames.seconds for one in stretches])
+    doubtful = np.sort(np.concatenate([one.doubtful for one in stretches]))
+    return [Stretch(replace(stretches[0].frames, index=index[order], seconds=seconds[order]), doubtful)]
+
+
+def known_lens(found: list[Candidate], frames: Frames) -> tuple[Camera, tuple[float, ...]] | None:
+    """The lens, and its sigmas where it was a guess that the sure maps determine; None where nobody knows it."""
+    if frames.camera.trusted:
+        return frames.camera, ()
+    for submap in (one.submap for one in sure_of(found, len(frames.index))):
+        sigma = submap.camera_sigma
+        if sigma and sigma[0] <= MAX_FOCAL_SIGMA * submap.camera_params[0]:  # NaN: False
+            return replace(refined_camera(frames.camera, submap), trusted=True), sigma
+    return None
+
+
+def with_sigma(candidates: list[Candidate], sigma: tuple[float, ...]) -> list[Candidate]:
+    """The same, mapped with a lens whose sigmas another map gave; their models say so too."""
+    for one in candidates:
+        write_camera_sigma(one.folder, sigma)
+    return [replace(one, submap=replace(one.submap, camera_sigma=sigma)) for one in candidates]
 
 
 def ask_of_each(
-    stretches: list[Frames],
+    stretches: list[Stretch],
     run: Callable[[Frames], ByMapper],
     deadline: float | None,
     log: Path,
     progress: Progress,
 ) -> tuple[list[Opinion], str | None]:
     """What the second front end finds of each stretch, in their order, by the deadline (`time.monotonic()`; None: there
-    is none), and why it did not find more, if that was an error of its own. Ctrl-C ends it, and keeps what is finished.
+    is none), and what failed, if anything. Ctrl-C ends it, and keeps what is finished.
 
     log: folder for the models of stretches that are done while others are mapped.
     """
     opinions: list[Opinion] = []
+    failure = None
     pace = 0.0  # s a frame, of the last that was finished
     for number, stretch in enumerate(stretches):
-        count, started = len(stretch.index), time.monotonic()
-        if pace and deadline is not None and pace * count > deadline - started:
+        count, started = len(stretch.frames.index), time.monotonic()
+        if number and deadline is not None and pace * count >= deadline - started:
             left = counted(len(stretches) - number, "stretch", "stretches")
             progress.log(f"the time left is too short for {left} of {count} frames and more")
             break
         try:
-            found = run(stretch)
+            found = run(stretch.frames)
         except KeyboardInterrupt:
             progress.log("the comparison was interrupted; going on with what there is")
             break
         except HaustraError as error:
-            progress.log(str(error))
-            return opinions, str(error)
+            failure = str(error)
+            progress.log(failure)
+            continue
         if len(stretches) > 1:
             found = {mapper: _moved(of, log / f"stretch_{number}_{mapper}") for mapper, of in found.items()}
-        opinions.append(Opinion(stretch.index, found))
+        opinions.append(Opinion(stretch, found))
         pace = (time.monotonic() - started) / count
-    return opinions, None
+    return opinions, failure
 
 
-def joined(first: list[Candidate], opinions: list[Opinion]) -> ByMapper:
-    """Maps of the whole film by each mapper of the second front end, most frames first: of the first one those that lie
-    outside of what was asked; of each of several stretches the better, where one mapper did not run the other's."""
-    parts = [[one for one in first if _share_in(one, opinion.frames) >= 0.5] for opinion in opinions]
-    asked = [one for part in parts for one in part]
-    kept = [one for one in first if not any(one is other for other in asked)]
-    found: ByMapper = {}
-    for mapper in dict.fromkeys(mapper for opinion in opinions for mapper in opinion.candidates):
-        maps = list(kept)
-        for part, opinion in zip(parts, opinions, strict=True):
-            count, by_mapper = len(opinion.frames), opinion.candidates
-            second = by_mapper[mapper if mapper in by_mapper else best_mapper(by_mapper, count)]
-            is_worse = len(opinions) > 1 and score(part, count) >= score(second, count)
-            maps += part if is_worse else second
-        found[mapper] = sorted(maps, key=lambda one: -one.check.frames)
-    return found
+def joined(first: list[Candidate], total: int, opinions: list[Opinion]) -> ByMapper:
+    """Maps of the whole film of `total` frames, by mapper of the second front end, most frames first.
+
+    Maps of the first one that are sure, or in no stretch, stay. Of one stretch, each mapper's maps take the place of
+    the other ones. Of several, those of a mapper or the first front end's, whichever are better on the frames in doubt;
+    stretches that a map of the first one spans are decided together. Nothing where the first front end's are better
+    everywhere.
+    """
+    sure = [id(one) for one in sure_of(first, total)]
+    groups = _groups([one for one in first if id(one) not in sure], opinions)
+    in_doubt = [id(one) for maps, _ in groups for one in maps]
+    kept = [one for one in first if id(one) not in in_doubt]
+    if len(opinions) == 1:
+        (opinion,) = opinions
+        return {mapper: _distinct(kept, _usable(opinion, mapper, kept)) for mapper in opinion.candidates}
+    second: list[Candidate] = []
+    for maps, about in groups:
+        doubtful = np.concatenate([opinion.stretch.doubtful for opinion in about])
+        theirs = [one for opinion in about for one in _best(opinion, kept)]
+        if _worth(theirs, doubtful) > _worth(maps, doubtful):
+            second += theirs
+        else:
+            kept = kept + maps
+    names = " and ".join(dict.fromkeys(one.mapper for one in second))
+    return {names: _distinct(kept, second)} if second else {}
 
 
-def _share_in(candidate: Candidate, frames: NDArray[np.int64]) -> float:
-    """Of a submap's frames."""
-    return float(np.isin(candidate.submap.frames, frames).mean())
+def _groups(maps: list[Candidate], opinions: list[Opinion]) -> list[tuple[list[Candidate], list[Opinion]]]:
+    """Stretches that a map of the first front end spans together, with all its maps that have frames in them."""
+    groups: list[tuple[list[Candidate], list[Opinion]]] = []
+    for opinion in opinions:
+        inside = [one for one in maps if np.isin(one.submap.frames, opinion.stretch.doubtful).any()]
+        about = [opinion]
+        for group in [g for g in groups if any(one is other for one in g[0] for other in inside)]:
+            groups.remove(group)
+            inside += [one for one in group[0] if not any(one is other for other in inside)]
+            about += group[1]
+        groups.append((inside, about))
+    return groups
+
+
+def _best(opinion: Opinion, kept: list[Candidate]) -> list[Candidate]:
+    """The better mapper's maps of one stretch."""
+    usable = {mapper: _usable(opinion, mapper, kept) for mapper in opinion.candidates}
+    return usable[best_mapper(usable, len(opinion.stretch.frames.index))] if usable else []
+
+
+def _usable(opinion: Opinion, mapper: str, kept: list[Candidate]) -> list[Candidate]:
+    """Maps with some of the frames in doubt; beside others, those that the light contradicts would be dropped."""
+    return [
+        one
+        for one in opinion.candidates[mapper]
+        if np.isin(one.submap.frames, opinion.stretch.doubtful).sum() >= MIN_FRAMES
+        and not (kept and one.check.inconsistent_share > MAX_INCONSISTENT)
+    ]
+
+
+def _worth(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
+    """Score by these frames alone."""
+    inside = [int(np.isin(one.submap.frames, frames).sum()) for one in maps]
+    return score([replace(m, check=replace(m.check, frames=n)) for m, n in zip(maps, inside, strict=True)], len(frames))
+
+
+def _distinct(kept: list[Candidate], second: Iterable[Candidate]) -> list[Candidate]:
+    """Both, most frames first. A frame that two have counts for the first front end's, or the larger one of two of the
+    second; a map of the second to which too few are left goes."""
+    claimed = {int(frame) for one in kept for frame in one.submap.frames}
+    found = list(kept)
+    for one in sorted(second, key=lambda one: -one.check.frames):
+        own = {int(frame) for frame in one.submap.frames} - claimed
+        if len(own) >= MIN_FRAMES:
+            found.append(replace(one, check=replace(one.check, frames=len(own))))
+            claimed |= own
+    return sorted(found, key=lambda one: -one.check.frames)
 
 
 def _moved(candidates: list[Candidate], target: Path) -> list[Candidate]:

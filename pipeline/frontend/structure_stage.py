@@ -5,7 +5,6 @@
 
 import shutil
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,12 +30,21 @@ from pipeline.frontend.scoring import (
     best_mapper,
     candidates_of,
     doubts_of,
+    frames_posed,
     needs_second_opinion,
-    sure_of,
+    uncovered,
 )
-from pipeline.frontend.second_opinion import ByMapper, ask_of_each, joined, stretches_in_doubt
+from pipeline.frontend.second_opinion import (
+    ByMapper,
+    ask_of_each,
+    at_once,
+    joined,
+    known_lens,
+    stretches_in_doubt,
+    with_sigma,
+)
 from pipeline.input.frames import Frames
-from pipeline.mapping.submap import Submap, read_submap, refined_camera
+from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption
@@ -129,17 +137,15 @@ def _solve(
             f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
             f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
-    with ThreadPoolExecutor(1, "lens") as pool:  # of the largest submap, which is kept whatever is doubted
-        lens = pool.submit(doubt_of_named_lens, found[0].submap, frames.camera, settings, workspace)
-        kept, doubts = accepted(found, doubts_of(found, frames))
-        _keep(kept, workspace)
-        warnings = lens.result()
-    advice = advice_after([of for of, result in results.items() if not result.mixed], workspace)
-    warnings += few_posed(sum(len(one.submap.frames) for one in kept), total, advice)
+    kept, doubts = uncovered(*accepted(found, doubts_of(found, frames)))
+    _keep(kept, workspace)
+    warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
+    advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
+    warnings += few_posed(frames_posed(kept), total, advice)
     warnings += doubts_of_submaps(kept, doubts, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     warnings += carried_by_depth(results[name].stats.get("bridged", 0))
-    if results[name].mixed:  # loops between the submaps of two front ends are still open
+    if results[name].in_parts:  # loops between the submaps of two front ends are still open
         name = FIRST
     workspace.finish(
         STAGE,
@@ -163,7 +169,7 @@ class _Result:
 
     candidates: dict[str, list[Candidate]]  # of each mapper, in the order in which they were run
     stats: dict[str, float]
-    mixed: bool = False  # of several stretches, or with submaps of the first front end among them
+    in_parts: bool = False  # of stretches of the film, with the first front end's submaps of the rest
 
 
 def _run(
@@ -190,40 +196,31 @@ def _run(
     if not needs_second_opinion(found, total):
         return results, None
     budget = settings.second_opinion * (time.monotonic() - started) if found else None
-    stretches = stretches_in_doubt(found, frames)
+    stretches, lens = stretches_in_doubt(found, frames), known_lens(found, frames)
     if not stretches or budget == 0:
         return results, None
-    count = sum(len(one.index) for one in stretches)
+    if lens is None:
+        stretches = at_once(stretches)
+    camera, sigma = lens or (frames.camera, ())
+    count = sum(len(one.frames.index) for one in stretches)
     limit = "" if budget is None else f", for {max(budget, 1):.0f} s at most"
     progress.log(
         f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {count} of {total} frames, in "
-        f"{counted(len(stretches), 'stretch', 'stretches')}{limit} (Ctrl-C goes on without it)"
+        f"{counted(len(stretches), 'part')}{limit} (Ctrl-C goes on without it)"
     )
-    deadline, camera = None if budget is None else time.monotonic() + budget, _lens_of(found, frames)
+    deadline = None if budget is None else time.monotonic() + budget
     told = settings.model_copy(update={"deadline": deadline})
 
-    def second(stretch: Frames) -> ByMapper:
-        if len(stretches) > 1:
-            for path in workspace.root.glob(f"{workspace.features.name}*"):  # of another stretch
-                path.unlink()
-        return run(SECOND, replace(stretch, camera=camera), told).candidates
+    def second(some: Frames) -> ByMapper:
+        if len(stretches) > 1 or camera != frames.camera:  # features of other frames, or with another lens
+            workspace.forget_features()
+        by_mapper = run(SECOND, replace(some, camera=camera), told).candidates
+        return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}
 
     opinions, failure = ask_of_each(stretches, second, deadline, workspace.log, progress)
-    if not opinions:
-        return results, failure
-    results[SECOND] = _Result(joined(found, opinions), {}, mixed=len(stretches) > 1 or count < total)
-    return results, None
-
-
-def _lens_of(found: list[Candidate], frames: Frames) -> Camera:
-    """The camera that a second front end is given: a guessed one as the sure maps of the first one have it, if they
-    determine it, since one film has one lens."""
-    sure = [] if frames.camera.trusted else [one.submap for one in sure_of(found, len(frames.index))]
-    for submap in sure:
-        sigma = submap.camera_sigma[0] if submap.camera_sigma else np.inf
-        if sigma <= MAX_FOCAL_SIGMA * submap.camera_params[0]:  # NaN: False
-            return replace(refined_camera(frames.camera, submap), trusted=True)
-    return frames.camera
+    if by_mapper := joined(found, total, opinions):
+        results[SECOND] = _Result(by_mapper, {}, in_parts=count < total)
+    return results, None if opinions else failure
 
 
 def _why(candidates: list[Candidate], total: int) -> str:
@@ -261,7 +258,7 @@ def _unit(submap: Submap) -> float:
 
 
 def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:
-    posed, first = sum(len(c.submap.frames) for c in candidates), candidates[0].check
+    posed, first = frames_posed(candidates), candidates[0].check
     agreeing = 100 * (1 - first.inconsistent_share)
     light = f", lighting consistent in {agreeing:.0f} % of {first.n_checked} frames" if first.n_checked else ""
     return (

@@ -39,8 +39,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
         camera_params=np.array(submap.camera_params),
         **followed,
     )
-    if submap.camera_sigma:
-        (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in submap.camera_sigma))
+    write_camera_sigma(folder, submap.camera_sigma)
     seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
     params = " ".join(repr(float(p)) for p in lens.params)
     (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
@@ -48,6 +47,12 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
         file.writelines(_image_lines(seen, names))
     with (folder / "points3D.txt").open("w") as file:
         file.writelines(_point_lines(submap, colours))
+
+
+def write_camera_sigma(folder: Path, sigma: tuple[float, ...]) -> None:
+    """Standard deviations of a refined lens beside a model; nothing where there are none."""
+    if sigma:
+        (folder / "camera_sigma.txt").write_text(" ".join(repr(float(s)) for s in sigma))
 
 
 def _by_pinhole(submap: Submap, camera: Camera) -> tuple[Submap, Camera]:

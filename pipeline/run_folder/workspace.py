@@ -76,6 +76,11 @@ class Workspace:
         if self.lock is not None:
             self.lock.release()
 
+    def forget_features(self) -> None:
+        """Remove COLMAP's database."""
+        for path in self.root.glob(f"{self.features.name}*"):
+            path.unlink()
+
     def image_path(self, index: int) -> Path:
         return self.images / f"{index:06d}.jpg"
 

@@ -1,5 +1,6 @@
 """Submaps as front ends' scoring sees them, of which only frames and lighting are asked."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,3 +31,14 @@ def map_of(frames, inconsistent=0.0, mapper="odometry"):
         Path(),
         mapper,
     )
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is asked of a submap."""
+
+    frames: np.ndarray
+    camera_sigma: tuple[float, ...] = ()
+
+    def without_frames(self, gone):
+        return replace(self, frames=np.array([frame for frame in self.frames if frame not in gone]))

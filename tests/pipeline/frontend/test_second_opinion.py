@@ -1,21 +1,24 @@
 """The second front end: of which stretches it is asked, for how long, and what is kept of both."""
 
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.frontend import structure_stage
-from pipeline.frontend.base import FrontEndResult
-from pipeline.frontend.registry import FRONT_ENDS
-from pipeline.frontend.second_opinion import MARGIN, stretches_in_doubt
+from pipeline.frontend.scoring import uncovered
+from pipeline.frontend.second_opinion import (
+    MARGIN,
+    Opinion,
+    Stretch,
+    ask_of_each,
+    joined,
+    stretches_in_doubt,
+)
 from pipeline.matching.sift_cache import SiftCache
-from tests.helpers.candidates import DARK, GOOD, many_frames, map_of
-from tests.helpers.tubes.textured_tube import CAMERA
+from tests.helpers.candidates import GOOD, Given, many_frames, map_of
 
 SETTINGS = Config().front_end_settings
 NO_FEATURES = SiftCache(None)  # nobody asks for any
@@ -26,156 +29,121 @@ def test_only_stretches_without_a_sure_map_are_in_doubt():
     sure, dark = map_of(range(100)), map_of(range(150, 200), 0.3)
     short_gap = map_of(range(210, 300))
     (asked,) = stretches_in_doubt([sure, dark, short_gap], frames)
-    assert asked.index.tolist() == list(range(100 - MARGIN, 210 + MARGIN))
-    np.testing.assert_array_equal(asked.seconds, asked.index / 30)
+    assert asked.frames.index.tolist() == list(range(100 - MARGIN, 210 + MARGIN))
+    assert asked.doubtful.tolist() == list(range(100, 210))
+    np.testing.assert_array_equal(asked.frames.seconds, asked.frames.index / 30)
     assert stretches_in_doubt([map_of(range(100)), map_of(range(110, 300))], frames) == []  # 10 are too few
-    assert [len(one.index) for one in stretches_in_doubt([dark], frames)] == [300]
+    assert [len(one.frames.index) for one in stretches_in_doubt([dark], frames)] == [300]
     two = stretches_in_doubt([map_of(range(60, 100)), map_of(range(140, 300))], frames)
-    assert [(one.index[0], one.index[-1] + 1) for one in two] == [(90, 150), (0, 70)], "the shortest first"
+    assert [(one.frames.index[0], one.frames.index[-1] + 1) for one in two] == [(90, 150), (0, 70)], (
+        "the shortest first"
+    )
 
 
 def test_the_longest_stretches_are_left_out_where_all_are_too_many():
     frames = many_frames(2400)
     found = [map_of(range(300, 1200)), map_of(range(1500, 1800))]  # in doubt: 0 to 300, 1200 to 1500, 1800 to 2400
-    assert [len(one.index) for one in stretches_in_doubt(found, frames)] == [310, 320]
+    assert [len(one.frames.index) for one in stretches_in_doubt(found, frames)] == [310, 320]
 
 
-class Clockwork:
-    """A clock that the front ends move on, and one front end of each kind that takes its time by it."""
-
-    def __init__(self, monkeypatch, first_s, found, second, second_s_a_frame=0.0):
-        self.now, self.told, self.lines = 100.0, [], []
-        monkeypatch.setattr(structure_stage.time, "monotonic", lambda: self.now)
-        self.root = Path("/nowhere")
-        monkeypatch.setattr(structure_stage, "candidates_of", lambda mapper, *_: found[mapper])
-
-        def run_first(*_):
-            self.now += first_s
-            return FrontEndResult({"odometry": []})
-
-        def run_second(frames, features, settings, *_):
-            self.told.append((frames.index.tolist(), settings.deadline))
-            self.now += second_s_a_frame * len(frames.index)
-            return second()
-
-        monkeypatch.setitem(FRONT_ENDS, "odometry", SimpleNamespace(run=run_first))
-        monkeypatch.setitem(FRONT_ENDS, "sfm", SimpleNamespace(run=run_second))
-
-    def run(self, count, settings=SETTINGS):
-        progress = SilentProgress()
-        progress.log = self.lines.append
-        workspace = SimpleNamespace(root=self.root, log=self.root, features=self.root / "features.db")
-        return structure_stage._run(many_frames(count), NO_FEATURES, "auto", settings, workspace, progress)
+def stretch_of(begin, end, margin=MARGIN):
+    """What is in doubt from one frame to another, and some frames around it."""
+    index = np.arange(max(0, begin - margin), end + margin)
+    return Stretch(replace(many_frames(len(index)), index=index, seconds=index / 30), np.arange(begin, end))
 
 
-@pytest.mark.parametrize("share", [1.0, 0.25, 0.0])
-def test_the_second_opinion_gets_its_share_of_the_time_that_the_first_took(monkeypatch, share):
-    found = {"odometry": [map_of(range(60)), map_of(range(60, 100), 0.5)], "global": [map_of(range(50, 100))]}
-    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
-    results, _ = clock.run(100, SETTINGS.model_copy(update={"second_opinion": share}))
-    if share == 0:
-        assert clock.told == []
-        return
-    ((index, deadline),) = clock.told
-    assert index == list(range(50, 100))  # the sure map's frames are not asked again, but for the margin
-    assert deadline == pytest.approx(140.0 + 40.0 * share)
-    assert f"for {40 * share:.0f} s at most" in clock.lines[0]
-    posed = [len(c.submap.frames) for c in results["sfm"].candidates["global"]]
-    assert posed == [60, 50]
-    assert results["sfm"].mixed
+def global_(frames, inconsistent=0.0):
+    return map_of(frames, inconsistent, "global")
 
 
-def in_two_stretches(monkeypatch, tmp_path, second, first_s, s_a_frame):
-    """A film of 400 frames, of which the first front end leaves 100 to 150 and 200 to 300 in doubt."""
-    found = {"odometry": [map_of(range(100)), map_of(range(150, 200)), map_of(range(300, 400))]}
-    found["odometry"].append(map_of(range(210, 240), 0.5))
-    clock = Clockwork(monkeypatch, first_s, found, second, s_a_frame)
-    clock.root = tmp_path
-    (tmp_path / "features.db").touch()
-    return clock, found
+def incremental(frames):
+    return map_of(frames, 0.0, "incremental")
 
 
-def placed(root, frames):
-    """A map of COLMAP whose model lies where the next run would overwrite it."""
-    (root / "global" / "0").mkdir(parents=True)
-    return replace(map_of(frames, mapper="global"), folder=root / "global" / "0")
+def shown(maps):
+    """Of each map, who made it and its first and last frame."""
+    return sorted((one.mapper, int(one.submap.frames[0]), int(one.submap.frames[-1])) for one in maps)
 
 
-def test_each_stretch_is_mapped_by_itself_and_keeps_its_model(monkeypatch, tmp_path):
-    parts = iter([range(90, 160), range(190, 310)])
-
-    def second():
-        assert not (tmp_path / "features.db").exists(), "features are another stretch's"
-        found["global"] = [placed(tmp_path, next(parts))]
-        return FrontEndResult({"global": []})
-
-    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.1)
-    results, failure = clock.run(400)
-    assert failure is None
-    assert [(index[0], index[-1] + 1) for index, _ in clock.told] == [(90, 160), (190, 310)]
-    maps = results["sfm"].candidates["global"]
-    assert results["sfm"].mixed
-    assert sorted(len(one.submap.frames) for one in maps) == [50, 70, 100, 100, 120]
-    assert all(one.folder.is_dir() for one in maps if one.mapper == "global")
-    assert len({one.folder for one in maps if one.mapper == "global"}) == 2
+def test_a_sure_map_between_two_stretches_that_touch_stays():
+    sure = map_of(range(90, 110))
+    first = [sure, map_of(range(85), 0.5), map_of(range(115, 200), 0.5)]
+    (stretch,) = stretches_in_doubt(first, many_frames(200))
+    assert len(stretch.frames.index) == 200
+    assert len(stretch.doubtful) == 180
+    found = joined(first, 200, [Opinion(stretch, {"global": [global_(range(88)), global_(range(112, 200))]})])
+    assert shown(found["global"]) == [("global", 0, 87), ("global", 112, 199), ("odometry", 90, 109)]
+    assert shown(joined(first, 200, [Opinion(stretch, {"global": []})])["global"]) == [("odometry", 90, 109)]
 
 
-def test_a_stretch_for_which_the_time_left_is_too_short_is_not_begun(monkeypatch, tmp_path):
-    def second():
-        found["global"] = [placed(tmp_path, range(90, 160))]
-        return FrontEndResult({"global": []})
-
-    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.5)  # 35 s for 70 frames, 60 s for 120
-    results, failure = clock.run(400)
-    assert failure is None
-    assert [len(index) for index, _ in clock.told] == [70]
-    assert clock.lines[-1] == "the time left is too short for 1 stretch of 120 frames and more"
-    maps = results["sfm"].candidates["global"]
-    assert sorted(len(one.submap.frames) for one in maps) == [30, 50, 70, 100, 100], "the other stretch's map stays"
-
-
-def test_a_stretch_that_the_second_front_end_maps_worse_keeps_the_first_ones_map(monkeypatch, tmp_path):
-    parts = iter([range(90, 160), range(190, 195)])
-
-    def second():
-        found["global"] = [replace(map_of(next(parts), mapper="global"), folder=tmp_path / "global" / "0")]
-        found["global"][0].folder.mkdir(parents=True)
-        return FrontEndResult({"global": []})
-
-    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.1)
-    found["odometry"][-1] = map_of(range(205, 240))  # too short to be sure, and nothing speaks against it
-    results, _ = clock.run(400)
-    kept = results["sfm"].candidates["global"]
-    assert sorted((one.mapper, len(one.submap.frames)) for one in kept)[0] == ("global", 70)
-    assert ("odometry", 35) in [(one.mapper, len(one.submap.frames)) for one in kept]
+@pytest.mark.parametrize("good", [True, False])
+def test_stretches_that_one_map_spans_are_decided_together(good):
+    """A map that was merged over three stretches, 60 frames in each, which the light contradicts."""
+    parts = [(0, 60), (160, 220), (320, 380)]
+    dark = map_of(np.concatenate([np.arange(*part) for part in parts]), 0.4)
+    sure = [map_of(range(60, 160)), map_of(range(220, 320))]
+    theirs = [global_(range(b, e)) if good else global_(range(b, b + 5)) for b, e in parts]
+    opinions = [Opinion(stretch_of(*part), {"global": [one]}) for part, one in zip(parts, theirs, strict=True)]
+    found = joined([dark, *sure], 380, opinions)["global"]
+    assert sum(one is dark for one in found) == 0
+    assert len(found) == 5
+    right = map_of(dark.submap.frames, 0.06)  # a little too dark to be sure
+    poor = [Opinion(stretch_of(*part), {"global": [global_(range(part[0], part[0] + 5))]}) for part in parts]
+    assert joined([right, *sure], 380, poor) == {}, "the first one's is better, and nothing of the second's is kept"
 
 
-def test_the_second_front_end_takes_the_lens_over_that_sure_maps_determine(monkeypatch):
-    guess = replace(CAMERA, trusted=False)
-    wide = SimpleNamespace(frames=np.arange(90), camera_params=(140.0, *CAMERA.params[1:]), camera_sigma=(1.0,))
-    frames = replace(many_frames(100), camera=guess)
-    monkeypatch.setattr(structure_stage, "refined_camera", lambda camera, s: replace(camera, params=s.camera_params))
-    lens = structure_stage._lens_of([replace(GOOD, submap=wide)], frames)
-    assert (lens.params[0], lens.trusted) == (140.0, True)
-    unsure = SimpleNamespace(**(vars(wide) | {"camera_sigma": (20.0,)}))
-    assert structure_stage._lens_of([replace(GOOD, submap=unsure)], frames) == guess
-    assert structure_stage._lens_of([replace(DARK, submap=wide)], frames) == guess
+def test_a_clean_map_is_not_given_up_for_margins_nor_for_one_that_would_be_dropped():
+    first = [map_of(range(100)), map_of(range(120, 250)), map_of(range(100, 120)), map_of(range(270, 400))]
+    far, near = Opinion(stretch_of(250, 270), {"global": []}), stretch_of(100, 120)
+    assert joined(first, 400, [Opinion(near, {"global": [global_(range(90, 130), 0.14)]}), far]) == {}
+    assert joined(first, 400, [Opinion(near, {"global": [global_(range(90, 130), 0.04)]}), far]) == {}
+    first[2] = map_of(range(100, 105))
+    found = joined(first, 400, [Opinion(near, {"global": [global_(range(90, 130))]}), far])
+    assert ("global", 90, 129) in shown(found["global"])
+    assert ("odometry", 100, 104) not in shown(found["global"])
 
 
-def test_where_the_first_found_nothing_the_second_has_all_the_time(monkeypatch):
-    found = {"odometry": [], "global": [map_of(range(100))]}
-    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
-    results, _ = clock.run(100)
-    assert clock.told == [(list(range(100)), None)]
-    assert not results["sfm"].mixed
+def test_of_each_stretch_the_better_mapper_counts():
+    opinions = [
+        Opinion(
+            stretch_of(0, 60), {"global": [global_(range(60))], "incremental": [map_of(range(9), 0, "incremental")]}
+        ),
+        Opinion(stretch_of(160, 220), {"global": [], "incremental": [map_of(range(160, 220), 0, "incremental")]}),
+        Opinion(stretch_of(320, 380), {"global": []}),
+    ]
+    found = joined([map_of(range(60, 160)), map_of(range(220, 320))], 380, opinions)
+    assert list(found) == ["global and incremental"]
+    assert shown(found["global and incremental"])[:2] == [("global", 0, 59), ("incremental", 160, 219)]
 
 
-def test_an_interrupt_of_the_second_opinion_keeps_the_first(monkeypatch):
-    def interrupted():
-        raise KeyboardInterrupt
+def test_a_map_that_only_has_frames_of_others_goes():
+    first = [map_of(range(100)), map_of(range(130, 400))]
+    theirs = {"global": [global_(range(90, 135)), global_(range(92, 99))]}
+    assert shown(joined(first, 400, [Opinion(stretch_of(100, 130), theirs)])["global"]) == [
+        ("global", 90, 134),
+        ("odometry", 0, 99),
+        ("odometry", 130, 399),
+    ]
+    covered = [replace(GOOD, submap=Given(np.arange(*span))) for span in ((0, 100), (80, 97), (95, 140))]
+    kept, doubts = uncovered(covered, [1, 2, 3])
+    assert kept == [covered[0], covered[2]]
+    assert doubts == [1, 3]
 
-    clock = Clockwork(monkeypatch, 5.0, {"odometry": [DARK]}, interrupted)
-    results, failure = clock.run(100)
-    assert list(results) == ["odometry"]
-    assert failure is None
-    assert "interrupted" in clock.lines[-1]
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), HaustraError("features and matches failed")])
+def test_what_is_finished_stays_when_another_stretch_fails(tmp_path, error):
+    """The second of three stretches fails: an interrupt ends the comparison, an error does not."""
+    asked = []
+
+    def run(frames):
+        asked.append(int(frames.index[0]))
+        if len(asked) == 2:
+            raise error
+        return {"global": []}
+
+    stretches = [stretch_of(20, 40), stretch_of(100, 130), stretch_of(200, 240)]
+    opinions, failure = ask_of_each(stretches, run, None, tmp_path, SilentProgress())
+    interrupted = isinstance(error, KeyboardInterrupt)
+    assert asked == ([10, 90] if interrupted else [10, 90, 190])
+    assert len(opinions) == (1 if interrupted else 2)
+    assert failure == (None if interrupted else str(error))

@@ -1,0 +1,198 @@
+"""The second front end within `_run`: its time, its lens, and where its models lie."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from haustra.core.progress import SilentProgress
+from pipeline.config import Config
+from pipeline.frontend import second_opinion, structure_stage
+from pipeline.frontend.base import FrontEndResult
+from pipeline.frontend.registry import FRONT_ENDS
+from pipeline.frontend.second_opinion import (
+    known_lens,
+)
+from pipeline.matching.sift_cache import SiftCache
+from tests.helpers.candidates import DARK, GOOD, Given, many_frames, map_of
+from tests.helpers.tubes.textured_tube import CAMERA
+
+SETTINGS = Config().front_end_settings
+NO_FEATURES = SiftCache(None)  # nobody asks for any
+
+
+class Clockwork:
+    """A clock that the front ends move on, and one front end of each kind that takes its time by it."""
+
+    def __init__(self, monkeypatch, first_s, found, second, second_s_a_frame=0.0):
+        self.now, self.told, self.lines = 100.0, [], []
+        monkeypatch.setattr(structure_stage.time, "monotonic", lambda: self.now)
+        self.root, self.forgotten = Path("/nowhere"), 0
+        monkeypatch.setattr(structure_stage, "candidates_of", lambda mapper, *_: found[mapper])
+
+        def run_first(*_):
+            self.now += first_s
+            return FrontEndResult({"odometry": []})
+
+        def run_second(frames, features, settings, *_):
+            self.told.append((frames.index.tolist(), settings.deadline))
+            self.now += second_s_a_frame * len(frames.index)
+            return second()
+
+        monkeypatch.setitem(FRONT_ENDS, "odometry", SimpleNamespace(run=run_first))
+        monkeypatch.setitem(FRONT_ENDS, "sfm", SimpleNamespace(run=run_second))
+
+    def run(self, count, settings=SETTINGS, camera=CAMERA):
+        progress = SilentProgress()
+        progress.log = self.lines.append
+        workspace = SimpleNamespace(log=self.root, forget_features=self._forget)
+        frames = replace(many_frames(count), camera=camera)
+        return structure_stage._run(frames, NO_FEATURES, "auto", settings, workspace, progress)
+
+    def _forget(self):
+        self.forgotten += 1
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25, 0.0])
+def test_the_second_opinion_gets_its_share_of_the_time_that_the_first_took(monkeypatch, share):
+    found = {"odometry": [map_of(range(60)), map_of(range(60, 100), 0.5)], "global": [map_of(range(50, 100))]}
+    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
+    results, _ = clock.run(100, SETTINGS.model_copy(update={"second_opinion": share}))
+    if share == 0:
+        assert clock.told == []
+        return
+    ((index, deadline),) = clock.told
+    assert index == list(range(50, 100))  # the sure map's frames are not asked again, but for the margin
+    assert deadline == pytest.approx(140.0 + 40.0 * share)
+    assert f"for {40 * share:.0f} s at most" in clock.lines[0]
+    posed = [len(c.submap.frames) for c in results["sfm"].candidates["global"]]
+    assert posed == [60, 50]
+    assert results["sfm"].in_parts
+
+
+def in_two_stretches(monkeypatch, tmp_path, second, first_s, s_a_frame):
+    """A film of 400 frames, of which the first front end leaves 100 to 150 and 200 to 300 in doubt."""
+    found = {"odometry": [map_of(range(100)), map_of(range(150, 200)), map_of(range(300, 400))]}
+    found["odometry"].append(map_of(range(210, 240), 0.5))
+    clock = Clockwork(monkeypatch, first_s, found, second, s_a_frame)
+    clock.root = tmp_path
+    return clock, found
+
+
+def placed(root, frames):
+    """A map of COLMAP whose model lies where the next run would overwrite it."""
+    (root / "global" / "0").mkdir(parents=True)
+    return replace(map_of(frames, mapper="global"), folder=root / "global" / "0")
+
+
+def test_each_stretch_is_mapped_by_itself_and_keeps_its_model(monkeypatch, tmp_path):
+    parts = iter([range(90, 160), range(190, 310)])
+
+    def second():
+        assert clock.forgotten == len(clock.told), "features are another stretch's"
+        found["global"] = [placed(tmp_path, next(parts))]
+        return FrontEndResult({"global": []})
+
+    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.1)
+    results, failure = clock.run(400)
+    assert failure is None
+    assert [(index[0], index[-1] + 1) for index, _ in clock.told] == [(90, 160), (190, 310)]
+    maps = results["sfm"].candidates["global"]
+    assert results["sfm"].in_parts
+    assert sorted(len(one.submap.frames) for one in maps) == [50, 70, 100, 100, 120]
+    assert sum(one.check.frames for one in maps) == 400, "margins count once"
+    assert all(one.folder.is_dir() for one in maps if one.mapper == "global")
+    assert len({one.folder for one in maps if one.mapper == "global"}) == 2
+
+
+def test_a_stretch_for_which_the_time_left_is_too_short_is_not_begun(monkeypatch, tmp_path):
+    def second():
+        found["global"] = [placed(tmp_path, range(90, 160))]
+        return FrontEndResult({"global": []})
+
+    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.5)  # 35 s for 70 frames, 60 s for 120
+    results, failure = clock.run(400)
+    assert failure is None
+    assert [len(index) for index, _ in clock.told] == [70]
+    assert clock.lines[-1] == "the time left is too short for 1 stretch of 120 frames and more"
+    maps = results["sfm"].candidates["global"]
+    assert sorted(len(one.submap.frames) for one in maps) == [30, 50, 70, 100, 100], "the other stretch's map stays"
+
+
+def test_a_stretch_that_the_second_front_end_maps_worse_keeps_the_first_ones_map(monkeypatch, tmp_path):
+    parts = iter([range(90, 160), range(190, 195)])
+
+    def second():
+        found["global"] = [replace(map_of(next(parts), mapper="global"), folder=tmp_path / "global" / "0")]
+        found["global"][0].folder.mkdir(parents=True)
+        return FrontEndResult({"global": []})
+
+    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.1)
+    found["odometry"][-1] = map_of(range(205, 240))  # too short to be sure, and nothing speaks against it
+    results, _ = clock.run(400)
+    kept = results["sfm"].candidates["global"]
+    assert sorted((one.mapper, len(one.submap.frames)) for one in kept)[0] == ("global", 70)
+    assert ("odometry", 35) in [(one.mapper, len(one.submap.frames)) for one in kept]
+
+
+GUESS = replace(CAMERA, trusted=False)
+
+
+def with_focal(of, focal, sigma):
+    """The map with a lens that was refined to a focal length."""
+    submap = SimpleNamespace(frames=of.submap.frames, camera_params=(focal, *CAMERA.params[1:]), camera_sigma=sigma)
+    return replace(of, submap=submap)
+
+
+def test_a_lens_is_known_that_was_given_or_that_a_sure_map_determines(monkeypatch):
+    monkeypatch.setattr(second_opinion, "refined_camera", lambda camera, s: replace(camera, params=s.camera_params))
+    frames = replace(many_frames(100), camera=GUESS)
+    camera, sigma = known_lens([with_focal(GOOD, 140.0, (1.0,))], frames)
+    assert (camera.params[0], camera.trusted, sigma) == (140.0, True, (1.0,))
+    assert known_lens([with_focal(GOOD, 140.0, (20.0,))], frames) is None
+    assert known_lens([with_focal(DARK, 140.0, (1.0,))], frames) is None
+    assert known_lens([DARK], many_frames(100)) == (CAMERA, ())
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_stretches_are_mapped_with_the_lens_that_is_known_or_at_once(monkeypatch, tmp_path, known):
+    monkeypatch.setattr(second_opinion, "refined_camera", lambda camera, s: replace(camera, params=s.camera_params))
+    parts, cameras = iter([range(90, 160), range(190, 310)]), []
+
+    def second():
+        one = placed(tmp_path, next(parts)) if known else map_of(range(90, 310), mapper="global")
+        found["global"] = [replace(one, submap=Given(one.submap.frames))]
+        return FrontEndResult({"global": []})
+
+    clock, found = in_two_stretches(monkeypatch, tmp_path, second, 90.0, 0.1)
+    found["odometry"] = [with_focal(one, 140.0, (1.0,) if known else (20.0,)) for one in found["odometry"]]
+    run = FRONT_ENDS["sfm"].run
+    told = SimpleNamespace(run=lambda frames, *rest: cameras.append(frames.camera) or run(frames, *rest))
+    monkeypatch.setitem(FRONT_ENDS, "sfm", told)
+    results, _ = clock.run(400, camera=GUESS)
+    assert [len(index) for index, _ in clock.told] == ([70, 120] if known else [190])
+    assert {camera.params[0] for camera in cameras} == {140.0 if known else GUESS.params[0]}
+    theirs = [one for one in results["sfm"].candidates["global"] if one.mapper == "global"]
+    assert all(one.submap.camera_sigma == ((1.0,) if known else ()) for one in theirs)
+    if known:
+        assert all((one.folder / "camera_sigma.txt").read_text() == "1.0" for one in theirs)
+
+
+def test_where_the_first_found_nothing_the_second_has_all_the_time(monkeypatch):
+    found = {"odometry": [], "global": [map_of(range(100))]}
+    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
+    results, _ = clock.run(100)
+    assert clock.told == [(list(range(100)), None)]
+    assert not results["sfm"].in_parts
+
+
+def test_an_interrupt_of_the_second_opinion_keeps_the_first(monkeypatch):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    clock = Clockwork(monkeypatch, 5.0, {"odometry": [DARK]}, interrupted)
+    results, failure = clock.run(100)
+    assert list(results) == ["odometry"]
+    assert failure is None
+    assert "interrupted" in clock.lines[-1]
