@@ -53,7 +53,7 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
     images, candidates = _image_reader(workspace), []
     for number, (one, found_submap) in enumerate(zip(ordered, disjoint(o.submap for o in ordered), strict=True)):
         submap = without_wild_points(found_submap)
-        if len(submap.frames) < MIN_FRAMES:
+        if _frames_that_see(submap) < MIN_FRAMES:
             continue
         correlations = lighting_correlations(submap, images)
         check, model = summarised(submap, correlations), one.model if submap is found_submap else None
@@ -81,6 +81,11 @@ def without_wild_points(submap: Submap) -> Submap:
     seen = np.bincount(rest.observations[:, 0], minlength=len(rest.frames))
     rest = rest.without_frames(set(rest.frames[seen < MIN_SEEN].tolist()))
     return rest.without_points(rest.track_lengths() < 2)
+
+
+def _frames_that_see(submap: Submap) -> int:
+    """How many frames see enough points to be posed by them."""
+    return int((np.bincount(submap.observations[:, 0], minlength=len(submap.frames)) >= MIN_SEEN).sum())
 
 
 def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:

@@ -49,6 +49,8 @@ def triangulate_again(
     """
     rays = ray_table(refined_camera(camera, submap))
     rows, with_features = _rows(submap, rays.focal_px, motion_px)
+    if len(rows) == 0:  # no frame sees enough points to lift its features by
+        return None
     seed = map_of_submap(submap, rays, np.union1d(rows, with_features))
     scale = None if depth_at is None else make_metric(seed, depth_at)
     triangulate_features(seed)

@@ -1,8 +1,12 @@
 """Points that a mapper left anywhere: out, with the frames that nothing else holds."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from pipeline.frontend import scoring
+from pipeline.frontend.base import FoundSubmap
 from pipeline.frontend.scoring import MIN_SEEN, without_wild_points
 from pipeline.mapping.submap import Submap
 
@@ -34,3 +38,13 @@ def test_wild_points_go_and_frames_that_saw_little_else(wild):
 
 def test_nothing_is_left_of_a_model_that_is_wild_throughout():
     assert len(without_wild_points(submap([1e140] * 20)).frames) == 0
+
+
+@pytest.mark.parametrize(("points", "kept"), [(2, 0), (MIN_SEEN, 1)])
+def test_a_model_whose_frames_see_next_to_nothing_is_none(monkeypatch, tmp_path, points, kept):
+    monkeypatch.setattr(scoring, "lighting_correlations", lambda *_: np.full(5, np.nan))
+    monkeypatch.setattr(scoring, "_image_reader", lambda _: None)
+    monkeypatch.setattr(scoring, "write_model", lambda *_: None)
+    whole = submap([0.4] * points)
+    found = scoring.candidates_of("global", [FoundSubmap(whole)], None, SimpleNamespace(log=tmp_path))
+    assert len(found) == kept

@@ -217,3 +217,8 @@ def test_two_runs_agree(odometry, found, film):
     twice = again(odometry, film)
     np.testing.assert_array_equal(twice.points, found.points)
     np.testing.assert_array_equal(twice.observations, found.observations)
+
+
+def test_a_submap_whose_frames_see_two_points_keeps_what_it_has(odometry, film):
+    bare = odometry.without_points(np.arange(len(odometry.points)) >= 2)
+    assert again(bare, film) is None
