@@ -62,7 +62,7 @@ READINGS = {
     "epsilon 1e-6 in the numerator of Eq. 2": "mscsa-early-fusion+epsilon",
     "epsilon 1e-6 in the denominator of Eq. 1": "mscsa-early-fusion+guard",
     "like channels weigh most in SA": "mscsa-early-fusion+similar",
-    "four levels (0.34 M parameters)": "mscsa-early-fusion+four-levels",
+    "four levels instead of five (0.34 M parameters)": "mscsa-early-fusion+four-levels",
     "half the channels (0.12 M parameters)": "mscsa-early-fusion+half-width",
     "twice the channels (1.93 M parameters)": "mscsa-early-fusion+double-width",
 }
@@ -158,6 +158,7 @@ def tables() -> dict[str, Table]:
     ]
     changes += [Run(("colon",), model, seed) for seed in range(2) for model in READINGS.values()]
     changes += [Run(("colon",), FIGURE_5, seed, side=PAPER_SIZE) for seed in range(2)]
+    changes += [Run(("colon",), BODIES["early fusion"][0], seed, change="depth in metres") for seed in range(2)]
     return {
         "2": Table("Table II, the ablation", [*unique(colon), *intestine]),
         "untrained": Table("interpolation, and the model that `reconstruct` ships", floors),
