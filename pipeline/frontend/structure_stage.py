@@ -157,7 +157,7 @@ def _solve(
         stats=results[name].stats,
         warnings=warnings,
     )
-    for sentence in (_sentence(kept, mapper, total), *warnings):
+    for sentence in (_sentence(kept, total), *warnings):
         progress.log(sentence)
     if not frames.camera.trusted:
         progress.log(camera_trust(frames.camera, kept[0].submap, settings.poses.file is not None))
@@ -257,11 +257,13 @@ def _unit(submap: Submap) -> float:
     return float(np.median(positive)) if len(positive) else 1.0
 
 
-def _sentence(candidates: list[Candidate], mapper: str, total: int) -> str:
+def _sentence(candidates: list[Candidate], total: int) -> str:
     posed, first = frames_posed(candidates), candidates[0].check
+    mappers = list(dict.fromkeys(one.mapper for one in candidates))
+    by = " and ".join(mappers) + (" mapper" if len(mappers) == 1 else " mappers")
     agreeing = 100 * (1 - first.inconsistent_share)
     light = f", lighting consistent in {agreeing:.0f} % of {first.n_checked} frames" if first.n_checked else ""
     return (
-        f"{posed} of {total} frames posed in {counted(len(candidates), 'submap')} by the {mapper} mapper: "
+        f"{posed} of {total} frames posed in {counted(len(candidates), 'submap')} by the {by}: "
         f"{first.points} points, reprojection {first.reprojection_px:.2f} px{light}"
     )

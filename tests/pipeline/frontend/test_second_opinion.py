@@ -8,6 +8,7 @@ import pytest
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
+from pipeline.frontend import structure_stage
 from pipeline.frontend.scoring import uncovered
 from pipeline.frontend.second_opinion import (
     MARGIN,
@@ -147,3 +148,9 @@ def test_what_is_finished_stays_when_another_stretch_fails(tmp_path, error):
     assert asked == ([10, 90] if interrupted else [10, 90, 190])
     assert len(opinions) == (1 if interrupted else 2)
     assert failure == (None if interrupted else str(error))
+
+
+def test_the_sentence_names_the_mappers_of_what_is_kept():
+    both = structure_stage._sentence([map_of(range(60)), map_of(range(50, 90), mapper="global")], 100)
+    assert both.startswith("90 of 100 frames posed in 2 submaps by the odometry and global mappers: 600 points")
+    assert " by the odometry mapper: " in structure_stage._sentence([GOOD], 100)
