@@ -7,6 +7,7 @@ from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes
 from benchmarks.paper.plan import (
     AS_SAVED,
+    BODIES,
     PAPER_SIZE,
     PAPER_STEPS,
     READINGS,
@@ -66,6 +67,8 @@ def figures(records: Records) -> dict[str, str]:
         found
         | costs(records)
         | {
+            "gain_in_metres": gain(records, "depth in metres", "abs_rel"),
+            "gain_of_rmse_in_metres": gain(records, "depth in metres", "rmse"),
             "msc_in_metres": msc_off(records, "depth in metres"),
             "msc_in_our_unit": msc_off(records, AS_SAVED),
             "machines_differ": machines_differ(records),
@@ -102,6 +105,13 @@ def costs(records: Records) -> dict[str, str]:
     found |= {name: higher_by(records, Run(("colon",), READINGS[label])) for name, label in READ.items()}
     found["cost_320_px"] = higher_by(records, Run(("colon",), FULL, side=PAPER_SIZE))
     return {name: text or "not measured" for name, text in found.items()}
+
+
+def gain(records: Records, change: str, figure: str) -> str:
+    """By how much a figure of the full network is below its baseline's, both trained with a change."""
+    runs = (Run(("colon",), model, change=change) for model in (FULL, BODIES[EARLY][0]))
+    found = records.reduction("colon", *runs, figure)
+    return percent(found[0]) if found else "(not measured)"
 
 
 def msc_off(records: Records, change: str) -> str:
