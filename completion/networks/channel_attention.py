@@ -16,7 +16,7 @@ from torch import Tensor, nn
 class StructureAwareness(nn.Module):
     """Channel self-attention (B,C,H,W) -> (B,C,H,W).
 
-    similarity: "sum" is the paper's plain X X^T, nearly one-hot after the softmax; "mean" divides by N, so that
+    similarity: "sum" is the paper's plain X X^T, which grows with the image; "mean" divides by N, so that
         the attention does not depend on the image size.
     learned_gain: False adds A X with weight one (paper); True with a learnt weight that starts at zero (DANet).
     sign: "distinct" = softmax(max - E) as in the released codes; "similar" = softmax(E).

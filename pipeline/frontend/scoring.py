@@ -53,7 +53,7 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
     images, candidates = _image_reader(workspace), []
     for number, (one, found_submap) in enumerate(zip(ordered, disjoint(o.submap for o in ordered), strict=True)):
         submap = without_wild_points(found_submap)
-        if _frames_that_see(submap) < MIN_FRAMES:
+        if _sees_enough(submap).sum() < MIN_FRAMES:
             continue
         correlations = lighting_correlations(submap, images)
         check, model = summarised(submap, correlations), one.model if submap is found_submap else None
@@ -78,14 +78,13 @@ def without_wild_points(submap: Submap) -> Submap:
     if not wild.any():
         return submap
     rest = submap.without_points(wild)
-    seen = np.bincount(rest.observations[:, 0], minlength=len(rest.frames))
-    rest = rest.without_frames(set(rest.frames[seen < MIN_SEEN].tolist()))
+    rest = rest.without_frames(set(rest.frames[~_sees_enough(rest)].tolist()))
     return rest.without_points(rest.track_lengths() < 2)
 
 
-def _frames_that_see(submap: Submap) -> int:
-    """How many frames see enough points to be posed by them."""
-    return int((np.bincount(submap.observations[:, 0], minlength=len(submap.frames)) >= MIN_SEEN).sum())
+def _sees_enough(submap: Submap) -> NDArray[np.bool_]:
+    """(N,) of its frames: whether it sees enough points to be posed by them."""
+    return np.bincount(submap.observations[:, 0], minlength=len(submap.frames)) >= MIN_SEEN
 
 
 def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:

@@ -206,7 +206,7 @@ def _run(
     limit = "" if budget is None else f", for {max(budget, 1):.0f} s at most"
     progress.log(
         f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {count} of {total} frames, in "
-        f"{counted(len(stretches), 'part')}{limit} (Ctrl-C goes on without it)"
+        f"{counted(len(stretches), 'stretch', 'stretches')}{limit} (Ctrl-C goes on without it)"
     )
     deadline = None if budget is None else time.monotonic() + budget
     told = settings.model_copy(update={"deadline": deadline})
