@@ -111,11 +111,13 @@ def judged(folder: Path, predictor: Predictor, config: TrainConfig, trained_on: 
     results = evaluate_frames(frames, predictor, Protocol(points=config.points, sampler=config.sampler))
     msc = getattr(predictor.network, "msc", None) if hasattr(predictor.network, "config") else None
     msc = msc if isinstance(msc, nn.Module) and not hasattr(predictor.network, "iterate") else None
-    columns: dict[str, list[Any]] = {"mesh": [], **{name: [] for name in FIGURES}, "missing": [], "msc_abs_rel": []}
+    columns: dict[str, list[Any]] = {"mesh": [], **{name: [] for name in FIGURES}}
+    columns |= {"pixels": [], "missing": [], "msc_abs_rel": []}
     for result in results:
         columns["mesh"].append(int(result.name))
         for name in FIGURES:
             columns[name].append(round(getattr(result.errors, name), FRACTION_DIGITS))
+        columns["pixels"].append(result.errors.pixels)
         columns["missing"].append(result.errors.missing)
         if msc is not None:
             columns["msc_abs_rel"].append(round(msc_error(msc, result, config.unit_mm), FRACTION_DIGITS))

@@ -38,9 +38,11 @@ class EarlyFusionConfig:
     gamma_beta: float = 10.0  # of MSC: Gamma(w) = log(1 + exp(beta w)) / beta; 1 as printed in the paper
     epsilon: float = 0.0  # of MSC: of the numerator of Eq. 2
     guard: float = 0.0  # of MSC: the epsilon that Eq. 1 adds to its denominator
+    replaces: bool = False  # of MSC: Gamma(W) takes the place of W in each step, as released; else Eq. 3
     similar: bool = (
         False  # SA weighs like channels most, as the paper's words have it; else unlike ones, as its sources
     )
+    learned_gain: bool = False  # SA's weight is learnt from zero (DANet); else one
 
     def __post_init__(self) -> None:
         if self.levels < 3:
@@ -62,10 +64,12 @@ class EarlyFusionMSCSANet(nn.Module):
         super().__init__()
         self.config = config or EarlyFusionConfig()
         width = round(self.config.width * self.config.widening)
-        of_msc = (3, self.config.gamma_beta, self.config.epsilon, self.config.guard)
+        of_msc = (3, self.config.gamma_beta, self.config.epsilon, self.config.guard, self.config.replaces)
         self.msc = MultiScaleConfidence(*of_msc) if self.config.use_msc else None
         sign: Literal["similar", "distinct"] = "similar" if self.config.similar else "distinct"
-        self.attention = StructureAwareness(sign=sign) if self.config.use_sa else nn.Identity()
+        self.attention = (
+            StructureAwareness("sum", self.config.learned_gain, sign) if self.config.use_sa else nn.Identity()
+        )
         inputs, deeper = 4 + 2 * self.config.use_msc + 12 * self.config.all_scales, self.config.levels - 1
         self.encoder = nn.ModuleList(
             nn.Conv2d(channels, width, 3, stride=2, padding=1) for channels in (inputs, *[width] * deeper)

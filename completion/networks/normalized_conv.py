@@ -22,7 +22,8 @@ class NormalizedConv2d(nn.Module):
     The kernel is stored unconstrained and mapped by Gamma(w) = softplus(w) at each call, so that autograd itself
     supplies the chain rule of Eq. 3. `epsilon` is that of the numerator of Eq. 2: any but zero gives a pixel without
     any known neighbour a positive confidence. `guard` is added to the denominator of Eq. 1 as printed; zero only keeps
-    that denominator from being zero.
+    that denominator from being zero. `replaces`: in training the kernel is the weights themselves, after
+    `replace_weights`, and Eq. 3 is left out, as in the release of the paper's [25].
     """
 
     def __init__(
@@ -33,18 +34,25 @@ class NormalizedConv2d(nn.Module):
         beta: float = 10.0,
         epsilon: float = 0.0,
         guard: float = 0.0,
+        replaces: bool = False,
     ) -> None:
         super().__init__()
         self.beta = beta
         self.epsilon = epsilon
         self.guard = guard
+        self.replaces = replaces
         self.padding = kernel_size // 2
         self.weight = nn.Parameter(_poisson_kernels(in_channels, out_channels, kernel_size, beta))
         self.bias = nn.Parameter(torch.zeros(out_channels))
 
     def applicability(self) -> Tensor:
         """Gamma(W) of shape (out, in, k, k), strictly positive."""
-        return F.softplus(self.weight, beta=self.beta)
+        return self.weight if self.replaces and self.training else F.softplus(self.weight, beta=self.beta)
+
+    def replace_weights(self) -> None:
+        """Put Gamma(W) in the place of W, at the start of a step whose gradient is not to pass through Gamma."""
+        with torch.no_grad():
+            self.weight.copy_(F.softplus(self.weight, beta=self.beta))
 
     def unit_kernel(self) -> Tensor:
         """Gamma(W) over its sum for each output channel: the sums of Eqs. 1 and 2, divided beforehand."""
@@ -90,16 +98,25 @@ class MultiScaleConfidence(nn.Module):
 
     Layer sharing follows the released unguided network of the paper's [25]: 5x5 `densify` and `refine` serve all
     encoder levels, one 3x3 `merge` per decoder level. With `levels=3` it has the published 481 parameters.
+    `replaces`: see `NormalizedConv2d`.
     """
 
-    def __init__(self, levels: int = 3, beta: float = 10.0, epsilon: float = 0.0, guard: float = 0.0) -> None:
+    def __init__(
+        self,
+        levels: int = 3,
+        beta: float = 10.0,
+        epsilon: float = 0.0,
+        guard: float = 0.0,
+        replaces: bool = False,
+    ) -> None:
         super().__init__()
         self.levels = levels
-        self.lift = NormalizedConv2d(1, 2, 5, beta, epsilon, guard)
-        self.densify = NormalizedConv2d(2, 2, 5, beta, epsilon, guard)
-        self.refine = NormalizedConv2d(2, 2, 5, beta, epsilon, guard)
-        self.merge = nn.ModuleList(NormalizedConv2d(4, 2, 3, beta, epsilon, guard) for _ in range(levels))
-        self.project = NormalizedConv2d(2, 1, 1, beta, epsilon, guard)
+        self.replaces = replaces
+        self.lift = NormalizedConv2d(1, 2, 5, beta, epsilon, guard, replaces)
+        self.densify = NormalizedConv2d(2, 2, 5, beta, epsilon, guard, replaces)
+        self.refine = NormalizedConv2d(2, 2, 5, beta, epsilon, guard, replaces)
+        self.merge = nn.ModuleList(NormalizedConv2d(4, 2, 3, beta, epsilon, guard, replaces) for _ in range(levels))
+        self.project = NormalizedConv2d(2, 1, 1, beta, epsilon, guard, replaces)
 
     def forward(self, depth: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """Sparse depth and its confidence, both (B,1,H,W) with H and W divisible by 2**levels -> dense ones."""
@@ -108,6 +125,10 @@ class MultiScaleConfidence(nn.Module):
     def scales(self, depth: Tensor, confidence: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Depth and confidence, both (B,2,h,w), at each resolution of the pyramid, the coarsest first, the full one
         last."""
+        if self.replaces and self.training:
+            for layer in self.modules():
+                if isinstance(layer, NormalizedConv2d):
+                    layer.replace_weights()
         z, c = self.refine(*self.densify(*self.lift(depth, confidence)))
         pyramid = [(z, c)]
         for level in range(1, self.levels + 1):

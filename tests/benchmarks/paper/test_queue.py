@@ -10,7 +10,7 @@ from torch import nn
 from benchmarks.paper import figures, frames, run_queue, single_run
 from benchmarks.paper.batch_statistics import companion_effect
 from benchmarks.paper.frames import render
-from benchmarks.paper.plan import CHANGES, FLOAT32, JUDGED_THRICE, SCENES, TRAINED_ON, UNTRAINED, Run, tables
+from benchmarks.paper.plan import BOTH, CHANGES, FLOAT32, JUDGED_THRICE, SCENES, TRAINED_ON, UNTRAINED, Run, tables
 from completion.evaluation.metrics import depth_errors
 from completion.evaluation.predictors import Predictor, load_predictor
 from completion.networks.registry import REGISTRY
@@ -21,7 +21,7 @@ def test_runs_have_names_of_their_own_and_networks_that_exist():
     runs = [run for table in tables().values() for run in table.runs]
     assert len({run.name for run in runs}) == len(set(runs))
     assert {run.model for run in runs} <= set(REGISTRY) | set(UNTRAINED)
-    assert {run.change for run in runs} == {"", *CHANGES, *JUDGED_THRICE}
+    assert {run.change for run in runs} == {"", *CHANGES, *BOTH, *JUDGED_THRICE}
     seeds = [seed for pair in SCENES.values() for seed in pair]
     assert len(set(seeds)) == len(seeds)  # frames of one seed share meshes
 

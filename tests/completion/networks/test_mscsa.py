@@ -70,6 +70,32 @@ def test_gradient_is_the_chain_rule_of_equation_3():
     assert torch.autograd.gradcheck(through, layer.weight.detach().clone().requires_grad_())
 
 
+def test_a_step_that_replaces_weights_leaves_the_chain_rule_out():
+    """The gradient is that of the kernel itself, and judging applies Gamma to what the step left."""
+    torch.manual_seed(0)
+    msc = MultiScaleConfidence(replaces=True)
+    before = msc.project.weight.detach().clone()
+    sparse = torch.rand(1, 1, 16, 16)
+    msc(sparse, (sparse > 0.7).float())[0].sum().backward()
+    torch.testing.assert_close(msc.project.weight.detach(), torch.log1p(torch.exp(10 * before)) / 10)
+    given = torch.rand(1, 2, 4, 4), torch.rand(1, 2, 4, 4)
+    layer, grads = msc.project, []
+    for training in (True, False):
+        layer.train(training)
+        layer.zero_grad()
+        layer(*given)[0].sum().backward()
+        grads.append(layer.weight.grad.clone())
+    plain = NormalizedConv2d(2, 1, 1)
+    plain.load_state_dict(layer.state_dict())
+    torch.testing.assert_close(layer(*given), plain(*given))
+    kernel = layer.weight.detach().clone().requires_grad_()
+    share = kernel / kernel.sum()
+    depth = (share * (given[0] * given[1])).sum(1) / (share * given[1]).sum(1)
+    depth.sum().backward()
+    torch.testing.assert_close(grads[0], kernel.grad)
+    assert not torch.allclose(grads[0], grads[1])
+
+
 def test_nothing_known_stays_unknown():
     """An empty pixel keeps confidence zero: Eq. 2's epsilon in the numerator is left out on purpose."""
     layer = NormalizedConv2d(1, 1, 3)

@@ -77,6 +77,17 @@ def test_like_channels_weigh_most_where_it_is_asked_for() -> None:
         assert weight > itself if similar else weight < itself
 
 
+def test_a_learnt_weight_of_attention_starts_without_it() -> None:
+    torch.manual_seed(0)
+    learnt = EarlyFusionMSCSANet(EarlyFusionConfig(learned_gain=True)).eval()
+    torch.manual_seed(0)
+    without = EarlyFusionMSCSANet(EarlyFusionConfig(use_sa=False)).eval()
+    given = torch.rand(1, 3, 64, 64), torch.rand(1, 1, 64, 64)
+    assert torch.equal(learnt(*given), without(*given))
+    learnt.attention.gain.data.fill_(1.0)
+    assert not torch.equal(learnt(*given), without(*given))
+
+
 @pytest.mark.parametrize("size", [64, 96])
 def test_layers_follow_the_released_table(size: int) -> None:
     """Written down again with plain layers, without attention and MSC."""
