@@ -10,7 +10,7 @@ from benchmarks.paper import judgements as of_networks
 from benchmarks.paper import judgements_figures as of_pictures
 from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import Judge
-from benchmarks.paper.plan import BODIES, ROWS, STEPS, Run
+from benchmarks.paper.plan import Training
 from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
 from benchmarks.paper.records import Records
 
@@ -180,9 +180,9 @@ def _scenes_of(method: str) -> str:
     return f"Table I, abs.REL of {method}: {', '.join(values)}"
 
 
-def finding(records: Records, of: Reduction, body: str, steps: int = STEPS) -> tuple[Interval, int] | None:
-    """The measured reduction on a body of `BODIES`, and the number of seeds."""
-    runs = {name: Run((of.scene,), model, steps=steps) for name, model in zip(ROWS, BODIES[body], strict=True)}
+def finding(records: Records, of: Reduction, training: Training) -> tuple[Interval, int] | None:
+    """The measured reduction, and the number of seeds."""
+    runs = training.runs(of.scene)
     return records.reduction(of.scene, runs[of.row], runs[of.beside], of.figure)
 
 

@@ -127,6 +127,44 @@ class Run:
 
 
 @dataclass(frozen=True)
+class Training:
+    """How the four rows of Table II on one body were trained."""
+
+    body: str  # of `BODIES`
+    steps: int = STEPS
+    change: str = ""
+
+    @property
+    def label(self) -> str:
+        """For a column, or before a row's name."""
+        given = [self.body, f"{self.steps:,} steps" if self.steps != STEPS else "", self.change]
+        return ", ".join(filter(None, given))
+
+    def runs(self, scene: str) -> dict[str, Run]:
+        """By row."""
+        return {
+            row: Run((scene,), model, steps=self.steps, change=self.change)
+            for row, model in zip(ROWS, BODIES[self.body], strict=True)
+        }
+
+
+EARLY, PLAIN, BATCH = BODIES
+IN_METRES = Training(EARLY, change=METRES)
+AT_LENGTH = [Training(body, PAPER_STEPS) for body in BODIES]
+AS_ITS_SOURCE = Training(EARLY, PAPER_STEPS, AS_SOURCE)
+# By scene, of which rows are trained; the paper's sentences are judged by each of them.
+TRAININGS = {
+    "colon": [
+        *map(Training, BODIES),
+        IN_METRES,
+        *AT_LENGTH,
+        *(Training(EARLY, PAPER_STEPS, change) for change in (CONSTANT, METRES, AS_SOURCE)),
+    ],
+    "small_intestine": [*map(Training, BODIES)],
+}
+
+
+@dataclass(frozen=True)
 class Table:
     """Runs of one table, most wanted first."""
 
@@ -203,7 +241,7 @@ def at_length() -> Iterator[Run]:
     metres, and with more seeds."""
     yield from (Run(("colon",), model, 0, PAPER_STEPS) for model in PAPER_LENGTH)
     for change, seeds in ((AS_SOURCE, SEEDS), ("", SEEDS), (METRES, 2), (CONSTANT, 1)):
-        for seed, model in product(range(seeds), BODIES["early fusion"]):
+        for seed, model in product(range(seeds), BODIES[EARLY]):
             yield Run(("colon",), model, seed, PAPER_STEPS, change)
 
 

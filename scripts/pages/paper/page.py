@@ -8,37 +8,17 @@ python -m scripts.pages.paper.page > docs/lab/paper.md
 import json
 import textwrap
 from collections import Counter
-from itertools import product
 from pathlib import Path
 from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
 from benchmarks.paper.judgements import NAMES, features_higher, percent, points
-from benchmarks.paper.plan import (
-    AS_SAVED,
-    BODIES,
-    CHANGES,
-    FLOAT32,
-    MOST_STEPS,
-    NORMALISATIONS,
-    PAPER_LENGTH,
-    PAPER_SIZE,
-    PAPER_STEPS,
-    POINT_COUNTS,
-    READINGS,
-    RESIDUAL,
-    ROWS,
-    STEPS,
-    TRAINED_ON,
-    UNTRAINED,
-    Run,
-)
+from benchmarks.paper.plan import MOST_STEPS, NORMALISATIONS, POINT_COUNTS, STEPS, TRAININGS, UNTRAINED, Run
 from benchmarks.paper.published import TABLE_2, reduction
 from benchmarks.paper.records import FIGURES, Record, Records
-from scripts.pages.paper.in_words import FULL, higher_by, machine
+from scripts.pages.paper.ablation import changes, counted, in_published_order, length, table_2
 from scripts.pages.paper.in_words import figures as figures_in_words
 from scripts.pages.paper.networks import (
-    FLOORS,
     cost_of_batches,
     equal_steps,
     lead_over_best_rival,
@@ -49,55 +29,6 @@ from scripts.pages.paper.networks import (
 )
 
 WORDS = Path(__file__).with_name("words.txt")
-
-
-def row(records: Records, scene: str, label: str, model: str, change: str = "", steps: int = STEPS) -> str:
-    """The cells of a network that one scene was trained on."""
-    return cells_of(records, scene, label, Run((scene,), model, change=change, steps=steps))
-
-
-def cells_of(records: Records, scene: str, label: str, run: Run) -> str:
-    """One network's cells: RMSE, abs.REL (mean and median frame), MAE, delta 1, seeds."""
-    median = records.median_frame(scene, run, "abs_rel")
-    cells = [
-        label,
-        spread(records.mean(scene, run, "rmse")),
-        spread(records.mean(scene, run, "abs_rel"), 100),
-        "-" if median is None else f"{100 * median:.2f}",
-        spread(records.mean(scene, run, "mae")),
-        spread(records.mean(scene, run, "delta_1"), 1, 4),
-        str(len(records.of(run))) if run.model not in UNTRAINED else "",
-    ]
-    return f"| {' | '.join(cells)} |"
-
-
-COLUMNS = "| RMSE [mm] | abs.REL [%] | abs.REL, median frame [%] | MAE [mm] | delta 1 | seeds |\n" + "|---" * 7 + "|"
-
-
-def table_2(records: Records, scene: str) -> list[str]:
-    """Four rows of each body, the paper's own, residual rows and what needs no training."""
-    lines = [f"### {SCENE_NAMES[scene].capitalize()}", "", f"| {scene.replace('_', ' ')} {COLUMNS}"]
-    for body, models in BODIES.items():
-        lines += [row(records, scene, f"{body}: {name}", model) for name, model in zip(ROWS, models, strict=True)]
-    if scene == "colon":
-        lines += [row(records, scene, f"U-Net, {name}: full, residual", model) for name, model in RESIDUAL.items()]
-    lines += [row(records, scene, name, label) for label, name in FLOORS.items()]
-    return lines
-
-
-def reductions(records: Records, scene: str, steps: int = STEPS) -> list[str]:
-    """Full below the baseline, and below MSC alone, by body."""
-    bodies = " | ".join(BODIES)
-    lines = [f"| {SCENE_NAMES[scene]}: reduction [%] | paper | {bodies} |", "|---" * (2 + len(BODIES)) + "|"]
-    for name, beside in (("+SA", "baseline"), ("+MSC", "baseline"), ("full", "baseline"), ("full", "+MSC")):
-        for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE"), ("mae", "MAE")):
-            cells = [f"{title} of {name} below {beside}", f"{100 * reduction(scene, name, beside, figure):.1f}"]
-            for models in BODIES.values():
-                runs = {n: Run((scene,), model, steps=steps) for n, model in zip(ROWS, models, strict=True)}
-                found = records.reduction(scene, runs[name], runs[beside], figure)
-                cells.append("-" if found is None else spread(found[0], 100, 1))
-            lines.append(f"| {' | '.join(cells)} |")
-    return lines
 
 
 def normalisations(records: Records) -> list[str]:
@@ -118,22 +49,6 @@ def normalisations(records: Records) -> list[str]:
     return lines
 
 
-def changes(records: Records) -> list[str]:
-    """Choices of training, one at a time."""
-    first, second = COLUMNS.split("\n")
-    lines = [f"| early fusion, full, colon {first} abs.REL higher by | on |", f"{second}---|---|"]
-    runs = {"as above": Run(("colon",), FULL), "as above, on a CPU": Run(("colon",), FULL, change=AS_SAVED)}
-    thrice = {"judged in float32": FLOAT32, "judged on frames that were trained on": TRAINED_ON}
-    runs |= {f"the second row, {how}": Run(("colon",), FULL, change=of) for how, of in thrice.items()}
-    runs |= {of: Run(("colon",), FULL, change=of) for of in CHANGES}
-    runs |= {label: Run(("colon",), model) for label, model in READINGS.items()}
-    runs["320 px, as many points and steps"] = Run(("colon",), FULL, side=PAPER_SIZE)
-    for label, run in runs.items():
-        higher = "" if run.change == TRAINED_ON else higher_by(records, run)
-        lines.append(f"{cells_of(records, 'colon', label, run)} {higher} | {machine(records, run)} |")
-    return lines
-
-
 def sentences(records: Records) -> list[str]:
     """Each sentence beside what the paper's own tables say and what we find on each body."""
     lines = ["| the paper's sentence | its own tables | ours | finding |", "|---|---|---|---|"]
@@ -146,11 +61,10 @@ def sentences(records: Records) -> list[str]:
             claimed = reduction(of.scene, of.row, of.beside, of.figure)
             if len(claim.compared) > 1:
                 findings.append(f"beside {100 * claimed:.1f} %")
-            for steps, body in product((STEPS, PAPER_STEPS), BODIES):
-                name = body if steps == STEPS else f"{body}, {steps:,} steps"
-                found = finding(records, of, body, steps)
-                measured += [f"{name}: {spread(found[0], 100, 1)} %"] if found else []
-                findings += [f"{name}: {verdict(found, claimed)}"] if found else []
+            for training in TRAININGS[of.scene]:
+                found = finding(records, of, training)
+                measured += [f"{training.label}: {spread(found[0], 100, 1)} %"] if found else []
+                findings += [f"{training.label}: {verdict(found, claimed)}"] if found else []
         found_text = "; ".join(findings) or "not measured"
         lines.append(f"| {claim.text} | {claim.own} | {'; '.join(measured)} | {found_text} |")
     return lines
@@ -191,19 +105,6 @@ def keypoints() -> str:
     return f"{of['median']:.0f} ({of['least']}-{of['most']})"
 
 
-def length(records: Records) -> list[str]:
-    """The paper's number of steps beside ours."""
-    done = [model for model in PAPER_LENGTH if records.of(Run(("colon",), model, steps=PAPER_STEPS))]
-    if not done:
-        return [f"No training of {PAPER_STEPS:,} steps is recorded."]
-    lines = [f"| colon {COLUMNS}"]
-    names = {m: f"{body}: {name}" for body, of in BODIES.items() for name, m in zip(ROWS, of, strict=True)}
-    for model in done:
-        for steps in (STEPS, PAPER_STEPS):
-            lines.append(row(records, "colon", f"{names[model]}, {steps:,} steps", model, steps=steps))
-    return [*lines, "", *reductions(records, "colon", PAPER_STEPS)]
-
-
 def provenance(records: Records) -> list[str]:
     """Commits, machines and number of the records."""
     trained = [record for record in records.records if record["model"] not in UNTRAINED]
@@ -211,9 +112,12 @@ def provenance(records: Records) -> list[str]:
     counts = Counter(record["environment"].get("gpu") or record["environment"]["processor"] for record in trained)
     machines = ", ".join(f"{count} on `{name}`" for name, count in sorted(counts.items()))
     moved = [record["steps_on"] for record in trained if len(record.get("steps_on", {})) > 1]
+    devices = sorted({tuple(of) for of in moved})
     went_on = "".join(
-        f" One went on elsewhere: {' and '.join(f'{steps:,} steps on {name}' for name, steps in of.items())}."
-        for of in moved
+        f" Of {len(of)} trainings a part of the steps was made on {' and the rest on '.join(names)}: "
+        f"{', '.join(f'{steps:,}' for steps in of)} of them."
+        for names in devices
+        if (of := [made[names[0]] for made in moved if tuple(made) == names])
     )
     text = (
         f"{len(trained)} judgements are recorded, two trainings being judged thrice: {machines}; commits "
@@ -229,7 +133,7 @@ def commit_of(record: Record) -> str:
 
 def page(records: Records) -> str:
     """The whole page."""
-    tables = [[*table_2(records, scene), "", *reductions(records, scene), ""] for scene in TABLE_2]
+    tables = [[*table_2(records, scene), ""] for scene in TABLE_2]
     parts = {
         "provenance": provenance(records),
         "sentences": sentences(records),
@@ -250,6 +154,10 @@ def page(records: Records) -> str:
         "length": length(records),
         "sa_change": sa_change(),
         "keypoints": [keypoints()],
+        "sa_abs_rel": [counted(records, "full", "+MSC", "abs_rel")],
+        "sa_rmse": [counted(records, "full", "+MSC", "rmse")],
+        "sa_alone": [counted(records, "+SA", "baseline", "abs_rel")],
+        "in_order": [in_published_order(records)],
         "steps": [f"{STEPS:,}"],
         "most_steps": [f"{MOST_STEPS:,}"],
     }

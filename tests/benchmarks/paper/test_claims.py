@@ -15,7 +15,7 @@ from benchmarks.paper.judgements import (
     reductions_below,
     steeper_for_uniform,
 )
-from benchmarks.paper.plan import BODIES, FIGURE_5, MOST_STEPS, OURS, POINT_COUNTS, RIVALS, SCENES, Run
+from benchmarks.paper.plan import BODIES, FIGURE_5, MOST_STEPS, OURS, POINT_COUNTS, RIVALS, SCENES, Run, Training
 from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
 from benchmarks.paper.records import Records
 
@@ -83,10 +83,10 @@ def test_a_reduction_is_taken_over_the_seeds_that_both_rows_have():
     other = record(models[3], 0, [7.0, 7.0, 7.0, 7.0], points=1000)  # of Figure 5
     failed = record(models[3], 2, [7.0, 7.0, 7.0, 7.0], failed="no pixel")
     records = Records([baseline, full, other, failed, record(models[3], 1, [9.0, 9.0, 9.0, 9.0])])
-    found = finding(records, Reduction("colon", "full", "baseline", "abs_rel"), "early fusion")
+    found = finding(records, Reduction("colon", "full", "baseline", "abs_rel"), Training("early fusion"))
     assert found is not None
     assert (found[0].value, found[0].low, found[0].high, found[1]) == pytest.approx((0.5, 0.5, 0.5, 1))
-    assert finding(records, Reduction("colon", "+SA", "baseline", "abs_rel"), "early fusion") is None
+    assert finding(records, Reduction("colon", "+SA", "baseline", "abs_rel"), Training("early fusion")) is None
     assert records.failed(Run(("colon",), models[3])) == 1
 
 

@@ -1,0 +1,146 @@
+"""The page's parts on Table II: the rows, by how much each is below another, and choices of training."""
+
+from benchmarks.paper.claims import SCENE_NAMES, Reduction, finding
+from benchmarks.paper.plan import (
+    AS_SAVED,
+    AT_LENGTH,
+    BODIES,
+    CHANGES,
+    FLOAT32,
+    IN_METRES,
+    PAPER_SIZE,
+    PAPER_STEPS,
+    READINGS,
+    RESIDUAL,
+    ROWS,
+    TRAINED_ON,
+    TRAININGS,
+    UNTRAINED,
+    Run,
+    Training,
+)
+from benchmarks.paper.published import TABLE_2, reduction
+from benchmarks.paper.records import Records
+from scripts.pages.paper.in_words import FULL, higher_by, machine
+from scripts.pages.paper.networks import FLOORS, spread
+
+COLUMNS = "| RMSE [mm] | abs.REL [%] | abs.REL, median frame [%] | MAE [mm] | delta 1 | seeds |\n" + "|---" * 7 + "|"
+
+
+def cells_of(records: Records, scene: str, label: str, run: Run) -> str:
+    """One network's cells: RMSE, abs.REL (mean and median frame), MAE, delta 1, seeds."""
+    median = records.median_frame(scene, run, "abs_rel")
+    cells = [
+        label,
+        spread(records.mean(scene, run, "rmse")),
+        spread(records.mean(scene, run, "abs_rel"), 100),
+        "-" if median is None else f"{100 * median:.2f}",
+        spread(records.mean(scene, run, "mae")),
+        spread(records.mean(scene, run, "delta_1"), 1, 4),
+        str(len(records.of(run))) if run.model not in UNTRAINED else "",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def rows_of(records: Records, scene: str, training: Training) -> list[str]:
+    """The rows of a training that are recorded."""
+    runs = training.runs(scene).items()
+    return [cells_of(records, scene, f"{training.label}: {row}", run) for row, run in runs if records.of(run)]
+
+
+def table_2(records: Records, scene: str) -> list[str]:
+    """Four rows of each body, residual rows and what needs no training."""
+    lines = [f"### {SCENE_NAMES[scene].capitalize()}", "", f"| {scene.replace('_', ' ')} {COLUMNS}"]
+    lines += [line for body in BODIES for line in rows_of(records, scene, Training(body))]
+    others: dict[str, str] = {}
+    if scene == "colon":
+        lines += rows_of(records, scene, IN_METRES)
+        others = {model: f"U-Net, {name}: full, residual" for name, model in RESIDUAL.items()}
+    lines += [cells_of(records, scene, name, Run((scene,), model)) for model, name in (others | FLOORS).items()]
+    trainings = [training for training in TRAININGS[scene] if training.steps != PAPER_STEPS]
+    return [*lines, "", *reductions(records, scene, trainings)]
+
+
+def reductions(records: Records, scene: str, trainings: list[Training]) -> list[str]:
+    """Rows below others, by training; the paper's own first."""
+    labels = " | ".join(training.label.replace(f"{PAPER_STEPS:,} steps, ", "") for training in trainings)
+    lines = [f"| {SCENE_NAMES[scene]}: reduction [%] | paper | {labels} |", "|---" * (2 + len(trainings)) + "|"]
+    for name, beside in (("+SA", "baseline"), ("+MSC", "baseline"), ("full", "baseline"), ("full", "+MSC")):
+        for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE"), ("mae", "MAE")):
+            cells = [f"{title} of {name} below {beside}", f"{100 * reduction(scene, name, beside, figure):.1f}"]
+            for training in trainings:
+                found = finding(records, Reduction(scene, name, beside, figure), training)
+                cells.append("-" if found is None else spread(found[0], 100, 1))
+            lines.append(f"| {' | '.join(cells)} |")
+    for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE")):
+        published = published_order(scene, figure)
+        orders = [" < ".join(order(records, scene, training, figure) or ["-"]) for training in trainings]
+        lines.append(f"| order in {title}, by the means | {' | '.join([' < '.join(published), *orders])} |")
+    return lines
+
+
+def order(records: Records, scene: str, training: Training, figure: str) -> list[str]:
+    """Rows by the mean of a figure over the seeds that all four have, lowest first; empty without such a seed."""
+    runs = training.runs(scene)
+    shared = set.intersection(*(set(records.of(run)) for run in runs.values()))
+    if not shared:
+        return []
+    means = {row: records.table(scene, run, figure, shared).mean() for row, run in runs.items()}
+    return sorted(means, key=lambda row: float(means[row]))
+
+
+def published_order(scene: str, figure: str) -> list[str]:
+    """The paper's rows, lowest first."""
+    return sorted(ROWS, key=lambda row: TABLE_2[scene][row][figure])
+
+
+def in_published_order(records: Records) -> str:
+    """How many trainings have the paper's order of rows in abs.REL, of those whose four rows are recorded."""
+    orders = [
+        (order(records, scene, training, "abs_rel"), published_order(scene, "abs_rel"))
+        for scene, trainings in TRAININGS.items()
+        for training in trainings
+    ]
+    return f"{sum(ours == published for ours, published in orders)} of {sum(bool(ours) for ours, _ in orders)}"
+
+
+def counted(records: Records, name: str, beside: str, figure: str) -> str:
+    """In how many trainings of both scenes a row is lower or higher than another by more than the interval."""
+    every = [(scene, training) for scene, trainings in TRAININGS.items() for training in trainings]
+    found = [finding(records, Reduction(scene, name, beside, figure), training) for scene, training in every]
+    known = [interval for interval, _ in filter(None, found)]
+    lower, higher = sum(of.low > 0 for of in known), sum(of.high < 0 for of in known)
+    return f"lower in {lower} of {len(known)} trainings and higher in {higher}"
+
+
+def length(records: Records) -> list[str]:
+    """The paper's number of steps, on the colon: ours beside it, then changed trainings of early fusion."""
+    lines = [f"| colon {COLUMNS}"]
+    for training in AT_LENGTH:
+        shorter, longer = Training(training.body).runs("colon"), training.runs("colon")
+        for row, run in longer.items():
+            if records.of(run):
+                lines.append(
+                    cells_of(records, "colon", f"{training.body}: {row}, {shorter[row].steps:,} steps", shorter[row])
+                )
+                lines.append(cells_of(records, "colon", f"{training.body}: {row}, {run.steps:,} steps", run))
+    changed = [training for training in TRAININGS["colon"] if training.steps == PAPER_STEPS and training.change]
+    lines += [line for training in changed for line in rows_of(records, "colon", training)]
+    at_length = [training for training in TRAININGS["colon"] if training.steps == PAPER_STEPS]
+    return [*lines, "", *reductions(records, "colon", at_length)]
+
+
+def changes(records: Records) -> list[str]:
+    """Choices of training, one at a time."""
+    first, second = COLUMNS.split("\n")
+    lines = [f"| early fusion, full, colon {first} abs.REL higher by | on |", f"{second}---|---|"]
+    runs = {"as above": Run(("colon",), FULL), "as above, on a CPU": Run(("colon",), FULL, change=AS_SAVED)}
+    thrice = {"judged in float32": FLOAT32, "judged on frames that were trained on": TRAINED_ON}
+    runs |= {f"the second row, {how}": Run(("colon",), FULL, change=of) for how, of in thrice.items()}
+    runs |= {of: Run(("colon",), FULL, change=of) for of in CHANGES}
+    runs |= {label: Run(("colon",), model) for label, model in READINGS.items()}
+    runs["320 px, as many points and steps"] = Run(("colon",), FULL, side=PAPER_SIZE)
+    for label, run in runs.items():
+        higher = "" if run.change == TRAINED_ON else higher_by(records, run)
+        lines.append(f"{cells_of(records, 'colon', label, run)} {higher} | {machine(records, run)} |")
+    return lines
