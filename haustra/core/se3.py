@@ -49,6 +49,23 @@ def in_camera(camera_from_world: Array, points: Array) -> Array:
     return points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
 
 
+def tangent_of(motion: Array) -> Array:
+    """(6,) rotation vector and shift of a motion (4,4)."""
+    return np.concatenate([Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]])
+
+
+def motion_of(tangent: Array) -> Array:
+    """Motion (4,4) of a rotation vector and a shift (6,)."""
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = exp_rotation(tangent[:3]), tangent[3:]
+    return motion
+
+
+def share_of(motion: Array, share: float) -> Array:
+    """A share of a motion (4,4): of its rotation vector and of its shift, each by itself."""
+    return motion_of(share * tangent_of(motion))
+
+
 def angle_between(first: Array, second: Array) -> float:
     """Angle of the rotation between two poses, radians."""
     return float(Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).magnitude())

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from haustra.core.se3 import Array, angle_between, compose
+from haustra.core.se3 import Array, angle_between, compose, share_of
 from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_pose, reprojection_errors
@@ -140,7 +139,7 @@ def score_hypothesis(
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
     if inlier.sum() < MIN_POINTS:
         return Hypothesis(second_from_first, points, np.zeros(len(points), dtype=bool), 0.0, 0.0, 0.0)
-    halfway = _interpolated(second_from_first)
+    halfway = share_of(second_from_first, 0.5)
     middle = refine_pose(halfway, points[inlier], third.xy[inlier], third.jacobian[inlier], MAX_ERROR_PX, iterations=15)
     error = np.maximum(error, reprojection_errors(middle, points, third.xy, third.jacobian))
     inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
@@ -213,13 +212,6 @@ def _consensus(threshold: float, rng: np.random.Generator) -> cv2.UsacParams:
     params.score, params.loMethod = cv2.SCORE_METHOD_MSAC, cv2.LOCAL_OPTIM_INNER_LO
     params.randomGeneratorState = int(rng.integers(1, 2**31 - 1))
     return params
-
-
-def _interpolated(second_from_first: Array) -> Array:
-    half = np.eye(4)
-    half[:3, :3] = Rotation.from_rotvec(0.5 * Rotation.from_matrix(second_from_first[:3, :3]).as_rotvec()).as_matrix()
-    half[:3, 3] = 0.5 * second_from_first[:3, 3]
-    return half
 
 
 def _is_same(first: Array, second: Array) -> bool:

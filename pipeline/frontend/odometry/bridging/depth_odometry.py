@@ -8,9 +8,8 @@ lumen, toward wall that was seen it does not.
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from haustra.core.se3 import Array, compose, exp_rotation, in_camera, inverse
+from haustra.core.se3 import Array, in_camera, inverse, motion_of, tangent_of
 from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
 from pipeline.frontend.odometry.bridging.depth_clouds import Clouds, joint_cloud
 
@@ -75,13 +74,3 @@ def mean_motion(world_from_camera: dict[int, Array], frames: list[int]) -> Array
         return np.zeros(6)
     steps = [tangent_of(inverse(world_from_camera[one]) @ world_from_camera[other]) for one, other in pairwise(frames)]
     return np.asarray(np.sum(steps, axis=0) / abs(frames[-1] - frames[0]))
-
-
-def tangent_of(motion: Array) -> Array:
-    """(6,) rotation vector and shift of a motion (4,4)."""
-    return np.concatenate([Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]])
-
-
-def motion_of(tangent: Array) -> Array:
-    """Motion (4,4) of a rotation vector and a shift (6,)."""
-    return compose(exp_rotation(tangent[:3]), tangent[3:])

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from haustra.core.progress import Progress
-from haustra.core.se3 import Array, in_camera, inverse
+from haustra.core.se3 import Array, in_camera, inverse, share_of, tangent_of
 from pipeline.frontend.odometry.bridging.cloud_registration import WallPatches
 from pipeline.frontend.odometry.bridging.depth_clouds import STEP, Clouds, joint_cloud
-from pipeline.frontend.odometry.bridging.depth_odometry import PACE, followed, motion_of, tangent_of
+from pipeline.frontend.odometry.bridging.depth_odometry import PACE, followed
 from pipeline.frontend.odometry.chunk_stitching import frame_observations, stitch
 from pipeline.mapping.final_adjustment import adjust_to_features
 from pipeline.mapping.local_map import LocalMap
@@ -150,7 +150,7 @@ class _Sides:
         off, share = wall.fit(self.first, found)
         if off > max(LEAST_WORSE_MM, MOST_WORSE * self.usual) or share < LEAST_SHARE:
             return None
-        pose = np.asarray(found @ motion_of(tangent_of(inverse(found) @ by_back) / 2))
+        pose = np.asarray(found @ share_of(inverse(found) @ by_back, 0.5))
         return Registered(pose, wall.misfit(self.after, pose))
 
 
