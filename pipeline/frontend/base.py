@@ -16,6 +16,12 @@ COLMAP_WORKER = "pipeline.frontend.colmap.worker"  # run in a process of its own
 MAX_FOCAL_SIGMA = 0.03  # of the focal length; depth errs by about as much as the focal length
 
 
+def is_determined(focal: float, sigma: tuple[float, ...]) -> bool:
+    """Whether a map determines its lens: by the sigmas of the refined parameters, focal length first; none or NaN:
+    it does not."""
+    return len(sigma) > 0 and sigma[0] <= MAX_FOCAL_SIGMA * focal
+
+
 @dataclass(frozen=True)
 class FoundSubmap:
     """A submap in any unit. model: folder of the COLMAP model that it was read from; None: still to be written."""

@@ -18,7 +18,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.text import counted
-from pipeline.frontend.base import MAX_FOCAL_SIGMA
+from pipeline.frontend.base import is_determined
 from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
 from pipeline.input.frames import Frames
 from pipeline.mapping.colmap_io import write_camera_sigma
@@ -82,9 +82,8 @@ def known_lens(found: list[Candidate], frames: Frames) -> tuple[Camera, tuple[fl
     if frames.camera.trusted:
         return frames.camera, ()
     for submap in (one.submap for one in sure_of(found, len(frames.index))):
-        sigma = submap.camera_sigma
-        if sigma and sigma[0] <= MAX_FOCAL_SIGMA * submap.camera_params[0]:  # NaN: False
-            return replace(refined_camera(frames.camera, submap), trusted=True), sigma
+        if is_determined(submap.camera_params[0], submap.camera_sigma):
+            return replace(refined_camera(frames.camera, submap), trusted=True), submap.camera_sigma
     return None
 
 

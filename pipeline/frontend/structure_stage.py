@@ -15,7 +15,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.text import counted
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.base import MAX_FOCAL_SIGMA, disjoint
+from pipeline.frontend.base import disjoint, is_determined
 from pipeline.frontend.map_cautions import (
     advice_after,
     carried_by_depth,
@@ -114,7 +114,7 @@ def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
     if not np.isfinite(sigma):
         return text + "; the motion does not determine it: shapes may be stretched along the view"
     text += f" (sigma {sigma:.2g} px for 1 px of noise)"
-    if sigma > MAX_FOCAL_SIGMA * focal:
+    if not is_determined(focal, submap.camera_sigma):
         return text + "; too uncertain to trust: shapes may be stretched along the view"
     return text
 

@@ -15,7 +15,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SilentProgress
 from haustra.core.ray_table import ray_table
-from pipeline.frontend.base import COLMAP_WORKER, MAX_FOCAL_SIGMA
+from pipeline.frontend.base import COLMAP_WORKER, is_determined
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap, TrackKind
@@ -160,9 +160,7 @@ def refine_lens(
         return unknown
     found = json.loads((folder / "lens.json").read_text())
     params, sigma = tuple(map(float, found["params"])), tuple(map(float, found["sigma"]))
-    determined = (
-        all(map(math.isfinite, params)) and params[0] > 0 and sigma[0] <= MAX_FOCAL_SIGMA * params[0]  # NaN: False
-    )
+    determined = all(map(math.isfinite, params)) and params[0] > 0 and is_determined(params[0], sigma)
     return Lens(replace(camera, params=params) if determined else camera, sigma, determined)
 
 

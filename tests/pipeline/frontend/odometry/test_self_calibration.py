@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
 from haustra.core.ray_table import RayTable
+from pipeline.frontend.base import MAX_FOCAL_SIGMA
 from pipeline.frontend.odometry import self_calibration
 from pipeline.frontend.odometry.self_calibration import (
-    MAX_FOCAL_SIGMA,
     MIN_VIEWS,
     Lens,
     doubt_of_lens,
