@@ -29,6 +29,11 @@ class Interval:
             return "in sign, less than half"
         return "reproduced" if low <= claimed <= high else "in sign, larger" if low > claimed else "in sign, smaller"
 
+    def sign(self, claimed: float) -> str:
+        """Whether it has the sign of a claimed reduction."""
+        low, high = (self.low, self.high) if claimed >= 0 else (-self.high, -self.low)
+        return "in sign" if low > 0 else "not in sign" if high < 0 else "not decided"
+
 
 def by_mesh(values: list[float], meshes: list[int]) -> NDArray[np.float64]:
     """Mean of a figure over each mesh's frames, (M,), meshes by number."""

@@ -112,13 +112,17 @@ def colon_is_easiest(records: Records) -> Found | None:
 
 
 def delta_1_on(scene: str, models: tuple[str, ...]) -> Judge:
-    """delta 1 of networks on a scene; no finding, since it depends on the data."""
+    """delta 1 of networks on a scene: whose is lower; the values depend on the data."""
 
     def judge(records: Records) -> Found | None:
         found = means(records, "delta_1", models)
         if found is None:
             return None
-        return ", ".join(f"{NAMES[m]} {found[m][scene]:.4f}" for m in models), "other data"
+        text = ", ".join(f"{NAMES[m]} {found[m][scene]:.4f}" for m in models)
+        if len(models) == 1:
+            return text, "other data"
+        behind = "is behind ours, too" if found[models[0]][scene] < found[models[1]][scene] else "is not behind ours"
+        return text, f"{NAMES[models[0]]} {behind}, by the means; the values are of other data"
 
     return judge
 
@@ -161,6 +165,19 @@ def steeper_for_uniform(records: Records) -> Found | None:
     steeper = found["uniform"][-1] - found["uniform"][0] > found["features"][-1] - found["features"][0]
     finding = "reproduced" if rises and steeper else "it rises, but for features more" if rises else "not reproduced"
     return f"delta 1 at {', '.join(f'{count:,}' for count in POINT_COUNTS)} points: {'; '.join(texts)}", finding
+
+
+def growth_with_features(records: Records) -> Found | None:
+    """How much delta 1 rises from 10 to 1,000 and on to 10,000 points, features beside uniform ones."""
+    rises = {}
+    for sampler in ("features", "uniform"):
+        few, many, most = (records.mean("colon", points(n, sampler), "delta_1") for n in (10, 1000, 10_000))
+        if few is None or many is None or most is None:
+            return None
+        rises[sampler] = many.value - few.value, most.value - many.value
+    text = "; ".join(f"{s} {a:.4f} to 1,000 points and {b:.4f} from there to 10,000" for s, (a, b) in rises.items())
+    less = rises["features"][0] < rises["uniform"][0]
+    return f"delta 1 rises from 10 points on: {text}", f"{'reproduced' if less else 'not reproduced'}, by the means"
 
 
 def features_higher(records: Records, count: int) -> Interval | None:

@@ -12,6 +12,7 @@ from benchmarks.paper.intervals import Interval, Table, by_mesh, mean_interval, 
 from benchmarks.paper.plan import SIZE, Run
 
 RESULTS = ROOT / "benchmarks/results/paper"
+AGAIN = ROOT / "benchmarks/results/paper_again"  # of trainings made a second time, on another machine
 FIGURES = ROOT / "benchmarks/results/paper_figures.json"  # of `benchmarks.paper.figures`
 Record = dict[str, Any]
 LATER: Record = {"side": SIZE}  # of records that do not name it

@@ -45,8 +45,11 @@ def main() -> None:
         "python -m benchmarks.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--work", type=Path, required=True, help="folder of frames, checkpoints and weights")
-    parser.add_argument("--table", choices=known, action="append", help=f"only this, again for more; {titles}")
+    parser.add_argument(
+        "--table", choices=known, action="append", help=f"only this; may be given several times; {titles}"
+    )
     parser.add_argument("--results", type=Path, default=RESULTS, help="the records; runs that have one are left out")
+    parser.add_argument("--list", action="store_true", help="only say what is left to do")
     parser.add_argument("--workers", type=int, default=1, help="runs at once")
     arguments = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -56,6 +59,9 @@ def main() -> None:
     chosen = unique([run for name in arguments.table or known for run in known[name].runs])
     runs = [run for run in chosen if not (arguments.results / f"{run.name}.json").exists()]
     print(budget(runs, arguments.results), flush=True)
+    if arguments.list:
+        print("\n".join(f"{run.name}: at most {run.steps:,} steps" for run in runs))
+        return
     # The environment is read once: a run does not change the commit of the next.
     record = partial(perform_and_record, work=arguments.work, results=arguments.results, environment=environment())
     try:

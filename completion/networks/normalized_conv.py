@@ -23,7 +23,8 @@ class NormalizedConv2d(nn.Module):
     supplies the chain rule of Eq. 3. `epsilon` is that of the numerator of Eq. 2: any but zero gives a pixel without
     any known neighbour a positive confidence. `guard` is added to the denominator of Eq. 1 as printed; zero only keeps
     that denominator from being zero. `replaces`: in training the kernel is the weights themselves, after
-    `replace_weights`, and Eq. 3 is left out, as in the release of the paper's [25].
+    `replace_weights`, and Eq. 3 is left out. The release of the paper's [25] replaces them at each call of a layer,
+    which for shared layers is several times a step.
     """
 
     def __init__(

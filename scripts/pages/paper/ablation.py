@@ -1,5 +1,8 @@
 """The page's parts on Table II: the rows, by how much each is below another, and choices of training."""
 
+from itertools import product
+
+from benchmarks.paper.claims import NAMES as FIGURE_NAMES
 from benchmarks.paper.claims import SCENE_NAMES, Reduction, finding
 from benchmarks.paper.plan import (
     AS_SAVED,
@@ -13,6 +16,7 @@ from benchmarks.paper.plan import (
     READINGS,
     RESIDUAL,
     ROWS,
+    SEEDS,
     TRAINED_ON,
     TRAININGS,
     UNTRAINED,
@@ -24,6 +28,7 @@ from benchmarks.paper.records import Records
 from scripts.pages.paper.in_words import FULL, higher_by, machine
 from scripts.pages.paper.networks import FLOORS, spread
 
+COMPARED = (("+SA", "baseline"), ("+MSC", "baseline"), ("full", "baseline"), ("full", "+MSC"))
 COLUMNS = "| RMSE [mm] | abs.REL [%] | abs.REL, median frame [%] | MAE [mm] | delta 1 | seeds |\n" + "|---" * 7 + "|"
 
 
@@ -62,31 +67,47 @@ def table_2(records: Records, scene: str) -> list[str]:
 
 
 def reductions(records: Records, scene: str, trainings: list[Training]) -> list[str]:
-    """Rows below others, by training; the paper's own first."""
-    labels = " | ".join(training.label.replace(f"{PAPER_STEPS:,} steps, ", "") for training in trainings)
-    lines = [f"| {SCENE_NAMES[scene]}: reduction [%] | paper | {labels} |", "|---" * (2 + len(trainings)) + "|"]
-    for name, beside in (("+SA", "baseline"), ("+MSC", "baseline"), ("full", "baseline"), ("full", "+MSC")):
-        for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE"), ("mae", "MAE")):
-            cells = [f"{title} of {name} below {beside}", f"{100 * reduction(scene, name, beside, figure):.1f}"]
-            for training in trainings:
-                found = finding(records, Reduction(scene, name, beside, figure), training)
-                cells.append("-" if found is None else spread(found[0], 100, 1))
-            lines.append(f"| {' | '.join(cells)} |")
-    for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE")):
-        published = published_order(scene, figure)
-        orders = [" < ".join(order(records, scene, training, figure) or ["-"]) for training in trainings]
-        lines.append(f"| order in {title}, by the means | {' | '.join([' < '.join(published), *orders])} |")
+    """Rows below others, by training, with the number of seeds; the paper's own first; then the order of the rows."""
+    labels = " | ".join(training.label.replace(f", {PAPER_STEPS:,} steps", "") for training in trainings)
+    lines = [f"| {SCENE_NAMES[scene]}: reduction [%] (seeds) | paper | {labels} |", "|---" * (2 + len(trainings)) + "|"]
+    for name, beside, figure in product_of_reductions():
+        cells = [
+            f"{FIGURE_NAMES[figure]} of {name} below {beside}",
+            f"{100 * reduction(scene, name, beside, figure):.1f}",
+        ]
+        for training in trainings:
+            found = finding(records, Reduction(scene, name, beside, figure), training)
+            cells.append("-" if found is None else f"{spread(found[0], 100, 1)} ({found[1]})")
+        lines.append(f"| {' | '.join(cells)} |")
+    for figure in ("abs_rel", "rmse"):
+        cells = [order_cell(records, scene, training, figure) for training in trainings]
+        published = " < ".join(published_order(scene, figure))
+        lines.append(f"| order in {FIGURE_NAMES[figure]}, by the means | {published} | {' | '.join(cells)} |")
     return lines
+
+
+def product_of_reductions() -> list[tuple[str, str, str]]:
+    """Row, the row that it is compared with, and figure, as the tables list them."""
+    return [(*rows, figure) for rows, figure in product(COMPARED, ("abs_rel", "rmse", "mae"))]
+
+
+def seeds_of_all_rows(records: Records, scene: str, training: Training) -> set[int]:
+    """Seeds of which all four rows have a record."""
+    return set.intersection(*(set(records.of(run)) for run in training.runs(scene).values()))
 
 
 def order(records: Records, scene: str, training: Training, figure: str) -> list[str]:
     """Rows by the mean of a figure over the seeds that all four have, lowest first; empty without such a seed."""
-    runs = training.runs(scene)
-    shared = set.intersection(*(set(records.of(run)) for run in runs.values()))
-    if not shared:
-        return []
-    means = {row: records.table(scene, run, figure, shared).mean() for row, run in runs.items()}
-    return sorted(means, key=lambda row: float(means[row]))
+    shared = seeds_of_all_rows(records, scene, training)
+    runs = training.runs(scene).items() if shared else []
+    means = {row: float(records.table(scene, run, figure, shared).mean()) for row, run in runs}
+    return sorted(means, key=lambda row: means[row])
+
+
+def order_cell(records: Records, scene: str, training: Training, figure: str) -> str:
+    """The order with the number of its seeds."""
+    found = " < ".join(order(records, scene, training, figure))
+    return f"{found} ({len(seeds_of_all_rows(records, scene, training))})" if found else "-"
 
 
 def published_order(scene: str, figure: str) -> list[str]:
@@ -94,23 +115,38 @@ def published_order(scene: str, figure: str) -> list[str]:
     return sorted(ROWS, key=lambda row: TABLE_2[scene][row][figure])
 
 
-def in_published_order(records: Records) -> str:
-    """How many trainings have the paper's order of rows in abs.REL, of those whose four rows are recorded."""
+def in_published_order(records: Records) -> dict[str, str]:
+    """In how many trainings the rows have the paper's order of abs.REL, and in how many the first two have."""
     orders = [
-        (order(records, scene, training, "abs_rel"), published_order(scene, "abs_rel"))
+        (found, published_order(scene, "abs_rel"))
         for scene, trainings in TRAININGS.items()
         for training in trainings
+        if (found := order(records, scene, training, "abs_rel"))
     ]
-    return f"{sum(ours == published for ours, published in orders)} of {sum(bool(ours) for ours, _ in orders)}"
+    all_four, first = sum(ours == of for ours, of in orders), sum(ours[:2] == of[:2] for ours, of in orders)
+    return {"in_order": f"{all_four} of {len(orders)}", "in_order_first": str(first)}
 
 
 def counted(records: Records, name: str, beside: str, figure: str) -> str:
-    """In how many trainings of both scenes a row is lower or higher than another by more than the interval."""
+    """In how many trainings of both scenes that have `SEEDS` seeds a row is lower or higher by more than the
+    interval."""
     every = [(scene, training) for scene, trainings in TRAININGS.items() for training in trainings]
     found = [finding(records, Reduction(scene, name, beside, figure), training) for scene, training in every]
-    known = [interval for interval, _ in filter(None, found)]
+    known = [of[0] for of in found if of and of[1] >= SEEDS]
     lower, higher = sum(of.low > 0 for of in known), sum(of.high < 0 for of in known)
     return f"lower in {lower} of {len(known)} trainings and higher in {higher}"
+
+
+def closer_than(records: Records, training: Training, other: Training) -> str:
+    """Of how many of the colon's reductions a training's is closer to the paper's than another's."""
+    closer = []
+    for name, beside, figure in product_of_reductions():
+        of = Reduction("colon", name, beside, figure)
+        both = [finding(records, of, which) for which in (training, other)]
+        if both[0] and both[1]:
+            mine, theirs = (abs(found[0].value - reduction("colon", name, beside, figure)) for found in both if found)
+            closer.append(mine < theirs)
+    return f"{sum(closer)} of {len(closer)}"
 
 
 def length(records: Records) -> list[str]:

@@ -1,29 +1,36 @@
 """Figures that the page's sentences name, by the name that words.txt has for them."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
+from benchmarks.paper.batch_statistics import EVERY
 from benchmarks.paper.claims import Reduction, finding
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes
+from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes, row
 from benchmarks.paper.plan import (
     AS_ITS_SOURCE,
     AS_SAVED,
     AT_LENGTH,
+    BODIES,
     CONSTANT,
     EARLY,
     IN_METRES,
     METRES,
+    NORMALISATIONS,
     PAPER_SIZE,
     PAPER_STEPS,
     READINGS,
     RIVALS,
+    SCENES,
     TRAINING_FRAMES,
     UNTRAINED,
     Run,
     Training,
 )
-from benchmarks.paper.records import LATER, Records
+from benchmarks.paper.published import TABLE_2
+from benchmarks.paper.records import AGAIN, LATER, Records
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
 from completion.weights.shipped_weights import resolve_weights
@@ -37,6 +44,7 @@ REDUCTIONS = {
     "plain_at_length": ("full", "baseline", "abs_rel", PLAIN_AT_LENGTH),
     "batch_at_length": ("full", "baseline", "abs_rel", BATCH_AT_LENGTH),
     "full_rmse_at_length": ("full", "baseline", "rmse", OURS_AT_LENGTH),
+    **{f"msc_rmse_{n}": ("+MSC", "baseline", "rmse", Training(body)) for n, body in enumerate(BODIES)},
     "full_in_metres": ("full", "baseline", "abs_rel", IN_METRES),
     "full_rmse_in_metres": ("full", "baseline", "rmse", IN_METRES),
     "full_as_source": ("full", "baseline", "abs_rel", AS_ITS_SOURCE),
@@ -79,6 +87,7 @@ def figures(records: Records) -> dict[str, str]:
     same = [record["parameters"] / 1e6 for record in theirs if record["size"] == "same-parameters"]
     trained = TRAINING_FRAMES - round(HELD_OUT * TRAINING_FRAMES / 20) * 20
     growth = [size_of(model, "paper") / size_of(model, "small") for model in (PRINTED, *RIVALS)]
+    published = TABLE_2["colon"]["full"]
     shipped = sum(p.numel() for p in load_network(resolve_weights("mscsa")).parameters())
     return (
         found
@@ -89,6 +98,11 @@ def figures(records: Records) -> dict[str, str]:
             "msc_in_metres_at_length": msc_off(records, METRES_AT_LENGTH.runs("colon")["full"]),
             "msc_in_our_unit_at_length": msc_off(records, OURS_AT_LENGTH.runs("colon")["full"]),
             "pooled": pooled(records),
+            "paper_depth": f"{100 * published['mae'] / published['abs_rel']:.0f} cm",
+            "our_depth": mean_depth(records),
+            "same_frames": f"{100 * judged_of_the_batches(records):.1f} % in the mean",
+            "nlspn_rmse": str(scenes_below_linear(records, lambda *of: mean_of(records, *of, "rmse"))),
+            "nlspn_median": str(scenes_below_linear(records, lambda *of: records.median_frame(*of, "abs_rel"))),
             "machines_differ": machines_differ(records),
             "passes": f"{PAPER_STEPS * 10 / trained:.0f}",
             "trained_frames": f"{trained:,}",
@@ -102,13 +116,14 @@ def figures(records: Records) -> dict[str, str]:
 
 
 def higher_by(records: Records, run: Run) -> str:
-    """By how much a changed training's abs.REL is above that of the same seeds on the same kind of machine; "" of what
-    has no record, or is compared with."""
+    """By how much a changed training's abs.REL is above that of the same seeds on the same kind of machine, with the
+    number of seeds unless it is two; "" of what has no record, or is compared with."""
     beside = Run(("colon",), FULL, steps=run.steps, change=AS_SAVED if machine(records, run) == "CPU" else "")
     found = None if run == beside else records.reduction("colon", run, beside, "abs_rel")
     if found is None:
         return ""
-    return percent(Interval(-found[0].value, -found[0].high, -found[0].low))
+    text = percent(Interval(-found[0].value, -found[0].high, -found[0].low))
+    return text if found[1] == 2 else f"{text} ({('no', 'one', 'two', 'three')[found[1]]} seed{'s' * (found[1] > 1)})"
 
 
 def machine(records: Records, run: Run) -> str:
@@ -134,28 +149,49 @@ def msc_off(records: Records, run: Run) -> str:
 
 
 def pooled(records: Records) -> str:
-    """What the mean over all pixels, instead of over frames' figures, changes; of rows that record their pixels."""
-    rows = OURS_AT_LENGTH.runs("colon")
-    both = [pooled_errors(records, rows[name]) for name in ("full", "baseline")]
-    if None in both:
+    """What the mean over all pixels, instead of over frames' figures, changes."""
+    rows = IN_METRES.runs("colon")
+    seeds = seeds_with_pixels(records, rows["full"]) & seeds_with_pixels(records, rows["baseline"])
+    if not seeds:
         return "not measured"
-    full, baseline = both
-    cells = (f"{title} {100 * (1 - full[i] / baseline[i]):.1f} %" for i, title in ((1, "abs.REL"), (3, "RMSE")))
-    given = (f"{100 * (1 - full[i] / baseline[i]):.1f} %" for i in (0, 2))
-    higher = f"RMSE of the full network {100 * (full[3] / full[2] - 1):.0f} % higher"
-    reductions = " and ".join(f"{cell} instead of {of}" for cell, of in zip(cells, given, strict=True))
-    return f"over all pixels, at {PAPER_STEPS:,} steps: {higher}; full below its baseline by {reductions}"
+    full, baseline = (pooled_errors(records, rows[name], seeds) for name in ("full", "baseline"))
+    below = [f"{100 * (1 - ours / theirs):.1f} %" for ours, theirs in zip(full, baseline, strict=True)]
+    return (
+        f"over all pixels, in metres, {len(seeds)} seeds: full below its baseline by abs.REL {below[1]} instead of "
+        f"{below[0]}, RMSE {below[3]} instead of {below[2]}"
+    )
 
 
-def pooled_errors(records: Records, run: Run) -> tuple[float, float, float, float] | None:
-    """abs.REL as the mean over frames and over pixels, RMSE likewise, of the seeds whose pixels are recorded."""
-    found = [r["scenes"]["colon"]["frames"] for r in records.of(run).values()]
-    frames = [of for of in found if "pixels" in of]
-    if not frames:
-        return None
+def seeds_with_pixels(records: Records, run: Run) -> set[int]:
+    """Seeds of a row whose records have the number of judged pixels; older ones have not."""
+    return {seed for seed, of in records.of(run).items() if "pixels" in of["scenes"]["colon"]["frames"]}
+
+
+def pooled_errors(records: Records, run: Run, seeds: set[int]) -> tuple[float, float, float, float]:
+    """abs.REL as the mean over frames and over pixels, and RMSE likewise, of some seeds."""
+    frames = [of["scenes"]["colon"]["frames"] for seed, of in records.of(run).items() if seed in seeds]
     pixels, abs_rel, rmse = (np.concatenate([of[name] for of in frames]) for name in ("pixels", "abs_rel", "rmse"))
     over_pixels = np.average(abs_rel, weights=pixels), np.sqrt(np.average(rmse**2, weights=pixels))
     return float(abs_rel.mean()), float(over_pixels[0]), float(rmse.mean()), float(over_pixels[1])
+
+
+def mean_depth(records: Records) -> str:
+    """About how far the wall of the judged frames is: MAE over abs.REL of the nearest point."""
+    mae, abs_rel = (records.mean("colon", Run(("colon",), "nearest"), figure) for figure in ("mae", "abs_rel"))
+    return f"{mae.value / abs_rel.value / 10:.1f} cm" if mae and abs_rel else "(not measured)"
+
+
+def trained_again(records: Records, again: Records) -> str:
+    """By how much the figures of trainings that were made on another machine as well differ, by figure."""
+    cells = []
+    for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE")):
+        ratios = []
+        for record in again.records:
+            run = next(r for r in IN_METRES.runs("colon").values() if r.model == record["model"])
+            pair = [of.table("colon", run, figure, {record["seed"]}).mean() for of in (again, records)]
+            ratios.append(100 * (pair[1] / pair[0] - 1))
+        cells.append(f"{title} by {min(ratios):.0f} to {max(ratios):.0f} %")
+    return f"{len(again.records)} trainings with depth in metres were made on a CPU, too; on the GPU {', '.join(cells)}"
 
 
 def machines_differ(records: Records) -> str:
@@ -165,11 +201,13 @@ def machines_differ(records: Records) -> str:
         return ""
     higher = f"{-100 * again[0].value:.1f} %"
     return (
-        "The last column but one compares with trainings of the same seeds, 0 and 1, on the same kind of machine:\n"
-        "on a GPU with the first row's, on a CPU with the second one's, whose abs.REL is\n"
-        f"{higher} above that of the same seeds on the GPU. Its intervals have two seeds and are too narrow: the\n"
-        "attention of this network is uniform (Figure 6), so that the sign of SA should change little, and yet its\n"
-        "interval leaves zero out. A change of a few percent says nothing."
+        "The last column but one compares with trainings of the same seeds on the same kind of machine, of two seeds,\n"
+        "0 and 1, unless it says another number: on a GPU with the first row's, on a CPU with the second one's,\n"
+        f"whose abs.REL is {higher} above that of the same seeds on the GPU. Not all of these rows saw the same\n"
+        "rendering of the frames (`frames_digest` of the records; they differ by rounding). The intervals are too\n"
+        "narrow: the attention of this network is uniform (Figure 6), so that the sign of SA should change little,\n"
+        "and yet its interval leaves zero out. A change of a few percent says nothing. Machines differ more in\n"
+        f"metres: {trained_again(records, Records.read(AGAIN))}."
     )
 
 
@@ -184,6 +222,24 @@ def seeds(records: Records, name: str, beside: str, figure: str, training: Train
     found = finding(records, Reduction("colon", name, beside, figure), training)
     count = found[1] if found else 0
     return f"{('no', 'one', 'two', 'three')[count]} seed{'s' * (count != 1)}"
+
+
+def judged_of_the_batches(records: Records) -> float:
+    """abs.REL of the network with batch normalisation, as judged, of the frames that it was given in training mode."""
+    found = records.of(Run(("colon",), NORMALISATIONS["batch"])).values()
+    return float(np.mean([of["scenes"]["colon"]["frames"]["abs_rel"][::EVERY] for of in found]))
+
+
+def mean_of(records: Records, scene: str, run: Run, figure: str) -> float | None:
+    """A row's mean; None without a record."""
+    found = records.mean(scene, run, figure)
+    return found.value if found else None
+
+
+def scenes_below_linear(records: Records, of: Callable[[str, Run], float | None]) -> int:
+    """In how many scenes NLSPN of equal computation has less of a figure than linear interpolation."""
+    both = [(of(scene, row("nlspn")), of(scene, Run(tuple(SCENES), "linear"))) for scene in SCENES]
+    return sum(theirs is not None and floor is not None and theirs < floor for theirs, floor in both)
 
 
 def size_of(model: str, size: Size) -> int:

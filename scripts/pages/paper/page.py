@@ -13,10 +13,20 @@ from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
 from benchmarks.paper.judgements import NAMES, features_higher, percent, points
-from benchmarks.paper.plan import MOST_STEPS, NORMALISATIONS, POINT_COUNTS, STEPS, TRAININGS, UNTRAINED, Run
+from benchmarks.paper.plan import (
+    AS_ITS_SOURCE,
+    AT_LENGTH,
+    MOST_STEPS,
+    NORMALISATIONS,
+    POINT_COUNTS,
+    STEPS,
+    TRAININGS,
+    UNTRAINED,
+    Run,
+)
 from benchmarks.paper.published import TABLE_2, reduction
 from benchmarks.paper.records import FIGURES, Record, Records
-from scripts.pages.paper.ablation import changes, counted, in_published_order, length, table_2
+from scripts.pages.paper.ablation import changes, closer_than, counted, in_published_order, length, table_2
 from scripts.pages.paper.in_words import figures as figures_in_words
 from scripts.pages.paper.networks import (
     cost_of_batches,
@@ -111,19 +121,25 @@ def provenance(records: Records) -> list[str]:
     commits = sorted({commit[:7] + "+" * commit.endswith("+") for r in records.records if (commit := commit_of(r))})
     counts = Counter(record["environment"].get("gpu") or record["environment"]["processor"] for record in trained)
     machines = ", ".join(f"{count} on `{name}`" for name, count in sorted(counts.items()))
-    moved = [record["steps_on"] for record in trained if len(record.get("steps_on", {})) > 1]
-    devices = sorted({tuple(of) for of in moved})
-    went_on = "".join(
-        f" Of {len(of)} trainings a part of the steps was made on {' and the rest on '.join(names)}: "
-        f"{', '.join(f'{steps:,}' for steps in of)} of them."
-        for names in devices
-        if (of := [made[names[0]] for made in moved if tuple(made) == names])
-    )
+    moved = [record for record in trained if len(record.get("steps_on", {})) > 1]
+    went_on = "; ".join(f"{name_of(r)}: {' and '.join(parts_of(r))}" for r in moved)
+    went_on = f" Trainings that went on elsewhere: {went_on}." if moved else ""
     text = (
         f"{len(trained)} judgements are recorded, two trainings being judged thrice: {machines}; commits "
         f"{', '.join(commits)} (+: with changes that were not committed).{went_on}"
     )
     return textwrap.wrap(text, 118, break_on_hyphens=False)
+
+
+def name_of(record: Record) -> str:
+    """A training, in words."""
+    change = f", {record['change']}" if record["change"] else ""
+    return f"`{record['model']}`{change}, at most {record['steps']:,} steps, seed {record['seed']}"
+
+
+def parts_of(record: Record) -> list[str]:
+    """How many of its steps were made on which device."""
+    return [f"{steps:,} steps on {name.replace('cpu', 'a CPU')}" for name, steps in record["steps_on"].items()]
 
 
 def commit_of(record: Record) -> str:
@@ -146,7 +162,7 @@ def page(records: Records) -> str:
             *["", *median_frames(records)],
         ],
         "seen_in_figure_4": seen_in_figure_4(),
-        **{name: [text] for name, text in figures_in_words(records).items()},
+        **{name: [text] for name, text in (figures_in_words(records) | in_published_order(records)).items()},
         "lead": [lead_over_best_rival(records)],
         "cost_of_batches": [cost_of_batches(records)],
         "equal_steps": equal_steps(records),
@@ -157,7 +173,7 @@ def page(records: Records) -> str:
         "sa_abs_rel": [counted(records, "full", "+MSC", "abs_rel")],
         "sa_rmse": [counted(records, "full", "+MSC", "rmse")],
         "sa_alone": [counted(records, "+SA", "baseline", "abs_rel")],
-        "in_order": [in_published_order(records)],
+        "closer_with_ours": [closer_than(records, AT_LENGTH[0], AS_ITS_SOURCE)],
         "steps": [f"{STEPS:,}"],
         "most_steps": [f"{MOST_STEPS:,}"],
     }

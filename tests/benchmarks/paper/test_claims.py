@@ -69,6 +69,19 @@ def test_verdicts_follow_the_interval(low, high, claimed, word):
     assert verdict(None, claimed) == "not measured"
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "claimed", "word"),
+    [
+        (0.6, 0.7, 0.497, "in sign"),
+        (-0.1, 0.2, 0.11, "not decided"),
+        (-0.3, -0.1, 0.11, "not in sign"),
+        (-0.2, -0.05, -0.06, "in sign"),
+    ],
+)
+def test_of_one_seed_the_sign_alone_is_judged(low, high, claimed, word):
+    assert verdict((Interval((low + high) / 2, low, high), 1), claimed) == f"{word}, 1 seed"
+
+
 def record(model, seed, abs_rel, **about):
     meshes = [0, 0, 1, 1]
     frames = {"mesh": meshes, "abs_rel": abs_rel, "rmse": abs_rel, "mae": abs_rel, "delta_1": abs_rel}

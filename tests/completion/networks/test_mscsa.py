@@ -75,9 +75,14 @@ def test_a_step_that_replaces_weights_leaves_the_chain_rule_out():
     torch.manual_seed(0)
     msc = MultiScaleConfidence(replaces=True)
     before = msc.project.weight.detach().clone()
+    shared = msc.densify.weight.detach().clone()  # of four levels, and replaced once
     sparse = torch.rand(1, 1, 16, 16)
     msc(sparse, (sparse > 0.7).float())[0].sum().backward()
     torch.testing.assert_close(msc.project.weight.detach(), torch.log1p(torch.exp(10 * before)) / 10)
+    after = msc.densify.weight.detach().clone()
+    torch.testing.assert_close(after, torch.log1p(torch.exp(10 * shared)) / 10)
+    msc.eval()(sparse, (sparse > 0.7).float())
+    assert torch.equal(msc.densify.weight, after), "judging leaves weights as they are"
     given = torch.rand(1, 2, 4, 4), torch.rand(1, 2, 4, 4)
     layer, grads = msc.project, []
     for training in (True, False):
