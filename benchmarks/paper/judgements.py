@@ -34,9 +34,10 @@ def row(model: str, size: str = "small") -> Run:
     return Run(tuple(SCENES), model, 0, MOST_STEPS, size=size, converged=True)
 
 
-def rivals_of_all_sizes() -> list[Run]:
-    """Rivals at equal computation, and at equal parameters where that is another network."""
-    return [row(model) for model in RIVALS] + [row(model, "same-parameters") for model in OTHER_PARAMETERS]
+def named_rivals() -> dict[str, Run]:
+    """Rivals at equal computation, and at equal parameters where that is another network, by their names in tables."""
+    rivals = {NAMES[model]: row(model) for model in RIVALS}
+    return rivals | {f"{NAMES[model]}, as many parameters": row(model, "same-parameters") for model in OTHER_PARAMETERS}
 
 
 def means(records: Records, figure: str, models: tuple[str, ...]) -> dict[str, dict[str, float]] | None:
@@ -136,7 +137,7 @@ def leads_in_delta_1(least: float, mean: bool) -> Judge:
             return None
         leads = {}
         for scene in SCENES:
-            others = [records.mean(scene, run, "delta_1") for run in rivals_of_all_sizes()]
+            others = [records.mean(scene, run, "delta_1") for run in named_rivals().values()]
             leads[scene] = found[PRINTED][scene] - max(other.value for other in others if other)
         average = float(np.mean(list(leads.values())))
         reached = average if mean else min(leads.values())

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from haustra.core.errors import CompletionError
 
+VALIDATION_SHARE = 0.05  # of the meshes
+
 
 @dataclass(frozen=True)
 class Shard:
@@ -44,10 +46,10 @@ class Shard:
         found.update(str(self.images.shape).encode() + self.depths[0].tobytes() + self.depths[-1].tobytes())
         return found.hexdigest()[:16]
 
-    def split(self, validation_share: float = 0.05) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def split(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(training, validation) frame indices; the last meshes by number are for validation."""
         meshes = np.unique(self.colon)
-        held_out = meshes[len(meshes) - max(1, round(validation_share * len(meshes))) :]
+        held_out = meshes[len(meshes) - validation_meshes(len(meshes)) :]
         validation = np.isin(self.colon, held_out)
         return np.flatnonzero(~validation), np.flatnonzero(validation)
 
@@ -57,6 +59,11 @@ class Shard:
         rgb = torch.from_numpy(self.images[order]).to(device).permute(0, 3, 1, 2).float() / 255
         depth = torch.from_numpy(self.depths[order]).to(device).float()[:, None]
         return Batch(rgb, depth, None if self.lenses is None else torch.from_numpy(self.lenses[order]).to(device))
+
+
+def validation_meshes(meshes: int) -> int:
+    """How many of so many meshes are only watched while a network is trained on the others."""
+    return max(1, round(VALIDATION_SHARE * meshes))
 
 
 @dataclass(frozen=True)

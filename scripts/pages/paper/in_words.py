@@ -8,7 +8,7 @@ import torch
 from benchmarks.paper.batch_statistics import EVERY
 from benchmarks.paper.claims import Reduction, finding
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import PRINTED, percent, rivals_of_all_sizes, row
+from benchmarks.paper.judgements import PRINTED, named_rivals, percent, row
 from benchmarks.paper.plan import (
     AS_ITS_SOURCE,
     AS_SAVED,
@@ -31,9 +31,11 @@ from benchmarks.paper.plan import (
 )
 from benchmarks.paper.published import TABLE_2
 from benchmarks.paper.records import AGAIN, LATER, Records
+from completion.data.shards import validation_meshes
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
 from completion.weights.shipped_weights import resolve_weights
+from haustra.phantom.dataset.shards import FRAMES_PER_COLON
 
 FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
 OURS_AT_LENGTH, PLAIN_AT_LENGTH, BATCH_AT_LENGTH = AT_LENGTH
@@ -76,16 +78,16 @@ READ = {
     "cost_confidence_last": "confidence at the last convolution too",
     "cost_all_scales": "all scales of the pyramid handed on",
 }
-HELD_OUT = 0.05  # of the meshes to train on: watched, not trained on (`Shard.split`)
 
 
 def figures(records: Records) -> dict[str, str]:
     """By name."""
     found = {name: reduced(records, *of) for name, of in REDUCTIONS.items()}
     found |= {f"{name}_seeds": seeds(records, *of) for name, of in REDUCTIONS.items()}
-    theirs = [record for run in rivals_of_all_sizes() for record in records.of(run).values()]
+    theirs = [record for run in named_rivals().values() for record in records.of(run).values()]
     same = [record["parameters"] / 1e6 for record in theirs if record["size"] == "same-parameters"]
-    trained = TRAINING_FRAMES - round(HELD_OUT * TRAINING_FRAMES / 20) * 20
+    watched = validation_meshes(TRAINING_FRAMES // FRAMES_PER_COLON) * FRAMES_PER_COLON
+    trained = TRAINING_FRAMES - watched
     growth = [size_of(model, "paper") / size_of(model, "small") for model in (PRINTED, *RIVALS)]
     published = TABLE_2["colon"]["full"]
     shipped = sum(p.numel() for p in load_network(resolve_weights("mscsa")).parameters())

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from benchmarks.paper.claims import SCENE_NAMES
 from benchmarks.paper.intervals import Interval
-from benchmarks.paper.judgements import NAMES, PRINTED, rivals_of_all_sizes
+from benchmarks.paper.judgements import NAMES, PRINTED, named_rivals
 from benchmarks.paper.judgements import row as row_of_table_1
 from benchmarks.paper.judgements_figures import measured, median_of
-from benchmarks.paper.plan import MOST_STEPS, ONE_SCENE, OTHER_PARAMETERS, OURS, RIVALS, SCENES, UNTRAINED, Run
+from benchmarks.paper.plan import MOST_STEPS, ONE_SCENE, OURS, RIVALS, SCENES, UNTRAINED, Run
 from benchmarks.paper.records import Records
 
 FLOORS = {
@@ -27,9 +27,8 @@ def spread(found: Interval | None, factor: float = 1.0, digits: int = 2) -> str:
 
 def rows_of_table_1() -> list[tuple[str, Run]]:
     """What is trained, by name, then what needs no training."""
-    rows = [(NAMES[model], row_of_table_1(model)) for model in (*OURS, *RIVALS)]
-    rows += [(f"{NAMES[m]}, as many parameters", row_of_table_1(m, "same-parameters")) for m in OTHER_PARAMETERS]
-    return rows + [(name, Run(tuple(SCENES), label)) for label, name in FLOORS.items()]
+    rows = {NAMES[model]: row_of_table_1(model) for model in OURS} | named_rivals()
+    return [*rows.items(), *((name, Run(tuple(SCENES), label)) for label, name in FLOORS.items())]
 
 
 def table_1(records: Records, figure: str, title: str, factor: float) -> list[str]:
@@ -75,7 +74,7 @@ def lead_over_best_rival(records: Records) -> str:
     """abs.REL of the best rival of any size over that of the plain U-Net: least and most of the scenes."""
     ratios = []
     for scene in SCENES:
-        found = [known.value for run in rivals_of_all_sizes() if (known := records.mean(scene, run, "abs_rel"))]
+        found = [known.value for run in named_rivals().values() if (known := records.mean(scene, run, "abs_rel"))]
         ours = records.mean(scene, row_of_table_1(PRINTED), "abs_rel")
         ratios += [min(found) / ours.value] if found and ours else []
     return f"{min(ratios):.1f} to {max(ratios):.1f}"
