@@ -100,6 +100,9 @@ def figures(records: Records) -> dict[str, str]:
             "msc_in_metres_at_length": msc_off(records, METRES_AT_LENGTH.runs("colon")["full"]),
             "msc_in_our_unit_at_length": msc_off(records, OURS_AT_LENGTH.runs("colon")["full"]),
             "pooled": pooled(records),
+            "baseline_as_source": abs_rel_of(records, AS_ITS_SOURCE.runs("colon")["baseline"]),
+            "linear": abs_rel_of(records, Run(("colon",), "linear")),
+            "published_baseline": f"{TABLE_2['colon']['baseline']['abs_rel']:.1f} %",
             "paper_depth": f"{100 * published['mae'] / published['abs_rel']:.0f} cm",
             "our_depth": mean_depth(records),
             "same_frames": f"{100 * judged_of_the_batches(records):.1f} % in the mean",
@@ -175,6 +178,12 @@ def pooled_errors(records: Records, run: Run, seeds: set[int]) -> tuple[float, f
     pixels, abs_rel, rmse = (np.concatenate([of[name] for of in frames]) for name in ("pixels", "abs_rel", "rmse"))
     over_pixels = np.average(abs_rel, weights=pixels), np.sqrt(np.average(rmse**2, weights=pixels))
     return float(abs_rel.mean()), float(over_pixels[0]), float(rmse.mean()), float(over_pixels[1])
+
+
+def abs_rel_of(records: Records, run: Run) -> str:
+    """Mean over frames and seeds, in the colon."""
+    mean = records.mean("colon", run, "abs_rel")
+    return f"{100 * mean.value:.1f} %" if mean else "(not measured)"
 
 
 def mean_depth(records: Records) -> str:
