@@ -143,19 +143,19 @@ def claims() -> list[Claim]:
         ),
         Claim(
             "Figure 5: accuracy rises with the number of points, more steeply for uniform ones.",
-            judge=of_networks.steeper_for_uniform,
+            judge=of_pictures.steeper_for_uniform,
         ),
         Claim(
             "Figure 5: from 10 to 1,000 points feature points gain little over uniform ones.",
-            judge=of_networks.gain_of_features((10, 100, 1000)),
+            judge=of_pictures.gain_of_features((10, 100, 1000)),
         ),
         Claim(
             "The same sentence read of the number of points: from 10 to 1,000 accuracy improves less with features.",
-            judge=of_networks.growth_with_features,
+            judge=of_pictures.growth_with_features,
         ),
         Claim(
             "Figure 5: at 10,000 points feature points still gain, but are the worse ones.",
-            judge=of_networks.many_features,
+            judge=of_pictures.many_features,
         ),
         Claim(
             "Full is far better than the baseline: abs.REL falls by up to 49.7 % in the colon,", *_both(full["colon"])
@@ -180,7 +180,7 @@ def claims() -> list[Claim]:
             "Figure 6: features are richer behind SA, most of all in the small intestine.",
             judge=of_pictures.richer_by_sa,
         ),
-        Claim("Figure 6: SA adds features at edges, and in near and far regions."),
+        Claim("Figure 6: SA adds features at edges, and in near and far regions.", judge=of_pictures.where_sa_adds),
     ]
 
 

@@ -21,7 +21,7 @@ from benchmarks.paper import figure_4
 from benchmarks.paper.claims import SCENE_NAMES
 from benchmarks.paper.figure_4 import EVERY, MOST_MM, completed, frames_of, trained, weights
 from benchmarks.paper.frames import judged_frames, plans
-from benchmarks.paper.judgements import FIGURE_5 as EARLY_FUSION
+from benchmarks.paper.plan import FIGURE_5 as EARLY_FUSION
 from benchmarks.paper.plan import JUDGED_FRAMES, UNTRAINED, Run
 from benchmarks.paper.records import FIGURES
 from completion.data.evaluation_frame import EvaluationFrame

@@ -34,6 +34,11 @@ class Interval:
         low, high = (self.low, self.high) if claimed >= 0 else (-self.high, -self.low)
         return "in sign" if low > 0 else "not in sign" if high < 0 else "not decided"
 
+    @property
+    def finding(self) -> str:
+        """What it says of a sentence that claims it to be above zero."""
+        return "reproduced" if self.low > 0 else "not reproduced" if self.high < 0 else "not decided"
+
 
 def by_mesh(values: list[float], meshes: list[int]) -> NDArray[np.float64]:
     """Mean of a figure over each mesh's frames, (M,), meshes by number."""
@@ -56,9 +61,25 @@ def reduction_interval(table: Table, beside: Table) -> Interval:
     return _interval(float(1 - table.mean() / beside.mean()), drawn)
 
 
+def apart_interval(table: Table, other: Table) -> Interval:
+    """Mean of `table` less that of `other`, of other meshes: seeds and meshes of each are drawn by themselves."""
+    drawn = _means(table, *_draws(table.shape)) - _means(other, *_draws(other.shape, 1))
+    return _interval(float(table.mean() - other.mean()), drawn)
+
+
+def reductions_apart_interval(first: tuple[Table, Table], second: tuple[Table, Table]) -> Interval:
+    """The reduction of a pair of tables (see `reduction_interval`) less that of another, of other meshes."""
+    values, drawn = [], []
+    for stream, (table, beside) in enumerate((first, second)):
+        draws = _draws(table.shape, stream)
+        values.append(float(1 - table.mean() / beside.mean()))
+        drawn.append(1 - _means(table, *draws) / _means(beside, *draws))
+    return _interval(values[0] - values[1], drawn[0] - drawn[1])
+
+
 @cache
-def _draws(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    rng = np.random.default_rng(0)
+def _draws(shape: tuple[int, ...], stream: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    rng = np.random.default_rng(stream)
     return rng.integers(shape[0], size=(DRAWS, shape[0])), rng.integers(shape[1], size=(DRAWS, shape[1]))
 
 

@@ -1,15 +1,11 @@
-"""What our records say of the paper's sentences on Table I and Figure 5: the figures, and a finding that follows.
-
-The words of a finding are those of `claims.verdict`; a sentence without an interval of its own is *reproduced* or *not
-reproduced* by the means.
-"""
+"""What our records say of the paper's sentences on Table I: the figures with intervals, and a finding that follows."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.paper.intervals import Interval
-from benchmarks.paper.plan import FIGURE_5, MOST_STEPS, OTHER_PARAMETERS, OURS, POINT_COUNTS, RIVALS, SCENES, Run
+from benchmarks.paper.intervals import Interval, apart_interval, mean_interval, reductions_apart_interval
+from benchmarks.paper.plan import MOST_STEPS, OTHER_PARAMETERS, OURS, RIVALS, SCENES, Run
 from benchmarks.paper.published import TABLE_1
 from benchmarks.paper.records import Records
 
@@ -69,19 +65,18 @@ def reductions_below(scene: str, rival: str) -> Judge:
 
 
 def larger_in_small_intestine(rival: str) -> Judge:
-    """Whether ours is farther below a rival in the small intestine than in the colon, by the means."""
+    """Whether ours is farther below a rival in the small intestine than in the colon."""
 
     def judge(records: Records) -> Found | None:
-        cells, larger = [], []
+        cells, words = [], []
         for figure, name in (("rmse", "RMSE"), ("abs_rel", "abs.REL"), ("mae", "MAE")):
-            both = [records.reduction(s, row(PRINTED), row(rival), figure) for s in ("small_intestine", "colon")]
-            if both[0] is None or both[1] is None:
+            there, here = (records.pair(s, row(PRINTED), row(rival), figure) for s in ("small_intestine", "colon"))
+            if there is None or here is None:
                 return None
-            values = [100 * found[0].value for found in both if found]
-            cells.append(f"{name} {values[0]:.1f} % against {values[1]:.1f} %")
-            larger.append(values[0] > values[1])
-        finding = "reproduced" if all(larger) else "not reproduced" if not any(larger) else "not in all three"
-        return ", ".join(cells), f"{finding}, by the means"
+            more = reductions_apart_interval(there, here)
+            cells.append(f"{name} {in_points(more)}")
+            words.append(f"{name} {more.finding}")
+        return f"reduction there less that in the colon: {', '.join(cells)}", ", ".join(words)
 
     return judge
 
@@ -92,38 +87,52 @@ def best_rival_in_colon(records: Records) -> Found | None:
     if found is None:
         return None
     order = sorted(RIVALS, key=lambda model: found[model]["colon"])
+    best = next(model for model in order if model != "gaenet")
+    tables = records.pair("colon", row(best), row("gaenet"), "abs_rel")
+    if tables is None:
+        return None
+    lower = mean_interval(tables[0] - tables[1])
     elsewhere = ", ".join(f"{PRINTED_SCENES[s]} {100 * found['gaenet'][s]:.1f} %" for s in SCENES if s != "colon")
-    text = f"GAENet elsewhere: {elsewhere}; abs.REL in the colon: " + ", ".join(
-        f"{NAMES[m]} {100 * found[m]['colon']:.1f} %" for m in order
-    )
-    return text, f"{'reproduced' if order[0] == 'gaenet' else 'not reproduced'}, by the means"
+    colon = ", ".join(f"{NAMES[m]} {100 * found[m]['colon']:.1f} %" for m in order)
+    text = f"GAENet elsewhere: {elsewhere}; abs.REL in the colon: {colon}; {NAMES[best]} less GAENet {in_points(lower)}"
+    return text, lower.finding
 
 
 def colon_is_easiest(records: Records) -> Found | None:
-    """For how many networks the colon has the lowest error."""
+    """For how many networks the colon has the lowest error: beside the easiest other scene, of other meshes."""
     models = (*OURS, *RIVALS)
-    counts = []
-    for figure in ("rmse", "abs_rel"):
+    texts, intervals = [], []
+    for figure, name in (("rmse", "RMSE"), ("abs_rel", "abs.REL")):
         found = means(records, figure, models)
         if found is None:
             return None
-        counts.append(sum(min(of, key=lambda scene: of[scene]) == "colon" for of in found.values()))
-    text = f"lowest RMSE in the colon for {counts[0]} of {len(models)} networks, lowest abs.REL for {counts[1]}"
-    return text, f"{'reproduced' if min(counts) == len(models) else 'not reproduced'}, by the means"
+        below = []
+        for model, of in found.items():
+            other = min((scene for scene in SCENES if scene != "colon"), key=lambda scene: of[scene])
+            below.append(apart_interval(*(records.table(s, row(model), figure) for s in (other, "colon"))))
+        lower, higher = sum(i.low > 0 for i in below), sum(i.high < 0 for i in below)
+        texts.append(f"{name} lower in the colon for {lower} of {len(models)} networks, higher for {higher}")
+        intervals += below
+    if all(i.low > 0 for i in intervals):
+        finding = "reproduced"
+    else:
+        finding = "not reproduced" if any(i.high < 0 for i in intervals) else "not decided"
+    return f"beside the easiest other scene, beyond the interval: {'; '.join(texts)}", finding
 
 
 def delta_1_on(scene: str, models: tuple[str, ...]) -> Judge:
-    """delta 1 of networks on a scene: whose is lower; the values depend on the data."""
+    """delta 1 of networks on a scene: by how much the first is behind the last; the values depend on the data."""
 
     def judge(records: Records) -> Found | None:
         found = means(records, "delta_1", models)
         if found is None:
             return None
         text = ", ".join(f"{NAMES[m]} {found[m][scene]:.4f}" for m in models)
-        if len(models) == 1:
+        tables = records.pair(scene, row(models[-1]), row(models[0]), "delta_1")
+        if len(models) == 1 or tables is None:
             return text, "other data"
-        behind = "is behind ours, too" if found[models[0]][scene] < found[models[1]][scene] else "is not behind ours"
-        return text, f"{NAMES[models[0]]} {behind}, by the means; the values are of other data"
+        behind = mean_interval(tables[0] - tables[1])
+        return f"{text}: {in_digits(behind)} behind", f"that it is behind: {behind.finding}; values of other data"
 
     return judge
 
@@ -132,90 +141,36 @@ def leads_in_delta_1(least: float, mean: bool) -> Judge:
     """delta 1 of ours less that of the best rival, by scene: all at least `least`, or their mean."""
 
     def judge(records: Records) -> Found | None:
-        found = means(records, "delta_1", (PRINTED, *RIVALS))
-        if found is None:
-            return None
-        leads = {}
+        ahead = {}
         for scene in SCENES:
-            others = [records.mean(scene, run, "delta_1") for run in named_rivals().values()]
-            leads[scene] = found[PRINTED][scene] - max(other.value for other in others if other)
-        average = float(np.mean(list(leads.values())))
-        reached = average if mean else min(leads.values())
-        text = ", ".join(f"{PRINTED_SCENES[scene]} {lead:.4f}" for scene, lead in leads.items())
-        text = f"beside the best rival row of Table I: {text}"
-        return f"{text}; mean {average:.4f}", f"{'reproduced' if reached >= least else 'not reproduced'}, by the means"
+            rivals = [(m.value, run) for run in named_rivals().values() if (m := records.mean(scene, run, "delta_1"))]
+            best = max(rivals, key=lambda rival: rival[0], default=None)
+            tables = records.pair(scene, row(PRINTED), best[1], "delta_1") if best else None
+            if tables is None:
+                return None
+            ahead[scene] = tables[0] - tables[1]
+        leads = {scene: mean_interval(table) for scene, table in ahead.items()}
+        seeds = min(len(table) for table in ahead.values())
+        average = mean_interval(np.concatenate([table[:seeds] for table in ahead.values()], axis=1))
+        text = ", ".join(f"{PRINTED_SCENES[scene]} {in_digits(lead)}" for scene, lead in leads.items())
+        finding = average.word(least)
+        if not mean:
+            short = any(lead.high < least for lead in leads.values())
+            finding = "not reproduced" if short else "not decided"
+            finding = "reproduced" if all(lead.low >= least for lead in leads.values()) else finding
+        return f"beside the best rival row of Table I: {text}; mean {in_digits(average)}", finding
 
     return judge
 
 
-def points(count: int, sampler: str) -> Run:
-    """A run of Figure 5."""
-    return Run(("colon",), FIGURE_5, points=count, sampler=sampler)
+def in_points(interval: Interval) -> str:
+    """A difference of fractions with its interval, in percentage points."""
+    return f"{percent(interval).removesuffix(' %')} points"
 
 
-def steeper_for_uniform(records: Records) -> Found | None:
-    """delta 1 from the fewest to the most points."""
-    found = {}
-    for sampler in ("uniform", "features"):
-        known = [records.mean("colon", points(count, sampler), "delta_1") for count in POINT_COUNTS]
-        if any(one is None for one in known):
-            return None
-        found[sampler] = [one.value for one in known if one]
-    texts = (f"{sampler} {', '.join(f'{value:.4f}' for value in values)}" for sampler, values in found.items())
-    rises = all(values == sorted(values) for values in found.values())
-    steeper = found["uniform"][-1] - found["uniform"][0] > found["features"][-1] - found["features"][0]
-    finding = "reproduced" if rises and steeper else "it rises, but for features more" if rises else "not reproduced"
-    return f"delta 1 at {', '.join(f'{count:,}' for count in POINT_COUNTS)} points: {'; '.join(texts)}", finding
-
-
-def growth_with_features(records: Records) -> Found | None:
-    """How much delta 1 rises from 10 to 1,000 and on to 10,000 points, features beside uniform ones."""
-    rises = {}
-    for sampler in ("features", "uniform"):
-        few, many, most = (records.mean("colon", points(n, sampler), "delta_1") for n in (10, 1000, 10_000))
-        if few is None or many is None or most is None:
-            return None
-        rises[sampler] = many.value - few.value, most.value - many.value
-    text = "; ".join(f"{s} {a:.4f} to 1,000 points and {b:.4f} from there to 10,000" for s, (a, b) in rises.items())
-    less = rises["features"][0] < rises["uniform"][0]
-    return f"delta 1 rises from 10 points on: {text}", f"{'reproduced' if less else 'not reproduced'}, by the means"
-
-
-def features_higher(records: Records, count: int) -> Interval | None:
-    """By how much abs.REL of feature points is above that of uniform ones, as a fraction."""
-    found = records.reduction("colon", points(count, "features"), points(count, "uniform"), "abs_rel")
-    return None if found is None else Interval(-found[0].value, -found[0].high, -found[0].low)
-
-
-def gain_of_features(counts: tuple[int, ...]) -> Judge:
-    """Whether feature points gain over uniform ones at these numbers."""
-
-    def judge(records: Records) -> Found | None:
-        found = {count: higher for count in counts if (higher := features_higher(records, count))}
-        if len(found) < len(counts):
-            return None
-        finding = "they gain"
-        if all(higher.low > 0 for higher in found.values()):
-            finding = "they lose"
-        elif all(higher.high >= 0 for higher in found.values()):
-            finding = "they gain nothing"
-        return _instead(found), finding
-
-    return judge
-
-
-def many_features(records: Records) -> Found | None:
-    """At the most points there are not enough keypoints to tell."""
-    most = max(POINT_COUNTS)
-    higher = features_higher(records, most)
-    if higher is None:
-        return None
-    return _instead({most: higher}), "cannot be tested at 160 px: nearly all of these points are uniform ones"
-
-
-def _instead(found: dict[int, Interval]) -> str:
-    cells = (f"{count:,} points: {percent(higher)} higher" for count, higher in found.items())
-    return "abs.REL with features instead of uniform points: " + "; ".join(cells)
+def in_digits(interval: Interval) -> str:
+    """A difference of delta 1 with its interval."""
+    return f"{interval.value:.4f} [{interval.low:.4f}, {interval.high:.4f}]"
 
 
 def percent(interval: Interval) -> str:

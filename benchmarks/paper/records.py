@@ -55,11 +55,14 @@ class Records:
 
     def reduction(self, scene: str, run: Run, beside: Run, figure: str) -> tuple[Interval, int] | None:
         """By how much of `beside` a row's mean is lower, as a fraction, and of how many seeds that both have."""
+        tables = self.pair(scene, run, beside, figure)
+        return (reduction_interval(*tables), len(tables[0])) if tables else None
+
+    def pair(self, scene: str, run: Run, beside: Run, figure: str) -> tuple[Table, Table] | None:
+        """Tables of two rows, of the seeds that both have; None without such a seed."""
         shared = set(self.of(run).keys() & self.of(beside).keys())
-        if not shared:
-            return None
-        tables = [self.table(scene, which, figure, shared) for which in (run, beside)]
-        return reduction_interval(*tables), len(shared)
+        first, second = (self.table(scene, which, figure, shared) for which in (run, beside))
+        return (first, second) if shared else None
 
 
 def of_same_row(record: Record, run: Run) -> bool:

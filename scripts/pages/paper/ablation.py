@@ -29,6 +29,11 @@ from scripts.pages.paper.in_words import FULL, higher_by, machine
 from scripts.pages.paper.networks import FLOORS, spread
 
 COMPARED = (("+SA", "baseline"), ("+MSC", "baseline"), ("full", "baseline"), ("full", "+MSC"))
+SA_COMPARED = {
+    "sa_abs_rel": ("full", "+MSC", "abs_rel"),
+    "sa_rmse": ("full", "+MSC", "rmse"),
+    "sa_alone": ("+SA", "baseline", "abs_rel"),
+}
 COLUMNS = "| RMSE [mm] | abs.REL [%] | abs.REL, median frame [%] | MAE [mm] | delta 1 | seeds |\n" + "|---" * 7 + "|"
 
 
@@ -127,26 +132,40 @@ def in_published_order(records: Records) -> dict[str, str]:
     return {"in_order": f"{all_four} of {len(orders)}", "in_order_first": str(first)}
 
 
-def counted(records: Records, name: str, beside: str, figure: str) -> str:
-    """In how many trainings of both scenes that have `SEEDS` seeds a row is lower or higher by more than the
-    interval."""
+def counts(records: Records, name: str, beside: str, figure: str) -> tuple[int, int, int]:
+    """In how many trainings of both scenes that have `SEEDS` seeds a row is lower and higher by more than the
+    interval, and how many these are."""
     every = [(scene, training) for scene, trainings in TRAININGS.items() for training in trainings]
     found = [finding(records, Reduction(scene, name, beside, figure), training) for scene, training in every]
     known = [of[0] for of in found if of and of[1] >= SEEDS]
-    lower, higher = sum(of.low > 0 for of in known), sum(of.high < 0 for of in known)
-    return f"lower in {lower} of {len(known)} trainings and higher in {higher}"
+    return sum(of.low > 0 for of in known), sum(of.high < 0 for of in known), len(known)
 
 
-def closer_than(records: Records, training: Training, other: Training) -> str:
-    """Of how many of the colon's reductions a training's is closer to the paper's than another's."""
-    closer = []
+def counted(records: Records, name: str, beside: str, figure: str) -> str:
+    """The same in words."""
+    lower, higher, known = counts(records, name, beside, figure)
+    return f"lower in {lower} of {known} trainings and higher in {higher}"
+
+
+def closer(records: Records, ours: Training, source: Training) -> str:
+    """Which of the colon's reductions below the baseline, by MSC alone and by full, are closer to the paper's in the
+    one training, and which in the other."""
+    near: dict[bool, list[str]] = {True: [], False: []}
     for name, beside, figure in product_of_reductions():
         of = Reduction("colon", name, beside, figure)
-        both = [finding(records, of, which) for which in (training, other)]
-        if both[0] and both[1]:
-            mine, theirs = (abs(found[0].value - reduction("colon", name, beside, figure)) for found in both if found)
-            closer.append(mine < theirs)
-    return f"{sum(closer)} of {len(closer)}"
+        both = [finding(records, of, training) for training in (ours, source)]
+        if name != "+SA" and beside == "baseline" and both[0] and both[1]:
+            published = reduction("colon", name, beside, figure)
+            first, second = (abs(found[0].value - published) for found in both if found)
+            near[first < second].append(f"{FIGURE_NAMES[figure]} of {name}")
+    texts = (", ".join(names) or "none" for names in (near[True], near[False]))
+    return "Closer to the paper's reduction with our unit and rate: {}; with the source's: {}".format(*texts)
+
+
+def sa_beyond(records: Records) -> str:
+    """How many of the comparisons of `counted` that the page makes on SA leave zero out, and of how many."""
+    found = [counts(records, *of) for of in SA_COMPARED.values()]
+    return f"{sum(lower + higher for lower, higher, _ in found)} of {sum(known for _, _, known in found)}"
 
 
 def length(records: Records) -> list[str]:

@@ -16,6 +16,7 @@ from benchmarks.paper.plan import (
     BODIES,
     CONSTANT,
     EARLY,
+    FLOAT32,
     IN_METRES,
     METRES,
     NORMALISATIONS,
@@ -24,13 +25,15 @@ from benchmarks.paper.plan import (
     READINGS,
     RIVALS,
     SCENES,
+    SIZE,
+    TRAINED_ON,
     TRAINING_FRAMES,
     UNTRAINED,
     Run,
     Training,
 )
 from benchmarks.paper.published import TABLE_2
-from benchmarks.paper.records import AGAIN, LATER, Records
+from benchmarks.paper.records import AGAIN, LATER, Records, of_same_row
 from completion.data.shards import validation_meshes
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
@@ -39,7 +42,7 @@ from haustra.phantom.dataset.shards import FRAMES_PER_COLON
 
 FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
 OURS_AT_LENGTH, PLAIN_AT_LENGTH, BATCH_AT_LENGTH = AT_LENGTH
-METRES_AT_LENGTH, CONSTANT_AT_LENGTH = (Training(EARLY, PAPER_STEPS, change) for change in (METRES, CONSTANT))
+METRES_AT_LENGTH = Training(EARLY, PAPER_STEPS, METRES)
 # name: row, row beside, figure, training; in the colon
 REDUCTIONS = {
     "full_at_length": ("full", "baseline", "abs_rel", OURS_AT_LENGTH),
@@ -47,12 +50,11 @@ REDUCTIONS = {
     "batch_at_length": ("full", "baseline", "abs_rel", BATCH_AT_LENGTH),
     "full_rmse_at_length": ("full", "baseline", "rmse", OURS_AT_LENGTH),
     **{f"msc_rmse_{n}": ("+MSC", "baseline", "rmse", Training(body)) for n, body in enumerate(BODIES)},
-    "full_in_metres": ("full", "baseline", "abs_rel", IN_METRES),
-    "full_rmse_in_metres": ("full", "baseline", "rmse", IN_METRES),
+    "msc_rmse_at_length": ("+MSC", "baseline", "rmse", OURS_AT_LENGTH),
+    "sa_metres": ("full", "+MSC", "abs_rel", METRES_AT_LENGTH),
+    "sa_alone_source": ("+SA", "baseline", "abs_rel", AS_ITS_SOURCE),
     "full_as_source": ("full", "baseline", "abs_rel", AS_ITS_SOURCE),
     "full_rmse_as_source": ("full", "baseline", "rmse", AS_ITS_SOURCE),
-    "full_rmse_metres_at_length": ("full", "baseline", "rmse", METRES_AT_LENGTH),
-    "full_rmse_constant_at_length": ("full", "baseline", "rmse", CONSTANT_AT_LENGTH),
 }
 CHANGED = {
     "cost_metres": METRES,
@@ -84,7 +86,7 @@ def figures(records: Records) -> dict[str, str]:
     """By name."""
     found = {name: reduced(records, *of) for name, of in REDUCTIONS.items()}
     found |= {f"{name}_seeds": seeds(records, *of) for name, of in REDUCTIONS.items()}
-    theirs = [record for run in named_rivals().values() for record in records.of(run).values()]
+    theirs = [r for r in records.records if any(of_same_row(r, run) for run in named_rivals().values())]
     same = [record["parameters"] / 1e6 for record in theirs if record["size"] == "same-parameters"]
     watched = validation_meshes(TRAINING_FRAMES // FRAMES_PER_COLON) * FRAMES_PER_COLON
     trained = TRAINING_FRAMES - watched
@@ -106,9 +108,15 @@ def figures(records: Records) -> dict[str, str]:
             "paper_depth": f"{100 * published['mae'] / published['abs_rel']:.0f} cm",
             "our_depth": mean_depth(records),
             "same_frames": f"{100 * judged_of_the_batches(records):.1f} % in the mean",
-            "nlspn_rmse": str(scenes_below_linear(records, lambda *of: mean_of(records, *of, "rmse"))),
-            "nlspn_median": str(scenes_below_linear(records, lambda *of: records.median_frame(*of, "abs_rel"))),
-            "machines_differ": machines_differ(records),
+            "nlspn_rmse": scenes_below_linear(lambda *of: mean_of(records, *of, "rmse")),
+            "nlspn_median": scenes_below_linear(lambda *of: records.median_frame(*of, "abs_rel")),
+            "nlspn_larger": scenes_below_linear(lambda *of: mean_of(records, *of, "abs_rel"), "same-parameters"),
+            "beyond": f"{100 * share_beyond(records):.1f} %",
+            "cost_trained_on": f"{abs_rel_of(records, Run(('colon',), FULL, change=TRAINED_ON), 2)} instead of "
+            f"{abs_rel_of(records, Run(('colon',), FULL, change=AS_SAVED), 2)}",
+            "cost_judged_float32": higher_by(records, Run(("colon",), FULL, change=FLOAT32)),
+            "on_another_machine": on_another_machine(records),
+            "trained_again": trained_again(records, Records.read(AGAIN)),
             "passes": f"{PAPER_STEPS * 10 / trained:.0f}",
             "trained_frames": f"{trained:,}",
             "short_rivals": f"{sum(r['steps_done'] < 2000 for r in theirs)} of {len(theirs)}",
@@ -180,10 +188,10 @@ def pooled_errors(records: Records, run: Run, seeds: set[int]) -> tuple[float, f
     return float(abs_rel.mean()), float(over_pixels[0]), float(rmse.mean()), float(over_pixels[1])
 
 
-def abs_rel_of(records: Records, run: Run) -> str:
+def abs_rel_of(records: Records, run: Run, digits: int = 1) -> str:
     """Mean over frames and seeds, in the colon."""
     mean = records.mean("colon", run, "abs_rel")
-    return f"{100 * mean.value:.1f} %" if mean else "(not measured)"
+    return f"{100 * mean.value:.{digits}f} %" if mean else "(not measured)"
 
 
 def mean_depth(records: Records) -> str:
@@ -201,25 +209,14 @@ def trained_again(records: Records, again: Records) -> str:
             run = next(r for r in IN_METRES.runs("colon").values() if r.model == record["model"])
             pair = [of.table("colon", run, figure, {record["seed"]}).mean() for of in (again, records)]
             ratios.append(100 * (pair[1] / pair[0] - 1))
-        cells.append(f"{title} by {min(ratios):.0f} to {max(ratios):.0f} %")
-    return f"{len(again.records)} trainings with depth in metres were made on a CPU, too; on the GPU {', '.join(cells)}"
+        cells.append(f"{title} is higher by {min(ratios):.0f} to {max(ratios):.0f} %")
+    return f"{len(again.records)} trainings were made on a CPU, too; on the GPU {' and '.join(cells)}"
 
 
-def machines_differ(records: Records) -> str:
-    """What training the same seeds on another machine changes."""
+def on_another_machine(records: Records) -> str:
+    """By how much abs.REL is higher where the same seeds were trained on a CPU."""
     again = records.reduction("colon", Run(("colon",), FULL, change=AS_SAVED), Run(("colon",), FULL), "abs_rel")
-    if again is None:
-        return ""
-    higher = f"{-100 * again[0].value:.1f} %"
-    return (
-        "The last column but one compares with trainings of the same seeds on the same kind of machine, of two seeds,\n"
-        "0 and 1, unless it says another number: on a GPU with the first row's, on a CPU with the second one's,\n"
-        f"whose abs.REL is {higher} above that of the same seeds on the GPU. Not all of these rows saw the same\n"
-        "rendering of the frames (`frames_digest` of the records; they differ by rounding). The intervals are too\n"
-        "narrow: the attention of this network is uniform (Figure 6), so that the sign of SA should change little,\n"
-        "and yet its interval leaves zero out. A change of a few percent says nothing. Machines differ more in\n"
-        f"metres: {trained_again(records, Records.read(AGAIN))}."
-    )
+    return f"{-100 * again[0].value:.1f} %" if again else "(not measured)"
 
 
 def reduced(records: Records, name: str, beside: str, figure: str, training: Training) -> str:
@@ -247,10 +244,21 @@ def mean_of(records: Records, scene: str, run: Run, figure: str) -> float | None
     return found.value if found else None
 
 
-def scenes_below_linear(records: Records, of: Callable[[str, Run], float | None]) -> int:
-    """In how many scenes NLSPN of equal computation has less of a figure than linear interpolation."""
-    both = [(of(scene, row("nlspn")), of(scene, Run(tuple(SCENES), "linear"))) for scene in SCENES]
-    return sum(theirs is not None and floor is not None and theirs < floor for theirs, floor in both)
+def scenes_below_linear(of: Callable[[str, Run], float | None], size: Size = "small") -> str:
+    """In how many scenes NLSPN has less of a figure than linear interpolation."""
+    both = [(of(scene, row("nlspn", size)), of(scene, Run(tuple(SCENES), "linear"))) for scene in SCENES]
+    return str(sum(theirs is not None and floor is not None and theirs < floor for theirs, floor in both))
+
+
+def share_beyond(records: Records) -> float:
+    """Share of the pixels of the colon's judged frames that have no true depth to be judged by."""
+    frames = next(
+        frames
+        for record in records.records
+        if "colon" in record["scenes"] and "pixels" in (frames := record["scenes"]["colon"]["frames"])
+    )
+    judged = sum(frames["pixels"]) + sum(frames["missing"])
+    return 1 - judged / (len(frames["pixels"]) * SIZE**2)
 
 
 def size_of(model: str, size: Size) -> int:

@@ -12,7 +12,8 @@ from pathlib import Path
 from string import Template
 
 from benchmarks.paper.claims import SCENE_NAMES, claims, finding, verdict
-from benchmarks.paper.judgements import NAMES, features_higher, percent, points
+from benchmarks.paper.judgements import NAMES, percent
+from benchmarks.paper.judgements_figures import features_higher, points
 from benchmarks.paper.plan import (
     AS_ITS_SOURCE,
     AT_LENGTH,
@@ -26,7 +27,16 @@ from benchmarks.paper.plan import (
 )
 from benchmarks.paper.published import TABLE_2, reduction
 from benchmarks.paper.records import FIGURES, Record, Records
-from scripts.pages.paper.ablation import changes, closer_than, counted, in_published_order, length, table_2
+from scripts.pages.paper.ablation import (
+    SA_COMPARED,
+    changes,
+    closer,
+    counted,
+    in_published_order,
+    length,
+    sa_beyond,
+    table_2,
+)
 from scripts.pages.paper.in_words import figures as figures_in_words
 from scripts.pages.paper.networks import (
     cost_of_batches,
@@ -170,10 +180,9 @@ def page(records: Records) -> str:
         "length": length(records),
         "sa_change": sa_change(),
         "keypoints": [keypoints()],
-        "sa_abs_rel": [counted(records, "full", "+MSC", "abs_rel")],
-        "sa_rmse": [counted(records, "full", "+MSC", "rmse")],
-        "sa_alone": [counted(records, "+SA", "baseline", "abs_rel")],
-        "closer_with_ours": [closer_than(records, AT_LENGTH[0], AS_ITS_SOURCE)],
+        **{name: [counted(records, *of)] for name, of in SA_COMPARED.items()},
+        "sa_out": [sa_beyond(records)],
+        "closer": [closer(records, AT_LENGTH[0], AS_ITS_SOURCE)],
         "steps": [f"{STEPS:,}"],
         "most_steps": [f"{MOST_STEPS:,}"],
     }
