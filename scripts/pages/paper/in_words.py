@@ -42,7 +42,7 @@ from haustra.phantom.dataset.shards import FRAMES_PER_COLON
 
 FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
 OURS_AT_LENGTH, PLAIN_AT_LENGTH, BATCH_AT_LENGTH = AT_LENGTH
-METRES_AT_LENGTH = Training(EARLY, PAPER_STEPS, METRES)
+METRES_AT_LENGTH, CONSTANT_AT_LENGTH = (Training(EARLY, PAPER_STEPS, change) for change in (METRES, CONSTANT))
 # name: row, row beside, figure, training; in the colon
 REDUCTIONS = {
     "full_at_length": ("full", "baseline", "abs_rel", OURS_AT_LENGTH),
@@ -51,6 +51,8 @@ REDUCTIONS = {
     "full_rmse_at_length": ("full", "baseline", "rmse", OURS_AT_LENGTH),
     **{f"msc_rmse_{n}": ("+MSC", "baseline", "rmse", Training(body)) for n, body in enumerate(BODIES)},
     "msc_rmse_at_length": ("+MSC", "baseline", "rmse", OURS_AT_LENGTH),
+    "rmse_metres": ("full", "baseline", "rmse", METRES_AT_LENGTH),
+    "rmse_constant": ("full", "baseline", "rmse", CONSTANT_AT_LENGTH),
     "sa_metres": ("full", "+MSC", "abs_rel", METRES_AT_LENGTH),
     "sa_alone_source": ("+SA", "baseline", "abs_rel", AS_ITS_SOURCE),
     "full_as_source": ("full", "baseline", "abs_rel", AS_ITS_SOURCE),

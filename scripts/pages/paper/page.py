@@ -182,7 +182,7 @@ def page(records: Records) -> str:
         "keypoints": [keypoints()],
         **{name: [counted(records, *of)] for name, of in SA_COMPARED.items()},
         "sa_out": [sa_beyond(records)],
-        "closer": [closer(records, AT_LENGTH[0], AS_ITS_SOURCE)],
+        "closer": ["\n    ".join(textwrap.wrap(closer(records, AT_LENGTH[0], AS_ITS_SOURCE), 114))],
         "steps": [f"{STEPS:,}"],
         "most_steps": [f"{MOST_STEPS:,}"],
     }
