@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from haustra.core.se3 import share_of
 from haustra.phantom.anatomy.colon import build_colon
 from haustra.phantom.appearance.texture import SurfaceTexture
 from haustra.phantom.config import CameraConfig, ImagingConfig, PhantomConfig
@@ -252,7 +252,11 @@ def camera_between(world_from_camera: Array, time: float) -> Array:
     base = int(np.clip(np.floor(time), 0, last))
     start = min(base, last - 1)  # of the frame interval whose motion holds
     step = np.linalg.inv(world_from_camera[start]) @ world_from_camera[start + 1]
-    return world_from_camera[base] @ share_of(step, time - base)
+    between = np.eye(4)
+    turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
+    between[:3, :3] = Rotation.from_rotvec((time - base) * turn).as_matrix()
+    between[:3, 3] = (time - base) * step[:3, 3]
+    return world_from_camera[base] @ between
 
 
 @contextmanager
