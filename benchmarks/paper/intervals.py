@@ -19,10 +19,14 @@ class Interval:
     low: float
     high: float
 
+    def __neg__(self) -> "Interval":
+        return Interval(-self.value, -self.high, -self.low)
+
     def word(self, claimed: float) -> str:
         """What it says of a reduction that the paper claims, both fractions; a negative one is an increase."""
-        low, high = (self.low, self.high) if claimed >= 0 else (-self.high, -self.low)
-        claimed = abs(claimed)
+        if claimed < 0:
+            return (-self).word(-claimed)
+        low, high = self.low, self.high
         if low <= 0:
             return "not reproduced" if high < claimed / 2 else "not decided"
         if high < claimed / 2:
@@ -31,8 +35,8 @@ class Interval:
 
     def sign(self, claimed: float) -> str:
         """Whether it has the sign of a claimed reduction."""
-        low, high = (self.low, self.high) if claimed >= 0 else (-self.high, -self.low)
-        return "in sign" if low > 0 else "not in sign" if high < 0 else "not decided"
+        turned = self if claimed >= 0 else -self
+        return "in sign" if turned.low > 0 else "not in sign" if turned.high < 0 else "not decided"
 
     @property
     def finding(self) -> str:
@@ -56,9 +60,7 @@ def reduction_interval(table: Table, beside: Table) -> Interval:
     """1 - mean of `table` / mean of `beside`, both (S,M) of the same seeds and meshes, which are drawn in pairs."""
     if table.shape != beside.shape:
         raise ValueError(f"tables of the same seeds and meshes have one shape, not {table.shape} and {beside.shape}")
-    seeds, meshes = _draws(table.shape)
-    drawn = 1 - _means(table, seeds, meshes) / _means(beside, seeds, meshes)
-    return _interval(float(1 - table.mean() / beside.mean()), drawn)
+    return _interval(*_reduction(table, beside))
 
 
 def apart_interval(table: Table, other: Table) -> Interval:
@@ -69,12 +71,14 @@ def apart_interval(table: Table, other: Table) -> Interval:
 
 def reductions_apart_interval(first: tuple[Table, Table], second: tuple[Table, Table]) -> Interval:
     """The reduction of a pair of tables (see `reduction_interval`) less that of another, of other meshes."""
-    values, drawn = [], []
-    for stream, (table, beside) in enumerate((first, second)):
-        draws = _draws(table.shape, stream)
-        values.append(float(1 - table.mean() / beside.mean()))
-        drawn.append(1 - _means(table, *draws) / _means(beside, *draws))
-    return _interval(values[0] - values[1], drawn[0] - drawn[1])
+    (value, drawn), (other, other_drawn) = _reduction(*first), _reduction(*second, 1)
+    return _interval(value - other, drawn - other_drawn)
+
+
+def _reduction(table: Table, beside: Table, stream: int = 0) -> tuple[float, NDArray[np.float64]]:
+    """By how much the one mean is below the other, as it is and in each draw of both in pairs."""
+    draws = _draws(table.shape, stream)
+    return float(1 - table.mean() / beside.mean()), 1 - _means(table, *draws) / _means(beside, *draws)
 
 
 @cache

@@ -217,7 +217,7 @@ def growth_with_features(records: Records) -> Found | None:
 def features_higher(records: Records, count: int) -> Interval | None:
     """By how much abs.REL of feature points is above that of uniform ones, as a fraction."""
     found = records.reduction("colon", points(count, "features"), points(count, "uniform"), "abs_rel")
-    return None if found is None else Interval(-found[0].value, -found[0].high, -found[0].low)
+    return None if found is None else -found[0]
 
 
 def gain_of_features(counts: tuple[int, ...]) -> Judge:

@@ -120,12 +120,16 @@ def published_order(scene: str, figure: str) -> list[str]:
     return sorted(ROWS, key=lambda row: TABLE_2[scene][row][figure])
 
 
+def every_training() -> list[tuple[str, Training]]:
+    """Of both scenes, which stands before it."""
+    return [(scene, training) for scene, trainings in TRAININGS.items() for training in trainings]
+
+
 def in_published_order(records: Records) -> dict[str, str]:
     """In how many trainings the rows have the paper's order of abs.REL, and in how many the first two have."""
     orders = [
         (found, published_order(scene, "abs_rel"))
-        for scene, trainings in TRAININGS.items()
-        for training in trainings
+        for scene, training in every_training()
         if (found := order(records, scene, training, "abs_rel"))
     ]
     all_four, first = sum(ours == of for ours, of in orders), sum(ours[:2] == of[:2] for ours, of in orders)
@@ -135,8 +139,7 @@ def in_published_order(records: Records) -> dict[str, str]:
 def counts(records: Records, name: str, beside: str, figure: str) -> tuple[int, int, int]:
     """In how many trainings of both scenes that have `SEEDS` seeds a row is lower and higher by more than the
     interval, and how many these are."""
-    every = [(scene, training) for scene, trainings in TRAININGS.items() for training in trainings]
-    found = [finding(records, Reduction(scene, name, beside, figure), training) for scene, training in every]
+    found = [finding(records, Reduction(scene, name, beside, figure), of) for scene, of in every_training()]
     known = [of[0] for of in found if of and of[1] >= SEEDS]
     return sum(of.low > 0 for of in known), sum(of.high < 0 for of in known), len(known)
 

@@ -7,7 +7,6 @@ import torch
 
 from benchmarks.paper.batch_statistics import EVERY
 from benchmarks.paper.claims import Reduction, finding
-from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import PRINTED, named_rivals, percent, row
 from benchmarks.paper.plan import (
     AS_ITS_SOURCE,
@@ -86,8 +85,9 @@ READ = {
 
 def figures(records: Records) -> dict[str, str]:
     """By name."""
-    found = {name: reduced(records, *of) for name, of in REDUCTIONS.items()}
-    found |= {f"{name}_seeds": seeds(records, *of) for name, of in REDUCTIONS.items()}
+    found: dict[str, str] = {}
+    for name, of in REDUCTIONS.items():
+        found[name], found[f"{name}_seeds"] = reduced(records, *of)
     theirs = [r for r in records.records if any(of_same_row(r, run) for run in named_rivals().values())]
     same = [record["parameters"] / 1e6 for record in theirs if record["size"] == "same-parameters"]
     watched = validation_meshes(TRAINING_FRAMES // FRAMES_PER_COLON) * FRAMES_PER_COLON
@@ -137,8 +137,8 @@ def higher_by(records: Records, run: Run) -> str:
     found = None if run == beside else records.reduction("colon", run, beside, "abs_rel")
     if found is None:
         return ""
-    text = percent(Interval(-found[0].value, -found[0].high, -found[0].low))
-    return text if found[1] == 2 else f"{text} ({('no', 'one', 'two', 'three')[found[1]]} seed{'s' * (found[1] > 1)})"
+    text = percent(-found[0])
+    return text if found[1] == 2 else f"{text} ({seeds_in_words(found[1])})"
 
 
 def machine(records: Records, run: Run) -> str:
@@ -221,16 +221,14 @@ def on_another_machine(records: Records) -> str:
     return f"{-100 * again[0].value:.1f} %" if again else "(not measured)"
 
 
-def reduced(records: Records, name: str, beside: str, figure: str, training: Training) -> str:
-    """A reduction in the colon, with its interval."""
+def reduced(records: Records, name: str, beside: str, figure: str, training: Training) -> tuple[str, str]:
+    """A reduction in the colon with its interval, and of how many seeds it is."""
     found = finding(records, Reduction("colon", name, beside, figure), training)
-    return percent(found[0]) if found else "(not measured)"
+    return (percent(found[0]), seeds_in_words(found[1])) if found else ("(not measured)", seeds_in_words(0))
 
 
-def seeds(records: Records, name: str, beside: str, figure: str, training: Training) -> str:
-    """Of how many seeds a reduction is."""
-    found = finding(records, Reduction("colon", name, beside, figure), training)
-    count = found[1] if found else 0
+def seeds_in_words(count: int) -> str:
+    """At most three."""
     return f"{('no', 'one', 'two', 'three')[count]} seed{'s' * (count != 1)}"
 
 
