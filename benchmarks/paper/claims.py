@@ -11,8 +11,9 @@ from benchmarks.paper import judgements_figures as of_pictures
 from benchmarks.paper.intervals import Interval
 from benchmarks.paper.judgements import Judge
 from benchmarks.paper.plan import Training
-from benchmarks.paper.published import TABLE_1, TABLE_2, reduction
+from benchmarks.paper.published import FIGURE_NAMES, LOWERED, TABLE_1, TABLE_2, reduction
 from benchmarks.paper.records import Records
+from haustra.core.text import counted
 
 
 @dataclass(frozen=True)
@@ -36,22 +37,19 @@ class Claim:
     judge: Judge | None = None
 
 
-NAMES = {"rmse": "RMSE", "abs_rel": "abs.REL", "mae": "MAE", "delta_1": "delta 1"}
 SCENE_NAMES = of_networks.PRINTED_SCENES
 
 
 def published(*of: Reduction) -> str:
     """The same reductions by the paper's Table II."""
-    cells = (f"{NAMES[r.figure]} {100 * reduction(r.scene, r.row, r.beside, r.figure):.1f} %" for r in of)
+    cells = (f"{FIGURE_NAMES[r.figure]} {100 * reduction(r.scene, r.row, r.beside, r.figure):.1f} %" for r in of)
     return f"Table II: {', '.join(cells)}"
 
 
 def below_std50(scene: str) -> str:
     """Reductions of MSCSA-Net below StD-ResNet50 by the paper's Table I."""
     ours, rival = TABLE_1[scene]["MSCSA-Net"], TABLE_1[scene]["StD-ResNet50"]
-    return "Table I: " + ", ".join(
-        f"{NAMES[f]} {100 * (1 - ours[f] / rival[f]):.1f} %" for f in ("rmse", "abs_rel", "mae")
-    )
+    return "Table I: " + ", ".join(f"{FIGURE_NAMES[f]} {100 * (1 - ours[f] / rival[f]):.1f} %" for f in LOWERED)
 
 
 def lead_in_delta(scene: str) -> float:
@@ -72,7 +70,7 @@ def _delta_1(row: str) -> str:
 
 def _scenes(figure: str) -> str:
     values = (f"{SCENE_NAMES[scene]} {rows['MSCSA-Net'][figure]:.2f}" for scene, rows in TABLE_1.items())
-    return f"{NAMES[figure]} of MSCSA-Net {', '.join(values)}"
+    return f"{FIGURE_NAMES[figure]} of MSCSA-Net {', '.join(values)}"
 
 
 def claims() -> list[Claim]:
@@ -205,4 +203,4 @@ def verdict(found: tuple[Interval, int] | None, claimed: float) -> str:
     if found is None:
         return "not measured"
     interval, seeds = found
-    return f"{interval.word(claimed)}, {seeds} seeds" if seeds > 1 else f"{interval.sign(claimed)}, 1 seed"
+    return f"{interval.word(claimed) if seeds > 1 else interval.sign(claimed)}, {counted(seeds, 'seed')}"

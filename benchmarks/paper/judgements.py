@@ -6,8 +6,9 @@ import numpy as np
 
 from benchmarks.paper.intervals import Interval, apart_interval, mean_interval, reductions_apart_interval
 from benchmarks.paper.plan import MOST_STEPS, OTHER_PARAMETERS, OURS, RIVALS, SCENES, Run
-from benchmarks.paper.published import TABLE_1
+from benchmarks.paper.published import FIGURE_NAMES, LOWERED, TABLE_1
 from benchmarks.paper.records import Records
+from haustra.core.text import counted
 
 PRINTED_SCENES = {"colon": "colon", "small_intestine": "small intestine", "ccd": "CCD", "csd": "CSD"}
 PRINTED = "mscsa-plain"  # the network whose rows stand for the paper's in sentences about several networks
@@ -50,16 +51,16 @@ def reductions_below(scene: str, rival: str) -> Judge:
 
     def judge(records: Records) -> Found | None:
         cells = []
-        for figure, name in (("rmse", "RMSE"), ("abs_rel", "abs.REL"), ("mae", "MAE")):
+        for figure in LOWERED:
             found = records.reduction(scene, row(PRINTED), row(rival), figure)
             if found is None:
                 return None
             published = TABLE_1[scene]
             claimed = 1 - published["MSCSA-Net"][figure] / published[NAMES[rival]][figure]
-            cells.append((name, *found, found[0].word(claimed)))
+            cells.append((FIGURE_NAMES[figure], *found, found[0].word(claimed)))
         text = ", ".join(f"{name} {percent(interval)}" for name, interval, _, _ in cells)
         words = ", ".join(f"{name} {word}" for name, _, _, word in cells)
-        return text, f"{words}, {cells[0][2]} seed{'s' * (cells[0][2] > 1)}; see what Table I can say"
+        return text, f"{words}, {counted(cells[0][2], 'seed')}; see what Table I can say"
 
     return judge
 
@@ -69,13 +70,13 @@ def larger_in_small_intestine(rival: str) -> Judge:
 
     def judge(records: Records) -> Found | None:
         cells, words = [], []
-        for figure, name in (("rmse", "RMSE"), ("abs_rel", "abs.REL"), ("mae", "MAE")):
+        for figure in LOWERED:
             there, here = (records.pair(s, row(PRINTED), row(rival), figure) for s in ("small_intestine", "colon"))
             if there is None or here is None:
                 return None
             more = reductions_apart_interval(there, here)
-            cells.append(f"{name} {in_points(more)}")
-            words.append(f"{name} {more.finding}")
+            cells.append(f"{FIGURE_NAMES[figure]} {in_points(more)}")
+            words.append(f"{FIGURE_NAMES[figure]} {more.finding}")
         return f"reduction there less that in the colon: {', '.join(cells)}", ", ".join(words)
 
     return judge
@@ -102,7 +103,7 @@ def colon_is_easiest(records: Records) -> Found | None:
     """For how many networks the colon has the lowest error: beside the easiest other scene, of other meshes."""
     models = (*OURS, *RIVALS)
     texts, intervals = [], []
-    for figure, name in (("rmse", "RMSE"), ("abs_rel", "abs.REL")):
+    for figure in ("rmse", "abs_rel"):
         found = means(records, figure, models)
         if found is None:
             return None
@@ -111,7 +112,9 @@ def colon_is_easiest(records: Records) -> Found | None:
             other = min((scene for scene in SCENES if scene != "colon"), key=lambda scene: of[scene])
             below.append(apart_interval(*(records.table(s, row(model), figure) for s in (other, "colon"))))
         lower, higher = sum(i.low > 0 for i in below), sum(i.high < 0 for i in below)
-        texts.append(f"{name} lower in the colon for {lower} of {len(models)} networks, higher for {higher}")
+        texts.append(
+            f"{FIGURE_NAMES[figure]} lower in the colon for {lower} of {len(models)} networks, higher for {higher}"
+        )
         intervals += below
     if all(i.low > 0 for i in intervals):
         finding = "reproduced"

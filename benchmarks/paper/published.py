@@ -3,6 +3,8 @@
 from benchmarks.paper.plan import ROWS
 
 FIGURES = ("rmse", "abs_rel", "mae", "delta_1", "delta_2")
+FIGURE_NAMES = {"rmse": "RMSE", "abs_rel": "abs.REL", "mae": "MAE", "delta_1": "delta 1"}
+LOWERED = ("rmse", "abs_rel", "mae")  # figures whose reductions the paper gives
 Row = dict[str, float]
 
 

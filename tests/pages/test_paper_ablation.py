@@ -81,7 +81,7 @@ def test_pixels_are_pooled_of_the_seeds_that_both_rows_have():
     made = [record(replace(rows["full"], seed=seed), 0.1 * (1 + seed), **pixels) for seed in (0, 1)]
     made.append(record(replace(rows["baseline"], seed=1), 0.4, **pixels))
     assert pooled(Records(made)) == (
-        "over all pixels, in metres, 1 seeds: full below its baseline by abs.REL 50.0 % instead of 50.0 %, "
+        "over all pixels, in metres, 1 seed: full below its baseline by abs.REL 50.0 % instead of 50.0 %, "
         "RMSE 50.0 % instead of 50.0 %"
     )
     assert pooled(Records(made[:2])) == "not measured"

@@ -2,7 +2,6 @@
 
 from itertools import product
 
-from benchmarks.paper.claims import NAMES as FIGURE_NAMES
 from benchmarks.paper.claims import SCENE_NAMES, Reduction, finding
 from benchmarks.paper.plan import (
     AS_SAVED,
@@ -23,7 +22,7 @@ from benchmarks.paper.plan import (
     Run,
     Training,
 )
-from benchmarks.paper.published import TABLE_2, reduction
+from benchmarks.paper.published import FIGURE_NAMES, TABLE_2, reduction
 from benchmarks.paper.records import Records
 from scripts.pages.paper.in_words import FULL, higher_by, machine
 from scripts.pages.paper.networks import FLOORS, spread

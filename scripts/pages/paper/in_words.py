@@ -31,12 +31,13 @@ from benchmarks.paper.plan import (
     Run,
     Training,
 )
-from benchmarks.paper.published import TABLE_2
+from benchmarks.paper.published import FIGURE_NAMES, TABLE_2
 from benchmarks.paper.records import AGAIN, LATER, Records, of_same_row
 from completion.data.shards import validation_meshes
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
 from completion.weights.shipped_weights import resolve_weights
+from haustra.core.text import counted
 from haustra.phantom.dataset.shards import FRAMES_PER_COLON
 
 FULL = "mscsa-early-fusion"  # on which choices of training were changed one at a time
@@ -172,7 +173,7 @@ def pooled(records: Records) -> str:
     full, baseline = (pooled_errors(records, rows[name], seeds) for name in ("full", "baseline"))
     below = [f"{100 * (1 - ours / theirs):.1f} %" for ours, theirs in zip(full, baseline, strict=True)]
     return (
-        f"over all pixels, in metres, {len(seeds)} seeds: full below its baseline by abs.REL {below[1]} instead of "
+        f"over all pixels, in metres, {counted(len(seeds), 'seed')}: full below its baseline by abs.REL {below[1]} instead of "
         f"{below[0]}, RMSE {below[3]} instead of {below[2]}"
     )
 
@@ -205,13 +206,13 @@ def mean_depth(records: Records) -> str:
 def trained_again(records: Records, again: Records) -> str:
     """By how much the figures of trainings that were made on another machine as well differ, by figure."""
     cells = []
-    for figure, title in (("abs_rel", "abs.REL"), ("rmse", "RMSE")):
+    for figure in ("abs_rel", "rmse"):
         ratios = []
         for record in again.records:
             run = next(r for r in IN_METRES.runs("colon").values() if r.model == record["model"])
             pair = [of.table("colon", run, figure, {record["seed"]}).mean() for of in (again, records)]
             ratios.append(100 * (pair[1] / pair[0] - 1))
-        cells.append(f"{title} is higher by {min(ratios):.0f} to {max(ratios):.0f} %")
+        cells.append(f"{FIGURE_NAMES[figure]} is higher by {min(ratios):.0f} to {max(ratios):.0f} %")
     return f"{len(again.records)} trainings were made on a CPU, too; on the GPU {' and '.join(cells)}"
 
 
