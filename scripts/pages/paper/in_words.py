@@ -173,8 +173,8 @@ def pooled(records: Records) -> str:
     full, baseline = (pooled_errors(records, rows[name], seeds) for name in ("full", "baseline"))
     below = [f"{100 * (1 - ours / theirs):.1f} %" for ours, theirs in zip(full, baseline, strict=True)]
     return (
-        f"over all pixels, in metres, {counted(len(seeds), 'seed')}: full below its baseline by abs.REL {below[1]} instead of "
-        f"{below[0]}, RMSE {below[3]} instead of {below[2]}"
+        f"over all pixels, in metres, {counted(len(seeds), 'seed')}: full below its baseline by abs.REL {below[1]} "
+        f"instead of {below[0]}, RMSE {below[3]} instead of {below[2]}"
     )
 
 
