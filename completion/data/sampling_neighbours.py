@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
+from completion.data.draws import integer_draw, normal_draws, uniform_draws
 
 GRID_STEPS = (5, 11)  # px: lower and (excluded) upper bound of the points' spacing
 ERRORS = (0.004, 0.08)  # relative, log-uniform: a frame's typical one
@@ -25,7 +26,7 @@ def sample_like_neighbours(depth: Tensor, generator: torch.Generator) -> tuple[T
     batch = len(depth)
 
     def uniform(low: float, high: float) -> Tensor:
-        return low + (high - low) * torch.rand(batch, 1, 1, 1, generator=generator)
+        return low + (high - low) * uniform_draws((batch, 1, 1, 1), generator).to(depth.device)
 
     typical = ERRORS[0] * (ERRORS[1] / ERRORS[0]) ** uniform(0, 1)
     error = typical * torch.exp(SPREAD * smooth_noise(depth, COARSEST, generator))
@@ -33,10 +34,10 @@ def sample_like_neighbours(depth: Tensor, generator: torch.Generator) -> tuple[T
     seen = smooth_noise(depth, COARSEST, generator).flatten(1)
     share = uniform(0, 1 - LEAST_SEEN).view(batch, 1)
     hidden = seen < torch.quantile(seen[:, ::7], share.view(-1), dim=1).diagonal()[:, None]
-    stated = error * torch.exp(DOUBT * torch.randn(batch, 1, 1, 1, generator=generator))
+    stated = error * torch.exp(DOUBT * normal_draws((batch, 1, 1, 1), generator).to(depth.device))
     points = _beside(depth, generator) * torch.exp(off.clamp(-1, 1))
-    step = int(torch.randint(*GRID_STEPS, (), generator=generator))
-    first = int(torch.randint(step, (), generator=generator))
+    step = integer_draw(*GRID_STEPS, generator)
+    first = integer_draw(0, step, generator)
     kept = torch.zeros_like(depth, dtype=torch.bool)
     kept[..., first::step, first::step] = True
     kept &= (points > 0) & ~hidden.view(depth.shape)
@@ -47,16 +48,16 @@ def smooth_noise(like: Tensor, wavelength_px: int, generator: torch.Generator) -
     """Noise (B,1,H,W) of mean 0 and standard deviation about 1, smooth over `wavelength_px`."""
     height, width = like.shape[2:]
     size = max(2, height // wavelength_px), max(2, width // wavelength_px)
-    coarse = torch.randn(len(like), 1, *size, generator=generator)
+    coarse = normal_draws((len(like), 1, *size), generator).to(like.device)
     return 1.3 * F.interpolate(coarse, size=(height, width), mode="bicubic", align_corners=False)
 
 
 def _beside(depth: Tensor, generator: torch.Generator) -> Tensor:
     """Depth at each pixel of a place some pixels beside it."""
     batch, _, height, width = depth.shape
-    moved = (MISPLACED_PX * torch.randn(batch, 2, height, width, generator=generator)).round().long()
-    rows = (torch.arange(height)[None, :, None] + moved[:, 0]).clamp(0, height - 1)
-    columns = (torch.arange(width)[None, None, :] + moved[:, 1]).clamp(0, width - 1)
+    moved = (MISPLACED_PX * normal_draws((batch, 2, height, width), generator)).round().long().to(depth.device)
+    rows = (torch.arange(height, device=depth.device)[None, :, None] + moved[:, 0]).clamp(0, height - 1)
+    columns = (torch.arange(width, device=depth.device)[None, None, :] + moved[:, 1]).clamp(0, width - 1)
     return depth.flatten(1).gather(1, (rows * width + columns).flatten(1)).view(depth.shape)
 
 

@@ -1,6 +1,6 @@
 """Sparse depth out of dense depth: the paper's two samplers and one that behaves like structure from motion.
 
-All work on a batch on any device, draw from a given `torch.Generator` of the CPU and give exact counts:
+All work on a batch on any device, draw from a given `torch.Generator` and give exact counts:
 (B,1,H,W) sparse depth, 0 = none.
 """
 
@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
+from completion.data.draws import normal_draws, uniform_draws
 from completion.data.sampling_benchmark import features
 from haustra.core.errors import CompletionError
 
@@ -24,13 +25,14 @@ def _pick(score: Tensor, counts: Tensor) -> Tensor:
     flat = score.flatten(1)
     most = int(counts.max()) if batch else 0
     values, index = flat.topk(min(most, flat.shape[1]), dim=1)
-    keep = (torch.arange(index.shape[1])[None] < counts[:, None]).to(score.device) & torch.isfinite(values)
+    counts = counts.to(score.device)
+    keep = (torch.arange(index.shape[1], device=score.device) < counts[:, None]) & torch.isfinite(values)
     picked = torch.zeros_like(flat, dtype=torch.bool).scatter_(1, index, keep)
     return picked.view(batch, 1, height, width)
 
 
 def _uniform_score(like: Tensor, generator: torch.Generator) -> Tensor:
-    return torch.rand(like.shape, generator=generator).to(like.device)
+    return uniform_draws(like.shape, generator).to(like.device)
 
 
 def sample_uniform(depth: Tensor, points: int, generator: torch.Generator) -> Tensor:
@@ -64,7 +66,7 @@ def corner_peaks(rgb: Tensor) -> Tensor:
 
 def sample_keypoints(rgb: Tensor, depth: Tensor, points: int, generator: torch.Generator) -> Tensor:
     """FS-SD as in evaluation (`sampling_benchmark.features`): SIFT keypoints, strongest first; then uniform pixels."""
-    seeds = torch.randint(2**31, (len(rgb),), generator=generator).tolist()
+    seeds = torch.randint(2**31, (len(rgb),), generator=generator, device=generator.device).tolist()
     images = (255 * rgb).round().to(torch.uint8).permute(0, 2, 3, 1).cpu().numpy()
     sparse = [
         features(np.ascontiguousarray(image), truth, points, np.random.default_rng(seed)).depth
@@ -108,13 +110,13 @@ def sample_like_sfm(
     batch = len(depth)
 
     def draw(low: float, high: float) -> Tensor:
-        return low + (high - low) * torch.rand(batch, 1, 1, 1, generator=generator).to(depth.device)
+        return low + (high - low) * uniform_draws((batch, 1, 1, 1), generator).to(depth.device)
 
     def normal() -> Tensor:
-        return torch.randn(depth.shape, generator=generator).to(depth.device)
+        return normal_draws(depth.shape, generator).to(depth.device)
 
     ratio = pattern.max_points / pattern.min_points
-    counts = (pattern.min_points * ratio ** torch.rand(batch, generator=generator)).long()
+    counts = (pattern.min_points * ratio ** uniform_draws((batch,), generator)).long()
     on_corners = draw(0, 1) < pattern.corner_share
     # SIFT finds nothing in burnt-out and in black areas, however many corners noise makes there. Two channels that
     # clip leave no texture, whatever the third does.
@@ -140,7 +142,7 @@ def sample_like_sfm(
 def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
     """A disc of random place and size in some frames; boolean (B,1,H,W)."""
     batch, _, height, width = depth.shape
-    down, right, size, chance = torch.rand(4, batch, 1, 1, 1, generator=generator).to(depth.device)
+    down, right, size, chance = uniform_draws((4, batch, 1, 1, 1), generator).to(depth.device)
     rows = torch.arange(height, device=depth.device).view(1, 1, height, 1) - down * height
     columns = torch.arange(width, device=depth.device).view(1, 1, 1, width) - right * width
     radius = (0.1 + 0.4 * size) * max(height, width)
@@ -149,7 +151,7 @@ def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Te
 
 def _bare_near(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
     """The nearest wall of some frames, as a fold that burns and has no corner; boolean (B,1,H,W)."""
-    share, chance = torch.rand(2, len(depth), generator=generator)
+    share, chance = uniform_draws((2, len(depth)), generator).cpu()
     nearer = torch.zeros_like(depth, dtype=torch.bool)
     for frame in torch.nonzero(chance < pattern.near_bare_share)[:, 0].tolist():
         known = depth[frame][depth[frame] > 0]
@@ -163,7 +165,7 @@ def _bare_border(depth: Tensor, pattern: SfmPattern, generator: torch.Generator)
     """A margin of some frames; boolean (B,1,H,W)."""
     bare = torch.ones_like(depth, dtype=torch.bool)
     height, width = depth.shape[2:]
-    share, chance = torch.rand(2, len(depth), generator=generator)
+    share, chance = uniform_draws((2, len(depth)), generator).cpu()
     for frame in range(len(depth)):
         widest = pattern.max_border_bare * width if chance[frame] < pattern.border_bare_share else 0
         margin = int(float(share[frame]) * widest)

@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from completion.data.draws import normal_draws, uniform_draws
 from haustra.core.errors import CompletionError
 
 VALIDATION_SHARE = 0.05  # of the meshes
@@ -92,7 +93,7 @@ def augment(batch: Batch, generator: torch.Generator) -> Batch:
     """Flips, transpositions and enlarged parts of image, depth and lens; colours and noise of the image only."""
     rgb, depth, lens = batch.rgb, batch.depth, batch.lens
     height, width = rgb.shape[2:]
-    flip = torch.rand(3, generator=generator) < 0.5
+    flip = uniform_draws((3,), generator).cpu() < 0.5
     for dim, centre, side in ((2, 3, height), (3, 2, width)):
         if flip[dim - 2]:
             rgb, depth = rgb.flip(dim), depth.flip(dim)
@@ -110,7 +111,7 @@ def _zoomed(
     rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """In half of the batches a part of the image, up to 1.6 times enlarged: structures of other sizes in pixels."""
-    chance, amount, down, right = torch.rand(4, generator=generator).tolist()
+    chance, amount, down, right = uniform_draws((4,), generator).tolist()
     if chance < 0.5:
         return rgb, depth, lens
     height, width = rgb.shape[2:]
@@ -129,10 +130,10 @@ def _recolour(rgb: Tensor, generator: torch.Generator) -> Tensor:
     batch = len(rgb)
 
     def draw(low: float, high: float, channels: int = 1) -> Tensor:
-        return low + (high - low) * torch.rand(batch, channels, 1, 1, generator=generator)
+        return low + (high - low) * uniform_draws((batch, channels, 1, 1), generator).to(rgb.device)
 
     rgb = rgb.clamp_min(1e-4) ** draw(0.7, 1.4) * draw(0.85, 1.35) * draw(0.85, 1.15, 3)
     grey = rgb.mean(1, keepdim=True)
     rgb = grey + (rgb - grey) * draw(0.3, 1.5) + draw(0, 0.05)
-    rgb = rgb + draw(0, 0.02) * torch.randn(rgb.shape, generator=generator)
+    rgb = rgb + draw(0, 0.02) * normal_draws(rgb.shape, generator).to(rgb.device)
     return rgb.clamp(0, 1)

@@ -24,7 +24,8 @@ def draw_batch(
     of all shards of one size, so that statistics of a batch are those of all scenes.
     """
     rng = np.random.default_rng((config.seed, step))
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)) + processes.rank)
+    where = device if config.draw_on == "device" else torch.device("cpu")
+    generator = torch.Generator(where).manual_seed(int(rng.integers(2**62)) + processes.rank)
     groups = shards_of_one_size(shards) if config.mix_shards else [[number] for number in range(len(shards))]
     share = np.array([sum(len(splits[number]) for number in group) for group in groups])
     group = groups[rng.choice(len(groups), p=share / share.sum())]
@@ -35,8 +36,8 @@ def draw_batch(
     else:
         drawn = rng.choice(len(frames), config.batch, replace=False)
     own = drawn[processes.rank :: processes.size]
-    where = None if config.augmentation else device
-    parts = [shards[n].batch(frames[own[of_shard[own] == n]], where) for n in group if (of_shard[own] == n).any()]
+    held_on = where if config.augmentation else device
+    parts = [shards[n].batch(frames[own[of_shard[own] == n]], held_on) for n in group if (of_shard[own] == n).any()]
     batch = parts[0] if len(parts) == 1 else joined(parts)
     return (augment(batch, generator) if config.augmentation else batch).to(device), generator
 

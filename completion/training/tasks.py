@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from completion.data.draws import integer_draw, uniform_draws
 from completion.data.sampling_neighbours import merged, sample_like_neighbours
 from completion.data.sampling_training import (
     SfmPattern,
@@ -54,7 +55,7 @@ class SfmTask:
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
-        if torch.rand((), generator=generator) < NEIGHBOURS_SHARE:
+        if uniform_draws((), generator) < NEIGHBOURS_SHARE:
             # In the unit of the points: a frame's points and its neighbours' depths are of one map.
             sparse, trust = merged(sparse, trust, *sample_like_neighbours(depth, generator))
         log_sparse, median = normalise_log(sparse)
@@ -63,14 +64,14 @@ class SfmTask:
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
             last, grid = self._earlier_iterations(rgb, log_sparse, trust, generator)
             log_depth, log_error = self.network(rgb, log_sparse, trust, last, grid)
-        return completion_loss(log_depth, log_error, target, valid)
+        return completion_loss(log_depth, log_error, target, valid, self.config.likelihood_weight)
 
     def _earlier_iterations(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator
     ) -> tuple[Estimate | None, SampleGrid]:
         """The estimate after 0 to `iterations` - 1 iterations (None after 0), without gradients; the next's grid."""
         last = None
-        earlier = int(torch.randint(self.iterations, (), generator=generator))
+        earlier = integer_draw(0, self.iterations, generator)
         for _ in range(earlier):
             with torch.no_grad():
                 last = self.network(rgb, log_sparse, trust, last, _draw_grid(generator))
@@ -91,8 +92,8 @@ class SfmTask:
 
 
 def _draw_grid(generator: torch.Generator) -> SampleGrid:
-    step = int(torch.randint(*GRID_STEPS, (), generator=generator))
-    return SampleGrid(step, int(torch.randint(step, (), generator=generator)))
+    step = integer_draw(*GRID_STEPS, generator)
+    return SampleGrid(step, integer_draw(0, step, generator))
 
 
 class Drawn(NamedTuple):

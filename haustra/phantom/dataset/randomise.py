@@ -24,7 +24,7 @@ from haustra.phantom.imaging.camera import make_camera
 
 def randomised(rng: np.random.Generator, size: int = 320, scene: str | None = None) -> PhantomConfig:
     """A random phantom. `size` is the square image's side in px; `scene` fixes the anatomy's kind."""
-    kind = scene or ("small_intestine" if rng.uniform() < 0.12 else "colon")
+    kind = scene or ("small_intestine" if rng.uniform() < 0.2 else "colon")
     anatomy = random_small_intestine(rng) if kind == "small_intestine" else random_colon(rng)
     return PhantomConfig(
         seed=int(rng.integers(2**31)),
