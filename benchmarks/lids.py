@@ -1,7 +1,8 @@
 """Mouths of diverticula that a mesh closes with a lid.
 
     haustra phantom FILMS --suite --config benchmarks/diverticula.yaml
-    python -m benchmarks.lids RUN=FILM... --json lids.json
+    python -m benchmarks.lids FILMS/* --json lids.json
+    python -m benchmarks.lids RUN=FILM... --json lids.json   # of runs that are there already
 
 For each diverticulum of a phantom film, rays go outward along its axis through points spread over the inner 70 % of
 its mouth, from in front of the wall. The axis is the normal of the true wall around the mouth. A ray is *closed* if the
@@ -14,6 +15,7 @@ the Sim(3) of the posed frames.
 import argparse
 import json
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,9 @@ from numpy.typing import NDArray
 from benchmarks.common.runner import run
 from benchmarks.fusion.comparison import pair
 from benchmarks.fusion.measured_run import MeasuredRun
+from pipeline.config import Config
 from pipeline.finished_run import open_run
+from pipeline.run import reconstruct
 from reconstruction.mesh.mesh_io import read_mesh
 from reconstruction.mesh.open3d_import import ray_scene
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -90,13 +94,24 @@ def lids_of(run_folder: Path, film: Path) -> list[dict[str, Any]]:
     return [judge_mouth(mesh, wall, np.array(one["centre"]), one["mouth_radius_mm"]) for one in known]
 
 
+def judged_film(given: str) -> tuple[str, list[dict[str, Any]]]:
+    """A film's name and mouths: of the run that is given with it, or of a new one, lens given."""
+    if "=" in given:
+        run_folder, film = pair(given)
+        return film.name, lids_of(run_folder, film)
+    film = Path(given)
+    with tempfile.TemporaryDirectory() as scratch:
+        made = reconstruct(film, Path(scratch) / "run", Config(camera=str(film / "camera.json")))
+        return film.name, lids_of(made.folder, film)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("pairs", metavar="RUN=FILM", type=pair, nargs="+", help="finished run and its phantom film")
+    parser.add_argument("films", metavar="[RUN=]FILM", nargs="+", help="phantom film; without a finished run it is run")
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Every film, and all mouths together."""
-    films = {film.name: lids_of(run_folder, film) for run_folder, film in arguments.pairs}
+    films = dict(judged_film(given) for given in arguments.films)
     judged = [mouth for mouths in films.values() for mouth in mouths if mouth["judged"]]
     closed = sum(mouth["closed_share"] >= 0.5 for mouth in judged)
     print(f"{closed} of {len(judged)} judged mouths are closed, {sum(map(len, films.values()))} diverticula in all")

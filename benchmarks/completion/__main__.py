@@ -3,4 +3,8 @@
 from benchmarks.common.runner import choose
 
 if __name__ == "__main__":
-    choose("benchmarks.completion", __doc__, ["accuracy", "point_errors", "working_sizes", "mesh_sizes"])
+    choose(
+        "benchmarks.completion",
+        __doc__,
+        ["accuracy", "strata", "point_errors", "working_sizes", "mesh_sizes", "mesh_weights"],
+    )

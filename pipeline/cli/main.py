@@ -221,6 +221,7 @@ def train(
     seed: Annotated[int | None, typer.Option(help="of weights, order and points", show_default="0")] = None,
     threads: Annotated[int | None, typer.Option(help="of the CPU", show_default="2")] = None,
     device: Annotated[str | None, typer.Option(help="auto, cpu or cuda", show_default="auto")] = None,
+    draw_on: Annotated[str | None, typer.Option(help="random numbers: cpu or device", show_default="cpu")] = None,
 ) -> None:
     """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
     must_exist(*shards, init)
@@ -230,7 +231,7 @@ def train(
 
     given: dict[str, Any] = {"model": model, "size": size, "steps": steps, "batch": batch, "init": init, "seed": seed}
     given |= {"iterations": iterations, "learning_rate": learning_rate, "warm_up": warm_up, "threads": threads}
-    given |= {"device": device}
+    given |= {"device": device, "draw_on": draw_on}
     config = make_config(preset, shards=tuple(shards), out=out, **{k: v for k, v in given.items() if v is not None})
     progress = TerminalProgress()
     with progress.bar(f"training {config.model}", config.steps) as advance:
