@@ -42,7 +42,6 @@ class TrainConfig(BaseModel):
     ema: float = Field(0.998, ge=0, lt=1)  # of the weights that are kept; a horizon of 500 steps
     augmentation: bool = True
     bf16: bool = True
-    likelihood_weight: float = Field(0.1, ge=0)  # in the loss of mscsa-sfm, of its predicted error's Laplace likelihood
     draw_on: Literal["cpu", "device"] = "cpu"  # where random numbers come from; a GPU's own are others than a CPU's
     unit_mm: float = Field(25.0, gt=0)  # metric networks see depth in this unit
     max_depth_mm: float = 250.0  # truth beyond carries no image detail at these resolutions

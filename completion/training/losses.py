@@ -40,12 +40,10 @@ def gradient_matching(prediction: Tensor, target: Tensor, valid: Tensor, scales:
     return total / scales
 
 
-def completion_loss(
-    log_depth: Tensor, log_scale: Tensor, target: Tensor, valid: Tensor, likelihood_weight: float = 0.1
-) -> Tensor:
-    """L1 + `likelihood_weight` Laplace NLL + 0.5 gradient matching on log depth (B,1,H,W): the shipped model's loss."""
+def completion_loss(log_depth: Tensor, log_scale: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """L1 + 0.1 Laplace NLL + 0.5 gradient matching on log depth (B,1,H,W), the loss of the shipped model."""
     return (
         masked_l1(log_depth, target, valid)
-        + likelihood_weight * laplace_nll(log_depth, log_scale, target, valid)
+        + 0.1 * laplace_nll(log_depth, log_scale, target, valid)
         + 0.5 * gradient_matching(log_depth, target, valid)
     )

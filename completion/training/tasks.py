@@ -64,7 +64,7 @@ class SfmTask:
         with torch.autocast(rgb.device.type, torch.bfloat16, enabled=self.config.bf16):
             last, grid = self._earlier_iterations(rgb, log_sparse, trust, generator)
             log_depth, log_error = self.network(rgb, log_sparse, trust, last, grid)
-        return completion_loss(log_depth, log_error, target, valid, self.config.likelihood_weight)
+        return completion_loss(log_depth, log_error, target, valid)
 
     def _earlier_iterations(
         self, rgb: Tensor, log_sparse: Tensor, trust: Tensor, generator: torch.Generator

@@ -52,7 +52,7 @@ from haustra.core.errors import CompletionError
 LOG_EVERY, VALIDATE_EVERY = 100, 1000
 # What checkpoints that do not name these were trained with.
 LATER_SETTINGS = {"clip": 1.0, "sampler": "uniform", "msc_first": 0, "mix_shards": False, "passes": False}
-LATER_SETTINGS |= {"likelihood_weight": 0.1, "draw_on": "cpu"}
+LATER_SETTINGS |= {"draw_on": "cpu"}
 ProgressCallback = Callable[[int, int | None], None]
 
 

@@ -68,3 +68,10 @@ def test_in_passes_every_frame_comes_once_before_one_comes_again():
     passes = [torch.cat(frames[first : first + count]) for first in (0, count)]
     assert all(len(of.unique()) == 10 * count for of in passes)
     assert not torch.equal(*passes)
+
+
+def test_where_numbers_are_drawn_changes_nothing_on_a_cpu():
+    for augmentation in (False, True):
+        shards = [shard(10), shard(20)]
+        one, other = (batches(shards, 4, draw_on=where, augmentation=augmentation) for where in ("cpu", "device"))
+        assert all(torch.equal(a.rgb, b.rgb) and torch.equal(a.depth, b.depth) for a, b in zip(one, other, strict=True))
