@@ -39,7 +39,7 @@ Other choices, on films of the same two files:
 TRIED = """
 ## Tried, and not taken
 
-- **Depth from several views** (`depth.multiview`): on those seven films the median pixel of a keyframe gets better, the
+- **Depth from several views** (`depth.multiview`): on seven films kept for choosing the median pixel of a keyframe gets better, the
   mean F does not. Likely cause: keyframes of one map share their sparse points, whose errors are then common to all
   views, and fusion averages over the views anyway. Points that are drawn for each frame by itself, as in a trial with
   true depth, do not have that. The predicted error of refined depth is too small for the same reason.
