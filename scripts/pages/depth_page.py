@@ -40,9 +40,9 @@ TRIED = """
 ## Tried, and not taken
 
 - **Depth from several views** (`depth.multiview`): on seven films kept for choosing the median pixel of a keyframe gets
-  better, the mean F does not. Likely cause: keyframes of one map share their sparse points, whose errors are then common
-  to all views, and fusion averages over the views anyway. Points that are drawn for each frame by itself, as in a trial
-  with true depth, do not have that. The predicted error of refined depth is too small for the same reason.
+  better, the mean F does not. Likely cause: keyframes of one map share their sparse points, whose errors are then
+  common to all views, and fusion averages over the views anyway. Points that are drawn for each frame by itself, as in
+  a trial with true depth, do not have that. The predicted error of refined depth is too small for the same reason.
 - **Light as a witness on depth.** With the lamp fitted (`reconstruction/fusion/photometry.py`), the brightness that a
   depth predicts was compared with the picture's. Burnt pixels that should be dark, and dark ones that should be bright,
   are indeed mostly wrong in depth. But few of them are fused: confidence and consistency have left them out. Lowering
