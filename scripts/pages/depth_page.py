@@ -31,7 +31,7 @@ Other choices, on films of the same two files:
 - **Greatest expected error: 2.5 voxels.** Below, far wall goes; above, wrong depth enters. The limit takes the place of
   the greatest depth of twice the median, which left out wall that true depth shows. F is judged at 1 mm, and a run
   without a scale knows no millimetre: in the narrow small intestine, whose voxels are half as large, a higher limit is
-  better, and where texture is poor a worse one (table). The limit was chosen with the weights of before, and the CT
+  better, and where texture is poor a worse one (table). The limit was chosen with the weights `eighth`, and the CT
   colon, which must not get worse, had a part in it.
 - **Bright pictures stay as they are.** Dimmed to the exposure of the training frames, burnt wall looks grey.
 """
@@ -196,7 +196,7 @@ def weights(record: dict[str, Any]) -> list[str]:
         "`python -m benchmarks.completion mesh-weights FILMS... --model eighth.safetensors --model mscsa --limit 2.5",
         f"--limit 3.5`, {_commits(record)}: F at 1 mm in percent on films of `benchmarks/coverage_films.yaml` and",
         "`benchmarks/exposure_choosing.yaml`, on which weights and settings are chosen; *voxels* is the greatest",
-        "expected error that is fused. *eighth* are the weights of before",
+        "expected error that is fused. *eighth* are the weights that `mscsa` was trained on from",
         "([card](../../completion/weights/MODEL_CARD.md)).\n",
         f"| film | {' | '.join(methods)} |",
         "|---" * (1 + len(methods)) + "|",
