@@ -129,8 +129,14 @@ def test_two_processes_take_the_step_that_one_would_take_with_both_gradients(sha
     together = load_tensors(tmp_path / "two.checkpoint")[0]
     for name, mean in statistics.items():
         torch.testing.assert_close(together[f"network.{name}"], mean, rtol=1e-4, atol=1e-5)
+    compared, elements = 0, 0
     for name, parameter in alone.task.network.named_parameters():
-        torch.testing.assert_close(together[f"network.{name}"], parameter.detach(), rtol=1e-4, atol=1e-6)
+        # Adam's first step is the gradient's sign, but where that is as small as Adam's epsilon (1e-8) rounding shows.
+        clear = torch.ones_like(parameter, dtype=torch.bool) if parameter.grad is None else parameter.grad.abs() > 1e-6
+        compared, elements = compared + int(clear.sum()), elements + clear.numel()
+        of_two, of_one = together[f"network.{name}"][clear], parameter.detach()[clear]
+        torch.testing.assert_close(of_two, of_one, rtol=1e-4, atol=1e-6)
+    assert compared > 0.9 * elements
 
 
 @pytest.mark.parametrize("model", ["mscsa-sfm", pytest.param("gaenet", marks=pytest.mark.slow)])
