@@ -4,9 +4,8 @@
         --limit 2.5 --limit 3.5 --json f.json
 
 Films on which weights and settings are chosen, nothing else. Each film is run once, default settings and seed, lens
-given; depth and all that follows is then made anew with each weight file, the surface with each `max_error_voxels`.
-F-score at 1 mm, precision and recall of the mesh, in percent. A film is written as it ends; a stopped call goes on
-where it was.
+given; depth and all that follows is then made anew with each weight file and each `max_error_voxels`. F-score at 1 mm,
+precision and recall of the mesh, in percent. A film is written as it ends; a stopped call goes on where it was.
 """
 
 import argparse

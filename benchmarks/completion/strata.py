@@ -38,7 +38,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     rows = []
     for points in POINTS:
         of_films = [record["strata"] for record in evaluated if record["protocol"]["points"] == points]
-        for name in of_films[0]:
+        for name in dict.fromkeys(name for film in of_films for name in film):
             rows.append({"stratum": name, "points": points} | pooled([film[name] for film in of_films if name in film]))
             print_row(rows[-1])
     return {"folders": [folder.name for folder in arguments.folders], "stride": arguments.stride, "rows": rows}
