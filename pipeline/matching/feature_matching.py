@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import chain, groupby
+from operator import itemgetter
 from typing import TypeVar
 
 import numpy as np
@@ -75,8 +77,10 @@ def match_features(
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
         roots = lru_cache(CACHED)(lambda number: features[number].rootsift)
         elsewhere = list(threads.map(lambda f: self_similarity(f.pixels, f.rootsift, radius), features))
-        match = partial(_match_pair, views, rays, features, elsewhere, roots)
-        same = list(_counted(threads.map(match, pairs), len(pairs), "matching pairs of keyframes", advance))
+        match = partial(_match_with, views, rays, features, elsewhere, roots)
+        partners = [(one, [other for _, other in of]) for one, of in groupby(pairs, key=itemgetter(0))]
+        matched = threads.map(lambda of: match(*of), partners)
+        same = list(_counted(chain.from_iterable(matched), len(pairs), "matching pairs of keyframes", advance))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(f, descriptors=np.zeros((0, 128), np.uint8)) for f in features]
     return MatchedFeatures(bare, pairs, same)
@@ -96,27 +100,33 @@ def covisible_pairs(seen: csr_array) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _match_pair(
+def _match_with(
     views: Sequence[SparseView],
     rays: RayTable,
     features: list[KeyframeFeatures],
     elsewhere: list[Array],
     roots: RootSift,
-    pair: tuple[int, int],
-) -> NDArray[np.int64]:
-    """(K,2) features of a pair of keyframes that look alike and lie where their poses say.
+    one: int,
+    others: list[int],
+) -> list[NDArray[np.int64]]:
+    """Of a keyframe and each of some others, (K,2) features that look alike and lie where the poses say.
 
     elsewhere: of each keyframe, how much its features' most alike elsewhere in it look like them. What stands still in
     the picture where the wall should move is dirt, a reflection or text that was burned in.
     """
-    here, there = (features[number] for number in pair)
-    first, second = (views[number].camera_from_world for number in pair)
-    expected = rays.project_valid(in_camera(second, here.world_points(first)))
-    radius = MAX_OFF_SHARE * rays.camera.width
-    rows = match_near(expected, there.pixels, roots(pair[0]), roots(pair[1]), elsewhere[pair[0]], radius)
-    before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]
-    way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)
-    return rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))]
+    here, radius = features[one], MAX_OFF_SHARE * rays.camera.width
+    world = here.world_points(views[one].camera_from_world)
+    # Of all others at once: a thousand points are projected in less time than it takes to ask for it.
+    local = np.concatenate([in_camera(views[other].camera_from_world, world) for other in others])
+    expected_in = rays.project_valid(local).reshape(len(others), len(here), 2)
+    found = []
+    for other, expected in zip(others, expected_in, strict=True):
+        there = features[other]
+        rows = match_near(expected, there.pixels, roots(one), roots(other), elsewhere[one], radius)
+        before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]
+        way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)
+        found.append(rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))])
+    return found
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: ProgressCallback) -> Iterator[T]:
