@@ -198,6 +198,11 @@ def onto_points(half: Array, camera: Rows, point: Rows, values: Array, points: i
 
 
 @compiled
+def _row(values: Array) -> tuple[float, float, float, float, float, float]:
+    return values[0], values[1], values[2], values[3], values[4], values[5]
+
+
+@compiled
 def products(
     half: Array,
     camera: Rows,
@@ -218,13 +223,21 @@ def products(
         for k in range(firsts[c], firsts[c + 1]):
             slot[column[k]] = k
         for m in range(starts[c], starts[c + 1]):
-            here = half[m]
             for k in range(begins[point[m]], begins[point[m] + 1]):
                 n = by_point[k]
                 if camera[n] < c:
                     continue
-                there, block = half[n], blocks[slot[camera[n]]]
+                # One row of the block at once, written out: a loop over it is not turned into vector instructions,
+                # since for all that the compiler knows the block might lie in `half`.
+                to = slot[camera[n]]
+                a0, a1, a2, a3, a4, a5 = _row(half[n, 0])
+                b0, b1, b2, b3, b4, b5 = _row(half[n, 1])
+                c0, c1, c2, c3, c4, c5 = _row(half[n, 2])
                 for i in range(6):
-                    x, y, z = here[0, i], here[1, i], here[2, i]
-                    for j in range(6):
-                        block[i, j] += x * there[0, j] + y * there[1, j] + z * there[2, j]
+                    x, y, z = half[m, 0, i], half[m, 1, i], half[m, 2, i]
+                    blocks[to, i, 0] += x * a0 + y * b0 + z * c0
+                    blocks[to, i, 1] += x * a1 + y * b1 + z * c1
+                    blocks[to, i, 2] += x * a2 + y * b2 + z * c2
+                    blocks[to, i, 3] += x * a3 + y * b3 + z * c3
+                    blocks[to, i, 4] += x * a4 + y * b4 + z * c4
+                    blocks[to, i, 5] += x * a5 + y * b5 + z * c5
