@@ -14,6 +14,7 @@ from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.text import counted
+from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import disjoint, is_determined
 from pipeline.frontend.map_cautions import (
@@ -44,6 +45,7 @@ from pipeline.frontend.second_opinion import (
     with_sigma,
 )
 from pipeline.input.frames import Frames
+from pipeline.mapping.feature_triangulation import frames_of_features
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.stage import load_or_make
@@ -137,9 +139,11 @@ def _solve(
             f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
             f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
-    kept, doubts = uncovered(*accepted(found, doubts_of(found, frames)))
-    _keep(kept, workspace)
-    warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
+    with single_threaded():
+        _begin_features(found, frames, features, settings)
+        kept, doubts = uncovered(*accepted(found, doubts_of(found, frames)))
+        _keep(kept, workspace)
+        warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
     advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
     warnings += few_posed(frames_posed(kept), total, advice)
     warnings += doubts_of_submaps(kept, doubts, advice)
@@ -161,6 +165,16 @@ def _solve(
         progress.log(sentence)
     if not frames.camera.trusted:
         progress.log(camera_trust(frames.camera, kept[0].submap, settings.poses.file is not None))
+
+
+def _begin_features(
+    candidates: list[Candidate], frames: Frames, features: SiftCache, settings: FrontEndSettings
+) -> None:
+    """Those that the stage `points` will match: a second processor finds them while the maps are judged."""
+    motion_px = settings.odometry.keyframe_motion * frames.camera.width
+    for candidate in candidates:
+        for frame in frames_of_features(candidate.submap, frames.camera, motion_px):
+            features.begin(frame)
 
 
 @dataclass(frozen=True)

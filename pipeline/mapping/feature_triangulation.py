@@ -61,6 +61,12 @@ def triangulate_again(
     return None if found is None else _with_features_of(submap, found.scaled(1 / (scale or 1.0)))
 
 
+def frames_of_features(submap: Submap, camera: Camera, motion_px: float) -> list[int]:
+    """Numbers of the frames whose features `triangulate_again` will match, with the same arguments."""
+    focal_px = float(np.sqrt(np.prod(refined_camera(camera, submap).focal)))
+    return [int(frame) for frame in submap.frames[_rows(submap, focal_px, motion_px)[0]]]
+
+
 def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of the frames whose features are matched, and of all that see features.
 
