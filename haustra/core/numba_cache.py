@@ -19,7 +19,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Statements that are written out side by side become vector instructions, each sum in its order as before; Numba leaves
 # that to who asks for it.
-config.SLP_VECTORIZE = 1
+config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 
 def compiled(function: Function) -> Function:

@@ -19,7 +19,7 @@ from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.matching.keyframe_features import KeyframeFeatures, lift_features
 from pipeline.matching.place_recognition import Pair, VisualWords, retrieve, retrieve_within
 from pipeline.matching.sift import detect_sift
-from pipeline.matching.sim3_match import Sim3Match, verify_match
+from pipeline.matching.sim3_match import Sim3Match, candidate_rows, verify_match
 from reconstruction.fusion.depth_consistency import DepthView, agreement
 from reconstruction.robust_pose_graph import sim3_information, with_common_error
 
@@ -96,7 +96,13 @@ def merge_candidates(first: SubmapFeatures, second: SubmapFeatures, words: Visua
 def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair], seed: int) -> list[LoopClosure]:
     """The loop closures of those pairs whose features agree and whose completed depths do not contradict."""
     rng = np.random.default_rng(seed)
-    tried = [_verified(first, second, pair, rng) for pair in pairs]
+
+    def alike(pair: Pair) -> NDArray[np.int64]:
+        return candidate_rows(first.features[pair[0]], second.features[pair[1]], drop_static=False)
+
+    with single_threaded():
+        found = prefetched(alike, pairs, workers(), workers())
+        tried = [_verified(first, second, pair, rows, rng) for pair, rows in zip(pairs, found, strict=True)]
     return [loop for loop in tried if loop is not None]
 
 
@@ -121,12 +127,13 @@ def _lifted(completed: CompletedSubmap, maker: SparseDepthMaker, rays: RayTable,
 
 
 def _verified(
-    first: SubmapFeatures, second: SubmapFeatures, pair: Pair, rng: np.random.Generator
+    first: SubmapFeatures, second: SubmapFeatures, pair: Pair, rows: NDArray[np.int64], rng: np.random.Generator
 ) -> LoopClosure | None:
+    """rows (K,2): features of the pair that look alike."""
     here, there = first.features[pair[0]], second.features[pair[1]]
-    match = verify_match(pair, here, there, (first.rays, second.rays), rng, drop_static=False)
-    submaps, rows = (first.completed, second.completed), (here.keyframe, there.keyframe)
-    if match is None or _contradict(submaps, rows, np.asarray(match.first_from_second, np.float64)):
+    match = verify_match(pair, here, there, (first.rays, second.rays), rng, rows)
+    submaps, frames = (first.completed, second.completed), (here.keyframe, there.keyframe)
+    if match is None or _contradict(submaps, frames, np.asarray(match.first_from_second, np.float64)):
         return None
     points = np.asarray(there.points[match.rows[:, 1]], np.float64)
     distance = np.linalg.norm(points, axis=1)

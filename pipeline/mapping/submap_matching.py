@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from haustra.core.se3 import Array, in_camera, inverse
 from haustra.core.sim3 import transform_points
+from haustra.core.threads import prefetched, workers
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.depth_interpolation import interpolate_inverse_depth
 from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, features_of_view
@@ -78,8 +79,10 @@ Maps = tuple[MapFeatures, MapFeatures]
 
 def find_matches(maps: Maps, rng: np.random.Generator, words: VisualWords, first: int = 0) -> list[Sim3Match]:
     """Verified matches of keyframes that look alike; of the first map only those from number `first` on."""
-    pairs = retrieve(words.similarities(maps[0].features[first:], maps[1].features), PER_KEYFRAME)
-    found = (_verified(maps, i + first, j, rng) for i, j in pairs)
+    similar = retrieve(words.similarities(maps[0].features[first:], maps[1].features), PER_KEYFRAME)
+    pairs = [(i + first, j) for i, j in similar]
+    alike = prefetched(lambda pair: _alike(*pair, maps), pairs, workers(), workers())
+    found = [_verified(maps, pair, rows, rng) for pair, rows in zip(pairs, alike, strict=True)]
     return [match for match in found if match is not None]
 
 
@@ -120,10 +123,15 @@ def best_matches(matches: list[Sim3Match]) -> list[Sim3Match]:
     return kept
 
 
-def _verified(maps: Maps, i: int, j: int, rng: np.random.Generator) -> Sim3Match | None:
-    pair = maps[0].features[i], maps[1].features[j]
-    match = verify_match((i, j), *pair, (maps[0].map.rays, maps[1].map.rays), rng, drop_static=True)
-    return match if match is not None and _surfaces_agree(second_from_first(match, maps), i, j, maps) else None
+def _alike(i: int, j: int, maps: Maps) -> NDArray[np.int64]:
+    """(K,2) features of two keyframes that look alike."""
+    return candidate_rows(maps[0].features[i], maps[1].features[j], drop_static=True)
+
+
+def _verified(maps: Maps, pair: tuple[int, int], rows: NDArray[np.int64], rng: np.random.Generator) -> Sim3Match | None:
+    features = maps[0].features[pair[0]], maps[1].features[pair[1]]
+    match = verify_match(pair, *features, (maps[0].map.rays, maps[1].map.rays), rng, rows)
+    return match if match is not None and _surfaces_agree(second_from_first(match, maps), *pair, maps) else None
 
 
 def _sides(match: Sim3Match, maps: Maps) -> tuple[Correspondences, Correspondences]:
@@ -177,7 +185,7 @@ def _pairs_around(matches: list[Sim3Match], maps: Maps) -> list[_Candidate]:
 
 
 def _candidate(i: int, j: int, maps: Maps) -> _Candidate:
-    rows = candidate_rows(maps[0].features[i], maps[1].features[j], drop_static=True)
+    rows = _alike(i, j, maps)
     return _Candidate(i, j, rows, (maps[0].correspondences(i, rows[:, 0]), maps[1].correspondences(j, rows[:, 1])))
 
 

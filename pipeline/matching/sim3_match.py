@@ -66,13 +66,12 @@ def verify_match(
     second: KeyframeFeatures,
     rays: tuple[RayTable, RayTable],
     rng: np.random.Generator,
-    drop_static: bool,
+    rows: Rows,
 ) -> Sim3Match | None:
     """The match of two keyframes, numbers `numbers` of their lists; None where too few features agree on one
-    similarity, or where they lie too close together to determine it. drop_static: see `candidate_rows`."""
+    similarity, or where they lie too close together to determine it. rows: their `candidate_rows`."""
     if min(len(first), len(second)) < MIN_FEATURES:
         return None
-    rows = candidate_rows(first, second, drop_static)
     here, there = (correspondences(f, r, table) for f, r, table in zip((first, second), rows.T, rays, strict=True))
     pixels = second.pixels[rows[:, 1]], first.pixels[rows[:, 0]]
     found = verified_similarity(there, here, pixels, rays[0].camera.width, rng, MIN_INLIER_SHARE, MAX_ROUNDS)

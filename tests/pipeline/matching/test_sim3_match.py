@@ -6,7 +6,7 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from pipeline.matching.keyframe_features import KeyframeFeatures
-from pipeline.matching.sim3_match import verify_match
+from pipeline.matching.sim3_match import candidate_rows, verify_match
 
 CAMERA = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
 RAYS = RayTable(CAMERA)
@@ -25,9 +25,15 @@ def views(shift_px: float) -> list[KeyframeFeatures]:
     return found
 
 
+def match_of(shift_px, drop_static):
+    pair = views(shift_px)
+    rows = candidate_rows(*pair, drop_static)
+    return verify_match((0, 1), *pair, (RAYS, RAYS), np.random.default_rng(0), rows)
+
+
 @pytest.mark.parametrize("shift_px", [0.0, 0.5, 5.0])
 def test_a_loop_may_end_in_the_very_view_where_it_began(shift_px):
-    match = verify_match((0, 1), *views(shift_px), (RAYS, RAYS), np.random.default_rng(0), drop_static=False)
+    match = match_of(shift_px, drop_static=False)
     assert match is not None
     assert match.inliers > 0.9 * COUNT
     truth = np.eye(4)
@@ -36,6 +42,5 @@ def test_a_loop_may_end_in_the_very_view_where_it_began(shift_px):
 
 
 def test_what_stands_still_does_not_merge_submaps():
-    rng = np.random.default_rng(0)
-    assert verify_match((0, 1), *views(0.0), (RAYS, RAYS), rng, drop_static=True) is None
-    assert verify_match((0, 1), *views(5.0), (RAYS, RAYS), rng, drop_static=True) is not None
+    assert match_of(0.0, drop_static=True) is None
+    assert match_of(5.0, drop_static=True) is not None
