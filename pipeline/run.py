@@ -86,10 +86,11 @@ def reconstruct(
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed, lamp)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)
-        with ThreadPoolExecutor(1, "report") as thread:  # while files are written and the coverage is measured
-            pictures = thread.submit(draw_pictures, frames, completed, surfaces)
-            timed("files", write_geometry)(frames, completed, surfaces, workspace, progress)
+        with ThreadPoolExecutor(2, "report") as threads:  # while the coverage is measured
+            pictures = threads.submit(draw_pictures, frames, completed, surfaces)
+            files = threads.submit(write_geometry, frames, completed, surfaces, workspace, progress)
             coverage = timed("coverage", coverage_stage)(frames, completed, surfaces, workspace)
+            timed("files", files.result)()
             done = timed.to_list() if profile else None
             timed("report", write_report)(frames, completed, surfaces, coverage, workspace, pictures.result, done)
         if profile:

@@ -85,8 +85,8 @@ def test_a_profile_names_every_stage_and_is_on_the_page(finished):
         "loop closing",
         "motion",
         "surface",
-        "files",
         "coverage",
+        "files",
         "report",
     ]
     assert [one["stage"] for one in profile] == stages

@@ -17,8 +17,6 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from pipeline.matching.place_recognition import loop_pairs
-
 BATCHES = 20  # steps of the progress bar
 LEAST_DECREASE = 1e-6  # of the cost, relative: an adjustment that gains less has converged
 # Matching and mapping with two threads differ from run to run of one seed; they gain a quarter and a tenth.
@@ -88,6 +86,8 @@ def sequential_pairs(names: list[str], overlap: int) -> list[tuple[str, str]]:
 
 
 def _loops(database: Path, job: dict[str, Any]) -> list[tuple[str, str]]:
+    from pipeline.matching.place_recognition import loop_pairs  # a second to load, which nothing else here needs
+
     with pycolmap.Database.open(database) as db:
         ids = {image.name: image.image_id for image in db.read_all_images()}
         descriptors = [np.asarray(db.read_descriptors(ids[name]).data) for name in job["images"]]

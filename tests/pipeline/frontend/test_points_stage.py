@@ -25,7 +25,8 @@ def film():
 @pytest.fixture
 def solved(tmp_path, film):
     workspace, frames = stored(tmp_path, film)
-    return workspace, frames, solved_by(frame_features(workspace), workspace, frames)
+    with frame_features(workspace) as features:  # what was begun ends here
+        return workspace, frames, solved_by(features, workspace, frames)
 
 
 def solved_by(features, workspace, frames):
