@@ -16,6 +16,7 @@ from pipeline.mapping.feature_triangulation import (
     MIN_ERROR_PX,
     choose_frames,
     empty_map,
+    frames_of_features,
     largest_error,
     triangulate_again,
     triangulate_features,
@@ -211,6 +212,15 @@ def test_a_sensor_s_depth_holds_the_points_in_the_submap_s_own_unit(odometry, fo
     np.testing.assert_array_equal(held.world_from_camera, odometry.world_from_camera)
     assert np.median(held.depths()) == pytest.approx(np.median(found.depths()), rel=0.02)
     assert np.median(off_the_wall(held)) < 0.02
+
+
+def test_which_frames_are_matched_is_known_before_whatever_the_unit(odometry, film):
+    asked = set()
+    with SiftCache(lambda frame: (film[frame], MASK)) as find:
+        triangulate_again(odometry, CAMERA, 2.0, lambda frame: asked.add(frame) or find(frame), no_progress)
+    assert 2 < len(asked) < len(film)
+    for unit in (1.0, 7.0):
+        assert frames_of_features(odometry.scaled(unit), CAMERA, 2.0) == sorted(asked)
 
 
 def test_two_runs_agree(odometry, found, film):
