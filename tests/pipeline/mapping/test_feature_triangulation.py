@@ -217,10 +217,10 @@ def test_a_sensor_s_depth_holds_the_points_in_the_submap_s_own_unit(odometry, fo
 def test_which_frames_are_matched_is_known_before_whatever_the_unit(odometry, film):
     asked = set()
     with SiftCache(lambda frame: (film[frame], MASK)) as find:
-        triangulate_again(odometry, CAMERA, 2.0, lambda frame: asked.add(frame) or find(frame), no_progress)
+        triangulate_again(odometry, CAMERA, 8.0, lambda frame: asked.add(frame) or find(frame), no_progress)
     assert 2 < len(asked) < len(film)
     for unit in (1.0, 7.0):
-        assert frames_of_features(odometry.scaled(unit), CAMERA, 2.0) == sorted(asked)
+        assert frames_of_features(odometry.scaled(unit), CAMERA, 8.0) == sorted(asked)
 
 
 def test_two_runs_agree(odometry, found, film):
