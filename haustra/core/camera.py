@@ -61,6 +61,11 @@ class Camera:
         return (self.params[first], self.params[first + 1])
 
     @property
+    def focal_px(self) -> float:
+        """Geometric mean of the two focal lengths, for thresholds on angles."""
+        return math.sqrt(self.focal[0] * self.focal[1])
+
+    @property
     def distortion(self) -> tuple[float, ...]:
         return self.params[self.lens.focal_lengths + 2 :]
 

@@ -17,8 +17,8 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Statements that are written out side by side become vector instructions, each sum in its order as before; Numba leaves
-# that to who asks for it.
+# Off by default in Numba: statements that are written out one below the other become vector instructions. The order of
+# each sum stays, so that the bytes do.
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 

@@ -73,8 +73,8 @@ class RayTable:
 
     @property
     def focal_px(self) -> float:
-        """Geometric mean of the focal lengths, for thresholds on angles."""
-        return float(np.sqrt(self.camera.focal[0] * self.camera.focal[1]))
+        """The camera's own."""
+        return self.camera.focal_px
 
 
 @lru_cache(KEPT)

@@ -61,7 +61,7 @@ def _widest_pinhole(camera: Camera, max_fov_deg: float) -> Camera:
     half = math.radians(min(fov, max_fov_deg) / 2)
     focal = min(
         0.5 * max(camera.width, camera.height) / math.tan(half),
-        math.sqrt(camera.focal[0] * camera.focal[1]) * 1.25,  # never magnify much: no detail would be gained
+        camera.focal_px * 1.25,  # never magnify much: no detail would be gained
     )
     centre_x = camera.width / 2 + (camera.centre[0] - camera.width / 2) * focal / camera.focal[0]
     centre_y = camera.height / 2 + (camera.centre[1] - camera.height / 2) * focal / camera.focal[1]

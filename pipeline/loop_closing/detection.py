@@ -19,7 +19,7 @@ from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.matching.keyframe_features import KeyframeFeatures, lift_features
 from pipeline.matching.place_recognition import Pair, VisualWords, retrieve, retrieve_within
 from pipeline.matching.sift import detect_sift
-from pipeline.matching.sim3_match import Sim3Match, candidate_rows, verify_match
+from pipeline.matching.sim3_match import Sim3Match, rows_of_pairs, verify_match
 from reconstruction.fusion.depth_consistency import DepthView, agreement
 from reconstruction.robust_pose_graph import sim3_information, with_common_error
 
@@ -96,13 +96,9 @@ def merge_candidates(first: SubmapFeatures, second: SubmapFeatures, words: Visua
 def verify_loops(first: SubmapFeatures, second: SubmapFeatures, pairs: list[Pair], seed: int) -> list[LoopClosure]:
     """The loop closures of those pairs whose features agree and whose completed depths do not contradict."""
     rng = np.random.default_rng(seed)
-
-    def alike(pair: Pair) -> NDArray[np.int64]:
-        return candidate_rows(first.features[pair[0]], second.features[pair[1]], drop_static=False)
-
     with single_threaded():
-        found = prefetched(alike, pairs, workers(), workers())
-        tried = [_verified(first, second, pair, rows, rng) for pair, rows in zip(pairs, found, strict=True)]
+        alike = rows_of_pairs(first.features, second.features, pairs, drop_static=False)
+        tried = [_verified(first, second, pair, rows, rng) for pair, rows in zip(pairs, alike, strict=True)]
     return [loop for loop in tried if loop is not None]
 
 

@@ -63,8 +63,8 @@ def triangulate_again(
 
 def frames_of_features(submap: Submap, camera: Camera, motion_px: float) -> list[int]:
     """Numbers of the frames whose features `triangulate_again` will match, with the same arguments."""
-    focal_px = float(np.sqrt(np.prod(refined_camera(camera, submap).focal)))
-    return [int(frame) for frame in submap.frames[_rows(submap, focal_px, motion_px)[0]]]
+    rows, _ = _rows(submap, refined_camera(camera, submap).focal_px, motion_px)
+    return [int(frame) for frame in submap.frames[rows]]
 
 
 def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from haustra.core.se3 import Array, in_camera, inverse
 from haustra.core.sim3 import transform_points
-from haustra.core.threads import prefetched, workers
 from pipeline.mapping.local_map import LocalMap
 from pipeline.matching.depth_interpolation import interpolate_inverse_depth
 from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures, features_of_view
@@ -25,6 +24,7 @@ from pipeline.matching.sim3_match import (
     Sim3Match,
     candidate_rows,
     correspondences,
+    rows_of_pairs,
     verify_match,
 )
 from pipeline.matching.sim3_ransac import (
@@ -81,7 +81,7 @@ def find_matches(maps: Maps, rng: np.random.Generator, words: VisualWords, first
     """Verified matches of keyframes that look alike; of the first map only those from number `first` on."""
     similar = retrieve(words.similarities(maps[0].features[first:], maps[1].features), PER_KEYFRAME)
     pairs = [(i + first, j) for i, j in similar]
-    alike = prefetched(lambda pair: _alike(*pair, maps), pairs, workers(), workers())
+    alike = rows_of_pairs(maps[0].features, maps[1].features, pairs, drop_static=True)
     found = [_verified(maps, pair, rows, rng) for pair, rows in zip(pairs, alike, strict=True)]
     return [match for match in found if match is not None]
 
@@ -121,11 +121,6 @@ def best_matches(matches: list[Sim3Match]) -> list[Sim3Match]:
         if not any(match.first == other.first or match.second == other.second for other in kept):
             kept.append(match)
     return kept
-
-
-def _alike(i: int, j: int, maps: Maps) -> NDArray[np.int64]:
-    """(K,2) features of two keyframes that look alike."""
-    return candidate_rows(maps[0].features[i], maps[1].features[j], drop_static=True)
 
 
 def _verified(maps: Maps, pair: tuple[int, int], rows: NDArray[np.int64], rng: np.random.Generator) -> Sim3Match | None:
@@ -185,7 +180,7 @@ def _pairs_around(matches: list[Sim3Match], maps: Maps) -> list[_Candidate]:
 
 
 def _candidate(i: int, j: int, maps: Maps) -> _Candidate:
-    rows = _alike(i, j, maps)
+    rows = candidate_rows(maps[0].features[i], maps[1].features[j], drop_static=True)
     return _Candidate(i, j, rows, (maps[0].correspondences(i, rows[:, 0]), maps[1].correspondences(j, rows[:, 1])))
 
 

@@ -78,8 +78,8 @@ def match_features(
         roots = lru_cache(CACHED)(lambda number: features[number].rootsift)
         elsewhere = list(threads.map(lambda f: self_similarity(f.pixels, f.rootsift, radius), features))
         match = partial(_match_with, views, rays, features, elsewhere, roots)
-        partners = [(one, [other for _, other in of]) for one, of in groupby(pairs, key=itemgetter(0))]
-        matched = threads.map(lambda of: match(*of), partners)
+        partners = {one: [other for _, other in of] for one, of in groupby(pairs, key=itemgetter(0))}
+        matched = threads.map(match, partners.keys(), partners.values())
         same = list(_counted(chain.from_iterable(matched), len(pairs), "matching pairs of keyframes", advance))
     # What tells features apart has done its part; it is nearly all of their memory.
     bare = [replace(f, descriptors=np.zeros((0, 128), np.uint8)) for f in features]

@@ -3,6 +3,7 @@
 Used before the depth, to merge submaps that saw the same place, and after it, to close loops.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array
+from haustra.core.threads import prefetched, workers
 from pipeline.matching.descriptor_matching import match_descriptors
 from pipeline.matching.keyframe_features import MIN_FEATURES, KeyframeFeatures
 from pipeline.matching.sim3_ransac import Correspondences, refine_similarity, verified_similarity
@@ -48,6 +50,21 @@ def candidate_rows(first: KeyframeFeatures, second: KeyframeFeatures, drop_stati
         return rows
     way = np.linalg.norm(first.pixels[rows[:, 0]] - second.pixels[rows[:, 1]], axis=1)
     return rows[way > STATIC_PX]
+
+
+def rows_of_pairs(
+    first: Sequence[KeyframeFeatures],
+    second: Sequence[KeyframeFeatures],
+    pairs: Sequence[tuple[int, int]],
+    drop_static: bool,
+) -> Iterator[Rows]:
+    """`candidate_rows` of each pair of numbers in the two lists, in their order; the next ones are found by other
+    threads while the caller works on the last."""
+
+    def of(pair: tuple[int, int]) -> Rows:
+        return candidate_rows(first[pair[0]], second[pair[1]], drop_static)
+
+    return prefetched(of, pairs, workers(), workers())
 
 
 def correspondences(

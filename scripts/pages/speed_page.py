@@ -44,8 +44,8 @@ READ = """
   that adds a row at once, each sum in its order as before, so that the bytes of a result stay
   (`pipeline/optimization/kernels.py`).
 - **Matching by keyframe.** A keyframe's features are projected into all keyframes that it is matched with in one call.
-- **The lens is asked until it has converged.** COLMAP's bundle adjustment makes a hundred steps however little they
-  gain. One that gains less than a millionth of the cost is now the last.
+- **Self-calibration ends when it has converged.** COLMAP's bundle adjustment with the lens free makes a hundred
+  iterations by default. One that lowers the cost by less than a millionth is now the last.
 - **Smaller pictures.** Frames of 600 points and more are completed at 384 px in place of 448
   ([completion.md](completion.md)).
 - **The support of the mesh by depth maps** is one compiled loop over its vertices.
@@ -57,7 +57,7 @@ READ = """
 
 - The stage that triangulates points anew takes time that `before` does not need; `reconstruct --profile` says how much.
   The F-score is higher for it.
-- Tracking, a quarter of a run and more, was not made faster.
+- Tracking was not made faster.
 {peer}- Completion does not begin while tracking goes on: depth is completed from points that the adjusted poses
   triangulate, and these are known last.
 - Not measured: films of 1,500 and 10,000 frames. The peer's accuracy is not measured here.

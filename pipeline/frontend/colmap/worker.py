@@ -86,7 +86,7 @@ def sequential_pairs(names: list[str], overlap: int) -> list[tuple[str, str]]:
 
 
 def _loops(database: Path, job: dict[str, Any]) -> list[tuple[str, str]]:
-    from pipeline.matching.place_recognition import loop_pairs  # a second to load, which nothing else here needs
+    from pipeline.matching.place_recognition import loop_pairs  # half a second to load; nothing else needs it
 
     with pycolmap.Database.open(database) as db:
         ids = {image.name: image.image_id for image in db.read_all_images()}
@@ -223,8 +223,8 @@ def calibrate(job: dict[str, Any]) -> None:
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = job["loss_px"]
     options.ceres.solver_options.num_threads = REPEATABLE_THREADS
-    # COLMAP's own is 0: all 100 iterations. On two films what is left out moves the focal length by 1e-5 and 1e-4 of
-    # itself, a fortieth of its standard deviation.
+    # COLMAP's default is 0, so that it makes all 100 iterations. Those left out moved the focal length of two films by
+    # 1e-5 and 1e-4 of itself, a fortieth of its standard deviation at most.
     options.ceres.solver_options.function_tolerance = LEAST_DECREASE
     pycolmap.bundle_adjustment(model, options)
     camera = camera_of(model)
