@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from completion.confidence import confidence_from_error
-from completion.data.draws import normal_draws, uniform_draws
+from completion.data.draws import moved, normal_draws, on_host, uniform_draws
 from completion.data.sampling_benchmark import features
 from haustra.core.errors import CompletionError
 
@@ -25,7 +25,7 @@ def _pick(score: Tensor, counts: Tensor) -> Tensor:
     flat = score.flatten(1)
     most = int(counts.max()) if batch else 0
     values, index = flat.topk(min(most, flat.shape[1]), dim=1)
-    counts = counts.to(score.device)
+    counts = moved(counts, score.device)
     keep = (torch.arange(index.shape[1], device=score.device) < counts[:, None]) & torch.isfinite(values)
     picked = torch.zeros_like(flat, dtype=torch.bool).scatter_(1, index, keep)
     return picked.view(batch, 1, height, width)
@@ -116,7 +116,7 @@ def sample_like_sfm(
         return normal_draws(depth.shape, generator).to(depth.device)
 
     ratio = pattern.max_points / pattern.min_points
-    counts = (pattern.min_points * ratio ** uniform_draws((batch,), generator)).long()
+    counts = (pattern.min_points * ratio ** uniform_draws((batch,), on_host(generator))).long()
     on_corners = draw(0, 1) < pattern.corner_share
     # SIFT finds nothing in burnt-out and in black areas, however many corners noise makes there. Two channels that
     # clip leave no texture, whatever the third does.
@@ -151,31 +151,31 @@ def _holes(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Te
 
 def _bare_near(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
     """The nearest wall of some frames, as a fold that burns and has no corner; boolean (B,1,H,W)."""
-    share, chance = uniform_draws((2, len(depth)), generator).cpu()
-    nearer = torch.zeros_like(depth, dtype=torch.bool)
-    for frame in torch.nonzero(chance < pattern.near_bare_share)[:, 0].tolist():
-        known = depth[frame][depth[frame] > 0]
-        if len(known):
-            rank = max(1, int(float(share[frame]) * pattern.max_near_bare * len(known)))
-            nearer[frame] = depth[frame] <= known.kthvalue(rank).values
-    return nearer
+    share, chance = uniform_draws((2, len(depth)), generator).to(depth.device)
+    ordered = torch.where(depth > 0, depth, torch.inf).flatten(1).sort(dim=1).values
+    known = torch.isfinite(ordered).sum(dim=1)
+    rank = (share.double() * pattern.max_near_bare * known).long().clamp_min(1)
+    farthest = ordered.gather(1, rank[:, None] - 1)[:, 0].where(chance < pattern.near_bare_share, 0)
+    return depth <= farthest.view(-1, 1, 1, 1)
 
 
 def _bare_border(depth: Tensor, pattern: SfmPattern, generator: torch.Generator) -> Tensor:
     """A margin of some frames; boolean (B,1,H,W)."""
-    bare = torch.ones_like(depth, dtype=torch.bool)
     height, width = depth.shape[2:]
-    share, chance = uniform_draws((2, len(depth)), generator).cpu()
-    for frame in range(len(depth)):
-        widest = pattern.max_border_bare * width if chance[frame] < pattern.border_bare_share else 0
-        margin = int(float(share[frame]) * widest)
-        bare[frame, :, margin : height - margin, margin : width - margin] = False
-    return bare
+    share, chance = uniform_draws((2, len(depth), 1, 1, 1), generator).to(depth.device)
+    margin = (share.double() * (pattern.max_border_bare * width)).long().where(chance < pattern.border_bare_share, 0)
+    rows, columns = (torch.arange(side, device=depth.device) for side in (height, width))
+    inside_rows = (rows >= margin) & (rows < height - margin)
+    inside_columns = (columns >= margin) & (columns < width - margin)
+    return ~(inside_rows.transpose(2, 3) & inside_columns)
 
 
 def median_of_points(sparse: Tensor) -> Tensor:
     """Median of each frame's positive values, (B,1,H,W) -> (B,1,1,1): the lower of the middle two; 1 where a frame has
     none."""
+    if sparse.is_cuda:  # the loop would wait for the GPU at each frame; on a CPU it takes half as long
+        values = torch.where(sparse > 0, sparse, torch.nan).flatten(1).nanmedian(dim=1).values
+        return torch.where(values.isnan(), 1.0, values).view(-1, 1, 1, 1)
     known = [frame[frame > 0] for frame in sparse]
     medians = [values.median() if len(values) else values.new_ones(()) for values in known]
     return torch.stack(medians).view(-1, 1, 1, 1)

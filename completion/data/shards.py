@@ -5,7 +5,7 @@ mesh that each frame shows. Validation takes whole meshes, never single frames o
 """
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from completion.data.draws import normal_draws, uniform_draws
+from completion.data.draws import moved, normal_draws, on_host, uniform_draws
 from haustra.core.errors import CompletionError
 
 VALIDATION_SHARE = 0.05  # of the meshes
@@ -28,6 +28,7 @@ class Shard:
     depths: NDArray[np.float16]
     colon: NDArray[np.int32]
     lenses: NDArray[np.float32] | None = None  # (N,4) fx fy cx cy px, where the folder has them
+    held: tuple[Tensor, Tensor] | None = None  # images and depths in a device's memory
 
     @classmethod
     def open(cls, folder: Path) -> "Shard":
@@ -40,6 +41,11 @@ class Shard:
         if len({len(array) for array in (*arrays, lenses) if array is not None}) != 1:
             raise CompletionError(f"the arrays in {folder} differ in length")
         return cls(arrays[0], arrays[1], arrays[2], lenses)
+
+    def held_on(self, device: torch.device) -> "Shard":
+        """The same frames, copied once into a device's memory: 5 bytes a pixel."""
+        images, depths = (torch.from_numpy(np.array(array)).to(device) for array in (self.images, self.depths))
+        return replace(self, held=(images, depths))
 
     def fingerprint(self) -> str:
         """Which frames these are, wherever the folder lies: of the meshes, and of the first and last depth map."""
@@ -57,9 +63,14 @@ class Shard:
     def batch(self, index: NDArray[np.int64], device: torch.device | None = None) -> "Batch":
         """Frames of sorted indices; on a device they are turned into floats there."""
         order = np.sort(index)
-        rgb = torch.from_numpy(self.images[order]).to(device).permute(0, 3, 1, 2).float() / 255
-        depth = torch.from_numpy(self.depths[order]).to(device).float()[:, None]
-        return Batch(rgb, depth, None if self.lenses is None else torch.from_numpy(self.lenses[order]).to(device))
+        if self.held is None:
+            images, depths = (torch.from_numpy(array[order]).to(device) for array in (self.images, self.depths))
+        else:
+            rows = moved(torch.from_numpy(order), self.held[0].device)
+            images, depths = (array[rows].to(device) for array in self.held)
+        rgb = images.permute(0, 3, 1, 2).float() / 255
+        lens = None if self.lenses is None else moved(torch.from_numpy(self.lenses[order]), images.device)
+        return Batch(rgb, depths.float()[:, None], lens)
 
 
 def validation_meshes(meshes: int) -> int:
@@ -93,7 +104,7 @@ def augment(batch: Batch, generator: torch.Generator) -> Batch:
     """Flips, transpositions and enlarged parts of image, depth and lens; colours and noise of the image only."""
     rgb, depth, lens = batch.rgb, batch.depth, batch.lens
     height, width = rgb.shape[2:]
-    flip = uniform_draws((3,), generator).cpu() < 0.5
+    flip = uniform_draws((3,), on_host(generator)) < 0.5
     for dim, centre, side in ((2, 3, height), (3, 2, width)):
         if flip[dim - 2]:
             rgb, depth = rgb.flip(dim), depth.flip(dim)
@@ -102,7 +113,7 @@ def augment(batch: Batch, generator: torch.Generator) -> Batch:
                 lens[:, centre] = side - lens[:, centre]
     if flip[2] and height == width:
         rgb, depth = rgb.transpose(2, 3), depth.transpose(2, 3)
-        lens = None if lens is None else lens[:, [1, 0, 3, 2]]
+        lens = None if lens is None else lens.view(-1, 2, 2).flip(2).view(-1, 4)
     rgb, depth, lens = _zoomed(rgb, depth, lens, generator)
     return Batch(_recolour(rgb, generator), depth.contiguous(), lens)
 
@@ -111,7 +122,7 @@ def _zoomed(
     rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """In half of the batches a part of the image, up to 1.6 times enlarged: structures of other sizes in pixels."""
-    chance, amount, down, right = uniform_draws((4,), generator).tolist()
+    chance, amount, down, right = uniform_draws((4,), on_host(generator)).tolist()
     if chance < 0.5:
         return rgb, depth, lens
     height, width = rgb.shape[2:]
@@ -122,7 +133,8 @@ def _zoomed(
     rgb = F.interpolate(rgb[part], size=(height, width), mode="bilinear", align_corners=False)
     depth = F.interpolate(depth[part], size=(height, width), mode="nearest-exact")
     if lens is not None:
-        lens = (lens - lens.new_tensor([0, 0, left, top])) * lens.new_tensor([width / columns, height / rows] * 2)
+        corner, scale = torch.tensor([[0, 0, left, top], [width / columns, height / rows] * 2])
+        lens = (lens - moved(corner, lens.device)) * moved(scale, lens.device)
     return rgb, depth, lens
 
 

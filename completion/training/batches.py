@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from completion.data.draws import DeviceGenerator
 from completion.data.shards import Batch, Shard, augment, joined
 from completion.training.config import TrainConfig
 from completion.training.distributed import ProcessGroup
@@ -25,7 +26,8 @@ def draw_batch(
     """
     rng = np.random.default_rng((config.seed, step))
     where = device if config.draw_on == "device" else torch.device("cpu")
-    generator = torch.Generator(where).manual_seed(int(rng.integers(2**62)) + processes.rank)
+    seed = int(rng.integers(2**62)) + processes.rank
+    generator = torch.Generator().manual_seed(seed) if where.type == "cpu" else DeviceGenerator.seeded(where, seed)
     groups = shards_of_one_size(shards) if config.mix_shards else [[number] for number in range(len(shards))]
     share = np.array([sum(len(splits[number]) for number in group) for group in groups])
     group = groups[rng.choice(len(groups), p=share / share.sum())]

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
-from completion.data.draws import integer_draw, uniform_draws
+from completion.data.draws import integer_draw, on_host, uniform_draws
 from completion.data.sampling_neighbours import merged, sample_like_neighbours
 from completion.data.sampling_training import (
     SfmPattern,
@@ -55,7 +55,7 @@ class SfmTask:
 
     def loss(self, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator) -> Tensor:
         sparse, trust = sample_like_sfm(rgb, depth, SfmPattern(), generator)
-        if uniform_draws((), generator) < NEIGHBOURS_SHARE:
+        if uniform_draws((), on_host(generator)) < NEIGHBOURS_SHARE:
             # In the unit of the points: a frame's points and its neighbours' depths are of one map.
             sparse, trust = merged(sparse, trust, *sample_like_neighbours(depth, generator))
         log_sparse, median = normalise_log(sparse)

@@ -195,8 +195,8 @@ def validate(run: TrainingState, shards: list[Shard], frames: int = 64) -> float
     return float(np.mean(errors))
 
 
-def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.int64]]) -> float:
-    """One step of the optimizer; returns the loss."""
+def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.int64]]) -> Tensor:
+    """One step of the optimizer; returns the loss, a scalar that a GPU may not have computed yet."""
     batch, generator = draw_batch(run.config, run.step, shards, splits, run.processes, run.device)
     torch.manual_seed(generator.initial_seed())  # for dropout: resumed, a run must drop what an unbroken one would
     for group in run.optimizer.param_groups:
@@ -212,7 +212,7 @@ def train_step(run: TrainingState, shards: list[Shard], splits: list[NDArray[np.
         loss = optimise(run, lambda: run.task.loss(batch.rgb, batch.depth, batch.lens, generator))
     run.advance()
     update_average(run.average, run.task.network, min(run.config.ema, run.step / (run.step + 10)))
-    return loss.item()
+    return loss.clone()  # a recorded step writes the next loss into the same memory
 
 
 def optimise(run: TrainingState, loss_of: Callable[[], Tensor]) -> Tensor:
@@ -236,6 +236,8 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
     _check(shards, config, run.processes.size)
     run.resume()
     splits = [shard.split()[0] for shard in shards]
+    if config.draw_on == "device" and run.device.type != "cpu":
+        shards = [shard.held_on(run.device) for shard in shards]
     config.out.parent.mkdir(parents=True, exist_ok=True)
     log = TrainLog(config.out, say) if run.processes.is_first else None
     if log and run.step:
@@ -250,7 +252,7 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
             if log and (run.step % LOG_EVERY == 0 or run.step == run.steps):
                 due = run.step % (PLATEAU_EVERY if run.plateau else VALIDATE_EVERY) == 0
                 held_out = validate(run, shards) if due else None
-                lately = float(np.mean(losses[-1 - (run.step - 1) % LOG_EVERY :]))
+                lately = torch.stack(losses[-1 - (run.step - 1) % LOG_EVERY :]).double().mean().item()
                 log.write(run.step, run.steps, lately, rate, held_out)
                 if run.plateau and held_out is not None:
                     run.plateau.update(run.step, held_out)

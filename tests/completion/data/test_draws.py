@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from completion.data.draws import integer_draw, normal_draws, uniform_draws
+from completion.data.draws import DeviceGenerator, integer_draw, normal_draws, on_host, uniform_draws
 
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))]
 
@@ -30,3 +30,13 @@ def test_a_cpus_draws_are_those_that_earlier_trainings_saw() -> None:
     assert torch.equal(uniform_draws((5,), ours), torch.rand(5, generator=torchs))
     assert torch.equal(normal_draws((2, 40), ours), torch.randn(2, 40, generator=torchs))
     assert integer_draw(2, 900, ours) == int(torch.randint(2, 900, (), generator=torchs))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_what_the_cpu_has_to_know_is_drawn_on_the_cpu(device: str) -> None:
+    generator, plain = DeviceGenerator.seeded(torch.device(device), 4), torch.Generator().manual_seed(4)
+    assert on_host(generator).device.type == "cpu"
+    assert on_host(plain) is plain
+    first = uniform_draws((6,), generator)
+    assert [integer_draw(0, 100, generator) for _ in range(9)] == [integer_draw(0, 100, plain) for _ in range(9)]
+    assert torch.equal(uniform_draws((6,), DeviceGenerator.seeded(torch.device(device), 4)), first)

@@ -12,7 +12,7 @@ from scipy.stats import binom
 from completion.confidence import error_from_confidence
 from completion.data.sampling_benchmark import get_sampler
 from completion.data.sampling_neighbours import merged, sample_like_neighbours
-from completion.data.sampling_training import SfmPattern, sample_by_chance, sample_like_sfm
+from completion.data.sampling_training import SfmPattern, median_of_points, sample_by_chance, sample_like_sfm
 
 EVERYWHERE = SfmPattern(
     min_points=1500, max_points=1500, corner_share=0.0, hole_share=0.0, near_bare_share=0.0, border_bare_share=0.0
@@ -38,6 +38,22 @@ def test_a_bare_near_wall_has_no_point_and_all_else_has() -> None:
         assert 1 <= columns.min() <= 0.36 * SIZE  # a ramp: the nearest wall is on the left
         assert columns.max() == SIZE - 1
         assert np.diff(columns).max() <= 2
+
+
+def test_a_bare_near_wall_is_at_most_a_third_of_what_has_depth() -> None:
+    rgb, depth = frames()
+    depth[:, :, : SIZE // 2] = 0
+    sparse, _ = sample_like_sfm(rgb, depth, replace(EVERYWHERE, near_bare_share=1.0), generator())
+    for frame, truth in zip((sparse > 0)[:, 0], depth[:, 0], strict=True):
+        nearest = truth[frame].min()
+        assert ((truth > 0) & (truth < nearest)).sum() <= EVERYWHERE.max_near_bare * (truth > 0).sum() + SIZE
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_a_gpu_finds_the_median_that_a_cpu_finds() -> None:
+    sparse = torch.rand(5, 1, SIZE, SIZE, generator=generator()) * (torch.rand(5, 1, SIZE, SIZE) < 0.1)
+    sparse[2] = 0
+    assert torch.equal(median_of_points(sparse.cuda()).cpu(), median_of_points(sparse))
 
 
 def test_a_bare_border_has_no_point() -> None:
