@@ -162,9 +162,9 @@ def strata(record: dict[str, Any]) -> list[str]:
         f"{_commits(record)}. Share of pixels whose error is below the predicted one (63 % if calibrated) / mean",
         "abs.REL / share of pixels of confidence 0.1 and more / share of those that err by less than 5 %; all films",
         "together, every pixel the same. *As filmed*: four of the films have a fisheye. *Rectified*: as `reconstruct`",
-        "completes them, by a pinhole camera, which cuts a fisheye's corners. There the depth along the optical axis",
-        f"falls towards zero: {100 * near[False]:.2f} % of the pixels as filmed are near, {100 * near[True]:.2f} % of the",
-        "rectified ones.\n",
+        "completes them, by a pinhole camera, which cuts a fisheye's corners. In those corners depth along the optical",
+        f"axis falls towards zero: {100 * near[False]:.2f} % of the pixels as filmed are near, and",
+        f"{100 * near[True]:.2f} % of the rectified ones.\n",
         "| stratum | "
         + " | ".join(f"{kind}, {count} SfM-like points" for kind in ("as filmed", "rectified") for count in points)
         + " |",
