@@ -141,6 +141,9 @@ class FusionSettings(Settings):
     min_confidence: float = Field(0.1, ge=0, le=1, description="of depth that is fused")
     max_error_voxels: float = Field(2.5, gt=0, description="greatest expected error of depth that is fused, in voxels")
     delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
+    open_dark_spots: bool = Field(
+        True, description="leave small spots open that are far darker than the wall around, with `delight`"
+    )
     lamp: str = Field(
         "auto",
         description="`auto`: EndoMapper's photometric file, if there is one beside the camera file; a file; or `none`",

@@ -178,6 +178,7 @@ def _submap_metrics(
         "path_length": float(steps.sum()),
         "voxel_size": surface.voxel_size,
         "dropped_area_share": surface.dropped_share,
+        "opened_area_share": surface.opened_share,
         "contradicted_keyframes": list(surface.left_out),
         "lamp": None if surface.lamp is None else asdict(surface.lamp),
         "unit": surface.scale.unit,

@@ -16,6 +16,7 @@ from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.scale import SCENE, Scale, ScaleSource, find_scale
+from reconstruction.fusion.dark_spots import dark_spots, without_vertices
 from reconstruction.fusion.lamp import Lamp
 from reconstruction.fusion.photometry import Illumination, fit_illumination
 from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
@@ -41,6 +42,7 @@ class Surface:
     dropped_share: float  # of the area, in pieces too small to keep
     left_out: tuple[int, ...] = ()  # frame numbers of keyframes whose depth the others contradict
     lamp: Illumination | None = None  # divided out of the colours; None if they are as filmed
+    opened_share: float = 0.0  # of the area, in small spots too dark for their depth, left open
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ def _record(surface: Surface) -> dict[str, Any]:
         "voxel_size": surface.voxel_size,
         "dropped_share": surface.dropped_share,
         "left_out": list(surface.left_out),
+        "opened_share": surface.opened_share,
         "lamp": None if surface.lamp is None else asdict(surface.lamp),
     }
 
@@ -111,6 +114,7 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             record["dropped_share"],
             tuple(record.get("left_out", ())),
             _recorded_lamp(record["lamp"]) if record.get("lamp") else None,
+            record.get("opened_share", 0.0),
         )
         for number, record in enumerate(workspace.result(STAGE)["surfaces"])
     ]
@@ -147,12 +151,22 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
                 fusion.integrate(*images, completed.camera.matrix, keyframe.world_from_camera)
             advance(done)
     whole = fusion.extract()
-    mesh, dropped = drop_small_components(whole, MIN_COMPONENT)
+    opened = _without_lids(whole, lamp, ranges.voxel_size) if settings.fusion.open_dark_spots else whole
+    mesh, dropped = drop_small_components(opened, MIN_COMPONENT)
     scale = find_scale(settings.scale, completed.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
-    dropped_share = dropped.area / max(float(whole.face_areas.sum()), 1e-12)
-    voxel_size = ranges.voxel_size * scale.factor
-    return Surface(mesh.transformed(output_from_scene), scale, voxel_size, dropped_share, tuple(left_out), lamp)
+    area = max(float(whole.face_areas.sum()), 1e-12)
+    opened_share = 1 - float(opened.face_areas.sum()) / area if opened is not whole else 0.0
+    moved, voxel_size = mesh.transformed(output_from_scene), ranges.voxel_size * scale.factor
+    return Surface(moved, scale, voxel_size, dropped.area / area, tuple(left_out), lamp, opened_share)
+
+
+def _without_lids(mesh: SurfaceMesh, lamp: Illumination | None, voxel_size: float) -> SurfaceMesh:
+    """The mesh without spots too dark for their depth; as it is where the lamp was not divided out or none is found."""
+    if lamp is None:
+        return mesh
+    spots = dark_spots(mesh, voxel_size, lamp.gamma)
+    return without_vertices(mesh, spots) if spots.any() else mesh
 
 
 def _prepared(
@@ -200,8 +214,11 @@ def depth_filter(
 
 def _sentence(surface: Surface) -> str:
     mesh, unit = surface.mesh, surface.scale.unit
+    opened = f"{100 * surface.opened_share:.1f} % was too dark for its depth and left open; " * (
+        surface.opened_share > 0
+    )
     without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""
     return (
         f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
-        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {surface.scale}{without}"
+        f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {opened}{surface.scale}{without}"
     )

@@ -1,0 +1,94 @@
+"""Small spots of a surface that are far too dark for where they lie: lids over the mouths of pouches.
+
+Completed depth closes the dark mouth of a diverticulum with a lid in the plane of the wall, where no point says
+otherwise. With the lamp divided out (`photometry`) wall keeps its albedo, but the lid's brightness is that of the
+pouch's bottom, which lies farther away and in shadow. So a small spot much darker than the wall around it, with a rim
+that is not, is more likely a hole than wall. Tissue that is dark, and light that the fitted lamp does not explain, fade
+into the wall around.
+
+The limits were chosen on the films of benchmarks/diverticula_choosing.yaml, coverage_films.yaml and
+exposure_choosing.yaml (docs/lab/depth_and_surface.md).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array, eye_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from reconstruction.fusion.photometry import GAMMA, LUMA
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+LOG_DARKER = -0.5  # of luminance: a spot has less than 0.61 of what the wall around it has
+AVERAGES = 10  # over each vertex and its neighbours: vessels of some voxels vanish, a mouth does not
+GRID, AROUND = 4.0, 30.0  # voxels: spacing of the samples of the wall around, and how far it reaches
+SPOT_VERTICES = 20, 800  # of a spot; a vertex stands for about one square voxel
+RIM_EDGES = 6  # from a spot to its rim, farther than the averages reach
+RIM_LOG = 0.0  # least mean of the rim, over the wall around
+MOST_DARK = 0.03  # share of the vertices that are dark beyond which the tissue itself is uneven, and no spot is found
+
+
+def dark_spots(mesh: SurfaceMesh, voxel_size: float, gamma: float = GAMMA) -> NDArray[np.bool_]:
+    """Vertices (V,) of dark spots. voxel_size: in the mesh's unit; gamma: of its colours, out of which the lamp is."""
+    if not len(mesh.faces):
+        return np.zeros(len(mesh.vertices), bool)
+    links = _links(mesh)
+    relative = _relative_luminance(mesh, links, voxel_size, gamma)
+    dark = relative < LOG_DARKER
+    if not dark.any() or dark.mean() > MOST_DARK:
+        return np.zeros(len(dark), bool)
+    rows = np.flatnonzero(dark)
+    spot = np.full(len(dark), -1)
+    spot[rows] = connected_components(links[rows][:, rows], directed=False)[1]
+    vertices = np.bincount(spot[rows])
+    holes = (vertices >= SPOT_VERTICES[0]) & (vertices <= SPOT_VERTICES[1])
+    holes &= _rims(spot, links, relative, len(vertices)) >= RIM_LOG
+    return dark & holes[spot]
+
+
+def without_vertices(mesh: SurfaceMesh, gone: NDArray[np.bool_]) -> SurfaceMesh:
+    """A copy without the faces that have one of these vertices (V,)."""
+    return mesh.with_faces(np.logical_not(gone[mesh.faces].any(axis=1)))
+
+
+def _relative_luminance(mesh: SurfaceMesh, links: csr_array, voxel_size: float, gamma: float) -> NDArray[np.float64]:
+    """Log luminance (V,), averaged along the surface, less its median over the wall around."""
+    linear = (np.maximum(mesh.colours, 1) / 255.0) ** gamma
+    smooth = np.log(linear @ LUMA)
+    here_and_beside = links + eye_array(len(smooth), format="csr")
+    count = here_and_beside.sum(axis=1)
+    for _ in range(AVERAGES):
+        smooth = here_and_beside @ smooth / count
+    cells = np.floor(mesh.vertices / (GRID * voxel_size)).astype(np.int64)
+    samples = np.unique(cells, axis=0, return_index=True)[1]
+    tree = cKDTree(mesh.vertices[samples])
+    neighbours = min(len(samples), round(np.pi * (AROUND / GRID) ** 2))
+    nearest = tree.query(mesh.vertices[samples], k=neighbours)[1].reshape(len(samples), neighbours)
+    around = np.median(smooth[samples][nearest], axis=1)
+    return smooth - around[tree.query(mesh.vertices)[1]]
+
+
+def _rims(spot: NDArray[np.int64], links: csr_array, relative: NDArray[np.float64], spots: int) -> NDArray[np.float64]:
+    """Mean of `relative` (V,) over each spot's vertices `RIM_EDGES` edges away; NaN for a spot that ends with the mesh.
+
+    spot: (V,) number of a vertex's spot, -1 outside.
+    """
+    nearest, edges = spot.copy(), links.tocoo()
+    rim = np.zeros(0, np.int64)
+    for _ in range(RIM_EDGES):
+        step = (nearest[edges.row] >= 0) & (nearest[edges.col] < 0)
+        rim = np.unique(edges.col[step])
+        nearest[edges.col[step]] = nearest[edges.row[step]]
+    total, count = (np.bincount(nearest[rim], weights=w, minlength=spots) for w in (relative[rim], None))
+    return np.divide(total, count, out=np.full(spots, np.nan), where=count > 0)
+
+
+def _links(mesh: SurfaceMesh) -> csr_array:
+    """Adjacency (V,V) of vertices that share an edge."""
+    start, end = (mesh.faces[:, columns].ravel() for columns in ([0, 1, 2], [1, 2, 0]))
+    both = np.concatenate([start, end]), np.concatenate([end, start])
+    links = coo_array((np.ones(len(both[0])), both), shape=(len(mesh.vertices),) * 2).tocsr()
+    links.data[:] = 1
+    return links

@@ -1,0 +1,87 @@
+"""A dark mouth in a lit wall is a spot; vessels, broad dark tissue, a gradual shade and an uneven wall are none."""
+
+import numpy as np
+import pytest
+
+from reconstruction.fusion.dark_spots import dark_spots, without_vertices
+from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+SIDE = 200  # vertices of the wall along each side, a voxel apart
+GAMMA = 2.2
+
+
+def wall(luminance: np.ndarray, voxel: float = 1.0) -> SurfaceMesh:
+    """A plane of SIDE x SIDE vertices, each of that luminance (SIDE,SIDE)."""
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    number = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+    grey = np.rint(255 * luminance.clip(0, 1) ** (1 / GAMMA)).astype(np.uint8).ravel()
+    vertices = voxel * np.stack([columns, rows, np.zeros_like(rows)], axis=-1).reshape(-1, 3)
+    return SurfaceMesh.from_triangles(vertices, faces, np.repeat(grey[:, None], 3, axis=1))
+
+
+def away() -> np.ndarray:
+    """Distance of each vertex from the middle of the wall, in voxels."""
+    rows, columns = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
+    return np.hypot(rows, columns)
+
+
+def lit() -> np.ndarray:
+    """A wall of some texture."""
+    return 0.4 * np.exp(np.random.default_rng(0).normal(0, 0.1, (SIDE, SIDE)))
+
+
+def mouth(radius: float, distance: np.ndarray) -> np.ndarray:
+    """A dark mouth whose rounded edge faces the lamp."""
+    return np.select([distance < radius, distance < radius + 10], [0.3, 1.15], 1.0)
+
+
+@pytest.mark.parametrize("voxel", [1.0, 0.013])
+def test_a_dark_mouth_is_found_and_leaves_a_hole_of_its_size(voxel: float) -> None:
+    mesh = wall(mouth(10, away()) * lit(), voxel)
+    spots = dark_spots(mesh, voxel)
+    found = away().ravel()[spots]
+    assert found.max() < 12
+    assert len(found) > 0.7 * np.pi * 10**2
+    opened = without_vertices(mesh, spots)
+    middle = voxel * (SIDE - 1) / 2
+    assert np.linalg.norm(opened.vertices[:, :2] - middle, axis=1).min() > 6 * voxel
+    assert opened.face_areas.sum() < mesh.face_areas.sum()
+
+
+def test_two_mouths_are_two_holes() -> None:
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    first, second = np.hypot(rows - 40, columns - 40), np.hypot(rows - 85, columns - 85)
+    spots = dark_spots(wall(mouth(8, first) * mouth(8, second) * lit()), 1.0).reshape(SIDE, SIDE)
+    assert spots[40, 40]
+    assert spots[85, 85]
+    assert not spots[60:65, 60:65].any()
+
+
+def test_what_fades_into_the_wall_around_is_no_hole() -> None:
+    shade = np.exp(-1.2 * np.exp(-((away() / 14) ** 2)))
+    assert not dark_spots(wall(shade * lit()), 1.0).any()
+
+
+def test_vessels_are_thinner_than_a_mouth() -> None:
+    columns = np.mgrid[:SIDE, :SIDE][1]
+    assert not dark_spots(wall(np.where((columns + 15) % 30 < 2, 0.3, 1) * lit()), 1.0).any()
+
+
+def test_broad_dark_tissue_is_tissue() -> None:
+    assert not dark_spots(wall(np.where(away() < 25, 0.3, 1) * lit()), 1.0).any()
+
+
+def test_where_much_of_the_wall_is_dark_darkness_says_nothing() -> None:
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    spotted = np.hypot(rows % 40 - 20, columns % 40 - 20) < 8
+    assert spotted.mean() > 0.1
+    assert not dark_spots(wall(np.where(spotted, 0.3, 1) * lit()), 1.0).any()
+
+
+def test_a_dark_end_of_the_mesh_has_no_rim_and_is_none() -> None:
+    dark = dark_spots(wall(np.full((SIDE, SIDE), 0.0)), 1.0)
+    assert not dark.any()
+    nothing = SurfaceMesh.from_triangles([], [])
+    assert dark_spots(nothing, 1.0).shape == (0,)
