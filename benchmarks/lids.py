@@ -9,7 +9,8 @@ its mouth, from in front of the wall. The axis is the normal of the true wall ar
 mesh stands within 1.5 mm of the mouth's plane where the true wall lies over 3 mm behind it. A mouth is judged if the
 mesh has wall around it, on half or more of a ring at 1.4 radii, and if half or more of its rays are that deep in truth.
 It is closed if half or more of its deep rays are; else it is open: a hole, or the pouch itself. The mesh is moved by
-the Sim(3) of the posed frames.
+the Sim(3) of the posed frames. Each run has two meshes: with and without the spots that are too dark for their depth
+(`fusion.open_dark_spots`), and the F-score of both at 1 mm.
 """
 
 import argparse
@@ -24,10 +25,13 @@ from numpy.typing import NDArray
 
 from benchmarks.common.runner import run
 from benchmarks.fusion.comparison import pair
-from benchmarks.fusion.measured_run import MeasuredRun
+from benchmarks.fusion.measured_run import MeasuredRun, errors_of
+from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.finished_run import open_run
+from pipeline.finished_run import Run, open_run
 from pipeline.run import reconstruct
+from pipeline.surface.fusion_stage import SurfaceSettings, fuse_submap
+from pipeline.surface.scale import ScaleSource
 from reconstruction.mesh.mesh_io import read_mesh
 from reconstruction.mesh.open3d_import import ray_scene
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -78,31 +82,38 @@ def judge_mouth(mesh: SurfaceMesh, wall: SurfaceMesh, centre: Array, radius: flo
     return {"judged": bool(judged), "closed_share": closed}
 
 
-def moved_mesh(run_folder: Path, film: Path) -> SurfaceMesh:
-    """A finished run's mesh in the film's millimetres."""
-    finished = open_run(run_folder)
-    factor = finished.surfaces[0].scale.factor  # scene units to those of the mesh
-    scene_from_mesh = np.diag([1 / factor] * 3 + [1.0])
-    return finished.surfaces[0].mesh.transformed(MeasuredRun(run_folder, film).after.truth_from_map @ scene_from_mesh)
+def meshes_of(finished: Run) -> dict[str, SurfaceMesh]:
+    """The main mesh of a run in scene units, without and with the spots left open that are too dark for their depth."""
+    config, completed = finished.workspace.config, finished.completed_submaps[0]
+    meshes = {}
+    for name, is_open in (("as completed", False), ("dark spots open", True)):
+        fusion = config.fusion.model_copy(update={"open_dark_spots": is_open})
+        settings = SurfaceSettings(fusion, config.consistency, ScaleSource(), config.seed)
+        meshes[name] = fuse_submap(completed, settings, name, SilentProgress()).mesh
+    return meshes
 
 
-def lids_of(run_folder: Path, film: Path) -> list[dict[str, Any]]:
-    """Every diverticulum of a film, judged on a finished run's mesh."""
-    mesh = moved_mesh(run_folder, film)
-    wall = read_mesh(film / "mesh.ply")
+def judged_run(run_folder: Path, film: Path) -> dict[str, Any]:
+    """F-score in percent of both meshes, and every diverticulum of the film on each."""
+    measured, wall = MeasuredRun(run_folder, film), read_mesh(film / "mesh.ply")
     known = json.loads((film / "diverticula.json").read_text())
-    return [judge_mouth(mesh, wall, np.array(one["centre"]), one["mouth_radius_mm"]) for one in known]
+    found = {}
+    for name, mesh in meshes_of(open_run(run_folder)).items():
+        moved = mesh.transformed(measured.after.truth_from_map)
+        mouths = [judge_mouth(moved, wall, np.array(one["centre"]), one["mouth_radius_mm"]) for one in known]
+        found[name] = {"f_percent": 100 * errors_of(moved, measured.truth)["f_score"], "mouths": mouths}
+    return found
 
 
-def judged_film(given: str) -> tuple[str, list[dict[str, Any]]]:
-    """A film's name and mouths: of the run that is given with it, or of a new one, lens given."""
+def judged_film(given: str) -> tuple[str, dict[str, Any]]:
+    """A film's name and both meshes: of the run that is given with it, or of a new one, lens given."""
     if "=" in given:
         run_folder, film = pair(given)
-        return film.name, lids_of(run_folder, film)
+        return film.name, judged_run(run_folder, film)
     film = Path(given)
     with tempfile.TemporaryDirectory() as scratch:
         made = reconstruct(film, Path(scratch) / "run", Config(camera=str(film / "camera.json")))
-        return film.name, lids_of(made.folder, film)
+        return film.name, judged_run(made.folder, film)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -112,10 +123,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Every film, and all mouths together."""
     films = dict(judged_film(given) for given in arguments.films)
-    judged = [mouth for mouths in films.values() for mouth in mouths if mouth["judged"]]
-    closed = sum(mouth["closed_share"] >= 0.5 for mouth in judged)
-    print(f"{closed} of {len(judged)} judged mouths are closed, {sum(map(len, films.values()))} diverticula in all")
-    return {"closed": closed, "judged": len(judged), "films": films}
+    figures: dict[str, Any] = {"films": films}
+    for name in next(iter(films.values())):
+        judged = [mouth for film in films.values() for mouth in film[name]["mouths"] if mouth["judged"]]
+        closed = sum(mouth["closed_share"] >= 0.5 for mouth in judged)
+        figures[name] = {"closed": closed, "judged": len(judged)}
+        print(f"{name}: {closed} of {len(judged)} judged mouths are closed")
+        print(
+            "    F-score: " + ", ".join(f"{film} {meshes[name]['f_percent']:.1f} %" for film, meshes in films.items())
+        )
+    return figures
 
 
 if __name__ == "__main__":
