@@ -19,8 +19,8 @@ HEAD = """# Depth and surface of films that burn
 - **Question:** What is the mesh worth beside true depth on the same poses, where near folds burn and the far lumen is
   dark? Which depth should be fused, and does depth from several views help?
 - **Command:** `python -m benchmarks.records depth_films depth_h264 depth_completion depth_strata depth_lids
-  depth_lids_chosen depth_weights`, which runs the command named with each table; {machine[processor]}, {machine[cores]} cores. Rendered
-  from the records `depth_*.json` in `benchmarks/results` by
+  depth_lids_chosen depth_weights`, which runs the command named with each table;
+  {machine[processor]}, {machine[cores]} cores. Rendered from the records `depth_*.json` in `benchmarks/results` by
   `python -m scripts.pages.depth_page > docs/lab/depth_and_surface.md`.
 - **Decision:** Depth is admitted by its expected error in voxels. Bright pictures are not dimmed. Several views are off
   unless asked for. Small dark spots stay open; light is no other witness on depth.
@@ -44,10 +44,11 @@ TRIED = """
   better, the mean F does not. Likely cause: keyframes of one map share their sparse points, whose errors are then
   common to all views, and fusion averages over the views anyway. Points that are drawn for each frame by itself, as in
   a trial with true depth, do not have that. The predicted error of refined depth is too small for the same reason.
-- **Light as a witness on the depth of a picture.** With the lamp fitted (`reconstruction/fusion/photometry.py`), the brightness that a
-  depth predicts was compared with the picture's. Burnt pixels that should be dark, and dark ones that should be bright,
-  are indeed mostly wrong in depth. But few of them are fused: confidence and consistency have left them out. Lowering
-  the confidence further left F as it was on three films and took 0.4 to 2 points on a fourth, whose vessels are dark.
+- **Light as a witness on the depth of a picture.** With the lamp fitted (`reconstruction/fusion/photometry.py`), the
+  brightness that a depth predicts was compared with the picture's. Burnt pixels that should be dark, and dark ones that
+  should be bright, are indeed mostly wrong in depth. But few of them are fused: confidence and consistency have left
+  them out. Lowering the confidence further left F as it was on three films and took 0.4 to 2 points on a fourth, whose
+  vessels are dark. On the fused surface, whose colours are means over the views, vessels can be told from mouths (above).
 - **Weights from an empty folder.** The shipped ones stand on nine runs, of which the first six cannot be made again.
   Training from random weights on one H200 (1,550 steps of 32 frames on 6,000 frames, then 1,785 of 64 on 6,000 others)
   ended at 3.9 % on held-out guts where the last run of the shipped weights, on the same frames, ended at 2.9 %.
