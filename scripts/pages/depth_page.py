@@ -48,7 +48,8 @@ TRIED = """
   brightness that a depth predicts was compared with the picture's. Burnt pixels that should be dark, and dark ones that
   should be bright, are indeed mostly wrong in depth. But few of them are fused: confidence and consistency have left
   them out. Lowering the confidence further left F as it was on three films and took 0.4 to 2 points on a fourth, whose
-  vessels are dark. On the fused surface, whose colours are means over the views, vessels can be told from mouths (above).
+  vessels are dark. On the fused surface, whose colours are means over the views, mouths can be told from vessels
+  (above).
 - **Weights from an empty folder.** The shipped ones stand on nine runs, of which the first six cannot be made again.
   Training from random weights on one H200 (1,550 steps of 32 frames on 6,000 frames, then 1,785 of 64 on 6,000 others)
   ended at 3.9 % on held-out guts where the last run of the shipped weights, on the same frames, ended at 2.9 %.
