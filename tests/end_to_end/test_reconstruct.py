@@ -240,6 +240,29 @@ def test_submaps_without_depth_end_empty_and_not_in_a_crash(finished, monkeypatc
     assert len(surfaced.mesh.faces) == 0
 
 
+def test_dark_spots_are_left_open_unless_the_settings_say_otherwise(finished, monkeypatch):
+    workspace = open_workspace(finished[0])
+    part = load_completed(load_frames(workspace), load_points(load_structure(workspace), workspace), workspace)[0]
+
+    def around_the_middle(mesh, voxel_size, gamma):
+        return np.linalg.norm(mesh.vertices - mesh.vertices[len(mesh.vertices) // 2], axis=1) < 4 * voxel_size
+
+    monkeypatch.setattr(surface, "dark_spots", around_the_middle)
+    config = tiny_config()
+
+    def fused(**changed):
+        fusion = config.fusion.model_copy(update=changed)
+        settings = surface.SurfaceSettings(fusion, config.consistency, ScaleSource(), 0)
+        return surface.fuse_submap(part, settings, "fusion", SilentProgress())
+
+    opened, closed, as_filmed = fused(), fused(open_dark_spots=False), fused(delight=False)
+    assert closed.opened_share == as_filmed.opened_share == 0
+    area = closed.mesh.face_areas.sum()
+    assert opened.opened_share == pytest.approx(1 - opened.mesh.face_areas.sum() / area, rel=0.1)
+    assert 0 < opened.opened_share < 0.1
+    assert as_filmed.mesh.face_areas.sum() == pytest.approx(area)
+
+
 def test_a_failing_worker_is_one_sentence(tmp_path, monkeypatch):
     with pytest.raises(HaustraError, match=r"structure failed \(exit code 1\); its log is"):
         run_isolated("pipeline.frontend.colmap.worker", "map", {}, tmp_path / "x.log", "structure", SilentProgress())
