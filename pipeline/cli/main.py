@@ -22,8 +22,10 @@ from pipeline.run_folder.malloc import keep_freed_memory
 
 FILE_SYSTEM_SAYS_NO = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.ENOENT, errno.ENOTDIR)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
+# Help is plain text: rich's boxes take as long to load as all else.
+PLAIN: dict[str, Any] = {"rich_markup_mode": None, "context_settings": {"max_content_width": 120}}
 
-app = typer.Typer(no_args_is_help=True, add_completion=False)
+app = typer.Typer(no_args_is_help=True, add_completion=False, **PLAIN)
 
 
 @app.callback()
@@ -190,16 +192,8 @@ def evaluate(
         for count in points or [100]
     ]
     progress = SilentProgress() if quiet else TerminalProgress()
-    print(
-        run(
-            folders,
-            model or ["linear", "mscsa"],
-            protocols,
-            Outputs(csv, json_file, sheet, sweep, calibration, compare, attention),
-            dataset,
-            progress,
-        )
-    )
+    outputs = Outputs(csv, json_file, sheet, sweep, calibration, compare, attention)
+    print(run(folders, model or ["linear", "mscsa"], protocols, outputs, dataset, progress))
 
 
 @app.command()
@@ -285,7 +279,7 @@ def main() -> None:
 
 def reconstruct_main() -> None:
     """Entry point of `reconstruct`, the same as `haustra reconstruct`."""
-    single = typer.Typer(add_completion=False)
+    single = typer.Typer(add_completion=False, **PLAIN)
     single.command()(cli_runs.reconstruct)
     sys.exit(run_cleanly(lambda: _checked(single)))
 
