@@ -62,12 +62,13 @@ def _relative_luminance(mesh: SurfaceMesh, links: csr_array, voxel_size: float, 
     for _ in range(AVERAGES):
         smooth = here_and_beside @ smooth / count
     cells = np.floor(mesh.vertices / (GRID * voxel_size)).astype(np.int64)
-    samples = np.unique(cells, axis=0, return_index=True)[1]
+    cells -= cells.min(axis=0)
+    samples = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_index=True)[1]
     tree = cKDTree(mesh.vertices[samples])
     neighbours = min(len(samples), round(np.pi * (AROUND / GRID) ** 2))
-    nearest = tree.query(mesh.vertices[samples], k=neighbours)[1].reshape(len(samples), neighbours)
+    nearest = tree.query(mesh.vertices[samples], k=neighbours, workers=-1)[1].reshape(len(samples), neighbours)
     around = np.median(smooth[samples][nearest], axis=1)
-    return smooth - around[tree.query(mesh.vertices)[1]]
+    return smooth - around[tree.query(mesh.vertices, workers=-1)[1]]
 
 
 def _rims(spot: NDArray[np.int64], links: csr_array, relative: NDArray[np.float64], spots: int) -> NDArray[np.float64]:
