@@ -138,6 +138,7 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
         *_doubt_rows(submap.get("doubt")),
         ("scale", submap["scale"]),
         ("left out", left_out(submap["contradicted_keyframes"])),
+        *_opened_rows(submap.get("opened_area_share", 0.0)),
         ("calibration", submap["camera"]["trust"] + _cut(submap["rectified_share"])),
     ]
 
@@ -148,6 +149,19 @@ def _doubt_rows(doubt: dict[str, Any] | None) -> list[tuple[str, str]]:
         return []
     told = f"{100 * doubt['probability']:.0f} %; what speaks most against it: {doubt['heaviest']}"
     return [("probability that this map is wrong", told)]
+
+
+def _opened_rows(share: float) -> list[tuple[str, str]]:
+    """Where spots of the surface were left open."""
+    if not share:
+        return []
+    return [
+        (
+            "left open",
+            f"{100 * share:.1f} % of the surface, small spots much darker than the wall around: rather mouths of "
+            "pouches, or an opening, than wall",
+        )
+    ]
 
 
 def _loops(record: dict[str, Any]) -> str:
