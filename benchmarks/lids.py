@@ -10,7 +10,8 @@ mesh stands within 1.5 mm of the mouth's plane where the true wall lies over 3 m
 mesh has wall around it, on half or more of a ring at 1.4 radii, and if half or more of its rays are that deep in truth.
 It is closed if half or more of its deep rays are; else it is open: a hole, or the pouch itself. The mesh is moved by
 the Sim(3) of the posed frames. Each run has two meshes: with and without the spots that are too dark for their depth
-(`fusion.open_dark_spots`), and the F-score of both at 1 mm.
+(`fusion.open_dark_spots`), and the F-score of both at 1 mm. What was opened is counted, and how much of it was within
+1 mm of the true wall: a mouth's shallow lip, or wall that was opened wrongly.
 """
 
 import argparse
@@ -22,10 +23,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from benchmarks.common.runner import run
 from benchmarks.fusion.comparison import pair
-from benchmarks.fusion.measured_run import MeasuredRun, errors_of
+from benchmarks.fusion.measured_run import TAU, MeasuredRun, errors_of
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
 from pipeline.finished_run import Run, open_run
@@ -33,12 +35,13 @@ from pipeline.run import reconstruct
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_submap
 from pipeline.surface.scale import ScaleSource
 from reconstruction.mesh.mesh_io import read_mesh
-from reconstruction.mesh.open3d_import import ray_scene
+from reconstruction.mesh.open3d_import import import_open3d, ray_scene
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 INNER, RING = 0.7, 1.4  # mouth radii
 LID_MM, DEEP_MM, BEFORE_MM = 1.5, 3.0, 4.0
 RINGS, SECTORS = 4, 16
+MESHES = {"as completed": False, "dark spots open": True}  # name: `fusion.open_dark_spots`
 Array = NDArray[np.float64]
 
 
@@ -86,7 +89,7 @@ def meshes_of(finished: Run) -> dict[str, SurfaceMesh]:
     """The main mesh of a run in scene units, without and with the spots left open that are too dark for their depth."""
     config, completed = finished.workspace.config, finished.completed_submaps[0]
     meshes = {}
-    for name, is_open in (("as completed", False), ("dark spots open", True)):
+    for name, is_open in MESHES.items():
         fusion = config.fusion.model_copy(update={"open_dark_spots": is_open})
         settings = SurfaceSettings(fusion, config.consistency, ScaleSource(), config.seed)
         meshes[name] = fuse_submap(completed, settings, name, SilentProgress()).mesh
@@ -97,12 +100,23 @@ def judged_run(run_folder: Path, film: Path) -> dict[str, Any]:
     """F-score in percent of both meshes, and every diverticulum of the film on each."""
     measured, wall = MeasuredRun(run_folder, film), read_mesh(film / "mesh.ply")
     known = json.loads((film / "diverticula.json").read_text())
-    found = {}
+    found: dict[str, Any] = {}
+    surfaces: list[SurfaceMesh] = []
     for name, mesh in meshes_of(open_run(run_folder)).items():
         moved = mesh.transformed(measured.after.truth_from_map)
         mouths = [judge_mouth(moved, wall, np.array(one["centre"]), one["mouth_radius_mm"]) for one in known]
         found[name] = {"f_percent": 100 * errors_of(moved, measured.truth)["f_score"], "mouths": mouths}
-    return found
+        surfaces.append(moved)
+    return found | {"opened": opened(surfaces[0], surfaces[1], wall)}
+
+
+def opened(closed: SurfaceMesh, other: SurfaceMesh, wall: SurfaceMesh) -> dict[str, float]:
+    """Percent of a mesh's vertices that the other mesh lacks, and percent of these within 1 mm of the true wall."""
+    gone = closed.vertices[cKDTree(other.vertices).query(closed.vertices)[0] > 0]
+    points = import_open3d().core.Tensor(gone.astype(np.float32))
+    away = ray_scene(wall.vertices, wall.faces).compute_distance(points).numpy() if len(gone) else np.zeros(0)
+    share = float((away < TAU).mean()) if len(gone) else 0.0
+    return {"percent": 100 * len(gone) / max(len(closed.vertices), 1), "on_wall_percent": 100 * share}
 
 
 def judged_film(given: str) -> tuple[str, dict[str, Any]]:
@@ -124,7 +138,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Every film, and all mouths together."""
     films = dict(judged_film(given) for given in arguments.films)
     figures: dict[str, Any] = {"films": films}
-    for name in next(iter(films.values())):
+    for name in MESHES:
         judged = [mouth for film in films.values() for mouth in film[name]["mouths"] if mouth["judged"]]
         closed = sum(mouth["closed_share"] >= 0.5 for mouth in judged)
         figures[name] = {"closed": closed, "judged": len(judged)}

@@ -2,12 +2,12 @@
 
 Completed depth closes the dark mouth of a diverticulum with a lid in the plane of the wall, where no point says
 otherwise. With the lamp divided out (`photometry`) wall keeps its albedo, but the lid's brightness is that of the
-pouch's bottom, which lies farther away and in shadow. So a small spot much darker than the wall around it, with a rim
-that is not, is more likely a hole than wall. Tissue that is dark, and light that the fitted lamp does not explain, fade
-into the wall around.
+pouch's bottom, which lies farther away and in shadow. Its rounded lip faces the lamp. So a small spot much darker than
+the wall around it, with a rim that is brighter, is more likely a mouth than wall. Light that the fitted lamp does not
+explain fades into the wall around, and has no such rim.
 
-The limits were chosen on the films of benchmarks/diverticula_choosing.yaml, coverage_films.yaml and
-exposure_choosing.yaml (docs/lab/depth_and_surface.md).
+A picture alone does not tell a mouth from a dark patch with a bright rim, as residue or pigment may be. The limits were
+chosen on films of a phantom whose mouths all have one model of lip (docs/lab/depth_and_surface.md).
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ LOG_DARKER = -0.5  # of luminance: a spot has less than 0.61 of what the wall ar
 AVERAGES = 10  # over each vertex and its neighbours: vessels of some voxels vanish, a mouth does not
 GRID, AROUND = 4.0, 30.0  # voxels: spacing of the samples of the wall around, and how far it reaches
 SPOT_VERTICES = 20, 800  # of a spot; a vertex stands for about one square voxel
-RIM_EDGES = 6  # from a spot to its rim, farther than the averages reach
-RIM_LOG = 0.0  # least mean of the rim, over the wall around
+RIM_EDGES = 6  # from a spot to its rim; averages spread a step by some three edges (standard deviation)
+RIM_LOG = 0.03  # least mean of the rim, over the wall around
+LONGEST_HOLE = 100  # edges around a hole that a lid may have already; longer ones are where the mesh ends
 MOST_DARK = 0.03  # share of the vertices that are dark beyond which the tissue itself is uneven, and no spot is found
 
 
@@ -44,7 +45,10 @@ def dark_spots(mesh: SurfaceMesh, voxel_size: float, gamma: float = GAMMA) -> ND
     spot[rows] = connected_components(links[rows][:, rows], directed=False)[1]
     vertices = np.bincount(spot[rows])
     holes = (vertices >= SPOT_VERTICES[0]) & (vertices <= SPOT_VERTICES[1])
-    holes &= _rims(spot, links, relative, len(vertices)) >= RIM_LOG
+    rims, near = _rims(spot, links, relative, len(vertices))
+    holes &= rims >= RIM_LOG
+    at_end = near[_ends(mesh)]
+    holes[at_end[at_end >= 0]] = False
     return dark & holes[spot]
 
 
@@ -71,8 +75,11 @@ def _relative_luminance(mesh: SurfaceMesh, links: csr_array, voxel_size: float, 
     return smooth - around[tree.query(mesh.vertices, workers=-1)[1]]
 
 
-def _rims(spot: NDArray[np.int64], links: csr_array, relative: NDArray[np.float64], spots: int) -> NDArray[np.float64]:
-    """Mean of `relative` (V,) over each spot's vertices `RIM_EDGES` edges away; NaN for a spot that ends with the mesh.
+def _rims(
+    spot: NDArray[np.int64], links: csr_array, relative: NDArray[np.float64], spots: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Mean of `relative` (V,) over each spot's vertices `RIM_EDGES` edges away, NaN where there are none; and (V,) the
+    spot that a vertex is in or within these edges of, -1 for none.
 
     spot: (V,) number of a vertex's spot, -1 outside.
     """
@@ -83,7 +90,18 @@ def _rims(spot: NDArray[np.int64], links: csr_array, relative: NDArray[np.float6
         rim = np.unique(edges.col[step])
         nearest[edges.col[step]] = nearest[edges.row[step]]
     total, count = (np.bincount(nearest[rim], weights=w, minlength=spots) for w in (relative[rim], None))
-    return np.divide(total, count, out=np.full(spots, np.nan), where=count > 0)
+    return np.divide(total, count, out=np.full(spots, np.nan), where=count > 0), nearest
+
+
+def _ends(mesh: SurfaceMesh) -> NDArray[np.int64]:
+    """Vertices where the mesh ends: on edges of one face alone that do not surround a small hole."""
+    edges = np.sort(np.concatenate([mesh.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
+    number, uses = np.unique(edges[:, 0] * len(mesh.vertices) + edges[:, 1], return_counts=True)
+    start, end = np.divmod(number[uses == 1], len(mesh.vertices))
+    along = coo_array((np.ones(len(start)), (start, end)), shape=(len(mesh.vertices),) * 2)
+    loop = connected_components(along, directed=False)[1]
+    length = np.bincount(loop[start], minlength=loop.max() + 1)
+    return np.unique(np.concatenate([start, end])[np.tile(length[loop[start]] > LONGEST_HOLE, 2)])
 
 
 def _links(mesh: SurfaceMesh) -> csr_array:
