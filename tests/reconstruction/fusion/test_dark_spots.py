@@ -1,9 +1,9 @@
-"""A dark mouth in a lit wall is a spot; vessels, broad dark tissue, a gradual shade and an uneven wall are none."""
+"""A dark mouth with a lit lip is a spot; vessels, patches, shades, uneven walls and the mesh's end are none."""
 
 import numpy as np
 import pytest
 
-from reconstruction.fusion.dark_spots import dark_spots, without_vertices
+from reconstruction.fusion.dark_spots import MOST_DARK, dark_spots, without_vertices
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 SIDE = 200  # vertices of the wall along each side, a voxel apart
@@ -64,24 +64,48 @@ def test_what_fades_into_the_wall_around_is_no_hole() -> None:
     assert not dark_spots(wall(shade * lit()), 1.0).any()
 
 
-def test_vessels_are_thinner_than_a_mouth() -> None:
-    columns = np.mgrid[:SIDE, :SIDE][1]
-    assert not dark_spots(wall(np.where((columns + 15) % 30 < 2, 0.3, 1) * lit()), 1.0).any()
+@pytest.mark.parametrize("seed", range(6))
+def test_a_dark_patch_without_a_bright_rim_is_tissue(seed: int) -> None:
+    texture = 0.4 * np.exp(np.random.default_rng(seed).normal(0, 0.1, (SIDE, SIDE)))
+    assert not dark_spots(wall(np.where(away() < 9, 0.3, 1) * texture), 1.0).any()
 
 
-def test_broad_dark_tissue_is_tissue() -> None:
-    assert not dark_spots(wall(np.where(away() < 25, 0.3, 1) * lit()), 1.0).any()
+def test_a_vessel_is_thinner_than_a_mouth() -> None:
+    rows, columns = np.abs(np.mgrid[:SIDE, :SIDE] - SIDE // 2)
+    vessel = np.where(rows < 30, mouth(1.5, columns), 1.0)
+    assert 60 <= (vessel < 0.5).sum() <= 200
+    assert not dark_spots(wall(vessel * lit()), 1.0).any()
+
+
+def test_what_is_larger_or_smaller_than_mouths_is_none() -> None:
+    broad, speck = mouth(18, away()), mouth(1.8, away())
+    speck[speck < 0.5] = 0.05
+    assert (broad < 0.5).mean() < MOST_DARK
+    for luminance, changed in ((broad, (20, 2000)), (speck, (1, 800))):
+        mesh = wall(luminance * lit())
+        assert not dark_spots(mesh, 1.0).any()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("reconstruction.fusion.dark_spots.SPOT_VERTICES", changed)
+            assert dark_spots(mesh, 1.0).any()  # for its size alone it was none
 
 
 def test_where_much_of_the_wall_is_dark_darkness_says_nothing() -> None:
     rows, columns = np.mgrid[:SIDE, :SIDE]
-    spotted = np.hypot(rows % 40 - 20, columns % 40 - 20) < 8
-    assert spotted.mean() > 0.1
-    assert not dark_spots(wall(np.where(spotted, 0.3, 1) * lit()), 1.0).any()
+    mesh = wall(mouth(8, np.hypot(rows % 50 - 25, columns % 50 - 25)) * lit())
+    assert not dark_spots(mesh, 1.0).any()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("reconstruction.fusion.dark_spots.MOST_DARK", 1.0)
+        assert dark_spots(mesh, 1.0).any()
 
 
-def test_a_dark_end_of_the_mesh_has_no_rim_and_is_none() -> None:
-    dark = dark_spots(wall(np.full((SIDE, SIDE), 0.0)), 1.0)
-    assert not dark.any()
-    nothing = SurfaceMesh.from_triangles([], [])
-    assert dark_spots(nothing, 1.0).shape == (0,)
+def test_a_mouth_that_the_mesh_ends_in_is_none_but_one_with_a_hole_already_is() -> None:
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    at_end = np.hypot(rows - 3, columns - SIDE / 2)
+    assert not dark_spots(wall(mouth(10, at_end) * lit()), 1.0).any()
+    pierced = without_vertices(wall(mouth(10, away()) * lit()), (away() < 4).ravel())
+    assert dark_spots(pierced, 1.0).sum() > 100
+
+
+def test_a_mesh_without_dark_wall_or_without_any_wall_has_none() -> None:
+    assert not dark_spots(wall(np.full((SIDE, SIDE), 0.0)), 1.0).any()
+    assert dark_spots(SurfaceMesh.from_triangles([], []), 1.0).shape == (0,)
