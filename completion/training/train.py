@@ -242,11 +242,12 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
     log = TrainLog(config.out, say) if run.processes.is_first else None
     if log and run.step:
         say(f"going on from step {run.step} of {run.steps}, where {run.checkpoint} ends")
-    saved, losses = time.monotonic(), []
+    losses: list[Tensor] = []
+    saved = time.monotonic()
     with GracefulInterrupt(run.processes.size == 1) as interrupt:
         while run.step < run.steps and not interrupt.requested:
             rate = run.rate
-            losses.append(train_step(run, shards, splits))
+            losses = [*losses[1 - LOG_EVERY :], train_step(run, shards, splits)]
             if advance and log:
                 advance(run.step, run.steps)
             if log and (run.step % LOG_EVERY == 0 or run.step == run.steps):

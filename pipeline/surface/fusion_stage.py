@@ -214,7 +214,7 @@ def depth_filter(
 
 def _sentence(surface: Surface) -> str:
     mesh, unit = surface.mesh, surface.scale.unit
-    opened = f"{100 * surface.opened_share:.1f} % was too dark for its depth and left open; " * (
+    opened = f"{100 * surface.opened_share:.2f} % was too dark for its depth and left open; " * (
         surface.opened_share > 0
     )
     without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""

@@ -15,6 +15,8 @@ RECORDS = {
     for name in ("films", "h264", "completion", "strata", "lids", "lids_chosen", "weights")
 }
 
+MESHES = ("as completed", "dark spots open")
+
 HEAD = """# Depth and surface of films that burn
 
 - **Question:** What is the mesh worth beside true depth on the same poses, where near folds burn and the far lumen is
@@ -22,7 +24,8 @@ HEAD = """# Depth and surface of films that burn
 - **Command:** `python -m benchmarks.records depth_films depth_h264 depth_completion depth_strata depth_lids
   depth_lids_chosen depth_weights`, which runs the command named with each table, at the
   commit and on the processor given there (two cores). Rendered from the records `depth_*.json` in `benchmarks/results`
-  by `python -m scripts.pages.depth_page > docs/lab/depth_and_surface.md`.
+  by `python -m scripts.pages.depth_page > docs/lab/depth_and_surface.md`. `depth_h264_5749c81_*.json` were made by the
+  command of `depth_h264` at that commit.
 - **Decision:** Depth is admitted by its expected error in voxels. Bright pictures are not dimmed. Several views are off
   unless asked for. Small dark spots stay open; light is no other witness on depth.
 """
@@ -114,12 +117,15 @@ def ct_colon(record: dict[str, Any], one_commit: list[dict[str, Any]]) -> list[s
     ]
     for one in (record, *one_commit):
         values = [100 * value for value in one["figures"]["f_score"]["values"]]
-        lines.append(f"- {_commits(one)}: {_spread(values)}, {len(values)} seeds")
+        ate, turned = (one["figures"][name]["median"] for name in ("ate_mm", "rotation_deg"))
+        path = f"median ATE {ate:.3f} mm, rotation {turned:.2f} degrees"
+        lines.append(f"- {_commits(one)}: {_spread(values)}, {len(values)} seeds; {path}")
     return [
         *lines,
         "",
-        "One commit differs from processor to processor, since the network computes in the number format that each has",
-        "fast: 8-bit integers with AVX-512 VNNI, bfloat16, or float32. So tables of two processors do not compare.",
+        "One commit differs from processor to processor. The network computes in the number format that each has fast",
+        "(8-bit integers with AVX-512 VNNI, bfloat16, or float32), and the path differs too; which of the two it is",
+        "was not measured. So tables of two processors do not compare.",
     ]
 
 
@@ -200,20 +206,25 @@ def lids(record: dict[str, Any], chosen: dict[str, Any]) -> list[str]:
     lines = [
         "\n## Lids over diverticula\n",
         "Completed depth closes dark mouths. Small spots of the mesh that are much darker than the wall around, with a",
-        "rim that is not, are left open (`reconstruction/fusion/dark_spots.py`).",
+        "rim that is brighter, are left open (`reconstruction/fusion/dark_spots.py`). *Opened*: share of the mesh, and",
+        "how much of it lay within 1 mm of the true wall: shallow lips of mouths, and wall opened wrongly. All",
+        "mouths have one model of lip; dark residue or pigment with a bright rim was not tested.",
         "`python -m benchmarks.lids FILMS/*`, lens given, seed 0: mouths that are closed, and F at 1 mm in percent,",
         "of the mesh as completed and with dark spots open. A mouth whose lid bulges by over 1.5 mm counts as open.",
         f"Reported: the films of `benchmarks/diverticula.yaml`, {_commits(record)}. Chosen on: those of",
         "`benchmarks/diverticula_choosing.yaml`, `benchmarks/exposure_choosing.yaml` and four of",
         f"`benchmarks/coverage_films.yaml`, {_commits(chosen)}.\n",
-        "| film | kind | closed, as completed | closed, dark spots open | F as completed | F, dark spots open |",
-        "|---|---|---|---|---|---|",
+        "| film | kind | closed, as completed | closed, dark spots open | F as completed | F, dark spots open "
+        "| opened (%) | of it on the wall (%) |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for kind, given in (("reported", record), ("chosen on", chosen)):
         for film, meshes in given["films"].items():
-            closed = " | ".join(_closed(mesh["mouths"]) for mesh in meshes.values())
-            scores = " | ".join(f"{mesh['f_percent']:.1f}" for mesh in meshes.values())
-            lines.append(f"| {film} | {kind} | {closed} | {scores} |")
+            closed = " | ".join(_closed(meshes[name]["mouths"]) for name in MESHES)
+            scores = " | ".join(f"{meshes[name]['f_percent']:.1f}" for name in MESHES)
+            gone = meshes["opened"]
+            wrong = f"{gone['on_wall_percent']:.0f}" if gone["percent"] else "-"
+            lines.append(f"| {film} | {kind} | {closed} | {scores} | {gone['percent']:.2f} | {wrong} |")
     return lines + [""] + [_lids_in_all(kind, given) for kind, given in (("reported", record), ("chosen on", chosen))]
 
 
@@ -224,15 +235,13 @@ def _closed(mouths: list[dict[str, Any]]) -> str:
 
 def _lids_in_all(kind: str, given: dict[str, Any]) -> str:
     """Both meshes over all films of a kind."""
-    gains = [
-        meshes["dark spots open"]["f_percent"] - meshes["as completed"]["f_percent"]
-        for meshes in given["films"].values()
-    ]
-    before, after = (given[name] for name in ("as completed", "dark spots open"))
+    films = given["films"].values()
+    before, after = MESHES
+    gains = [meshes[after]["f_percent"] - meshes[before]["f_percent"] for meshes in films]
     return (
-        f"- {kind}: {before['closed']} of {before['judged']} judged mouths closed as completed, {after['closed']} of "
-        f"{after['judged']} with dark spots open; F changes by {statistics.mean(gains):+.2f} points in the mean, "
-        f"{min(gains):+.2f} to {max(gains):+.2f}, {len(gains)} films"
+        f"- {kind}: {given[before]['closed']} of {given[before]['judged']} judged mouths closed as completed, "
+        f"{given[after]['closed']} of {given[after]['judged']} with dark spots open; F changes by "
+        f"{statistics.mean(gains):+.2f} points in the mean, {min(gains):+.2f} to {max(gains):+.2f}, {len(gains)} films"
     )
 
 

@@ -158,8 +158,8 @@ def _opened_rows(share: float) -> list[tuple[str, str]]:
     return [
         (
             "left open",
-            f"{100 * share:.1f} % of the surface, small spots much darker than the wall around: rather mouths of "
-            "pouches, or an opening, than wall",
+            f"{100 * share:.2f} % of the surface, small spots much darker than the wall around, with a bright rim: "
+            "they may be mouths of pouches, or dark tissue or residue (fusion.open_dark_spots)",
         )
     ]
 
