@@ -14,6 +14,7 @@ import copy
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import cached_property
@@ -242,18 +243,19 @@ def train(config: TrainConfig, advance: ProgressCallback | None = None, say: Say
     log = TrainLog(config.out, say) if run.processes.is_first else None
     if log and run.step:
         say(f"going on from step {run.step} of {run.steps}, where {run.checkpoint} ends")
-    losses: list[Tensor] = []
+    losses: deque[Tensor] = deque(maxlen=LOG_EVERY)  # since the last line of the log
     saved = time.monotonic()
     with GracefulInterrupt(run.processes.size == 1) as interrupt:
         while run.step < run.steps and not interrupt.requested:
             rate = run.rate
-            losses = [*losses[1 - LOG_EVERY :], train_step(run, shards, splits)]
+            losses.append(train_step(run, shards, splits))
             if advance and log:
                 advance(run.step, run.steps)
             if log and (run.step % LOG_EVERY == 0 or run.step == run.steps):
                 due = run.step % (PLATEAU_EVERY if run.plateau else VALIDATE_EVERY) == 0
                 held_out = validate(run, shards) if due else None
-                lately = torch.stack(losses[-1 - (run.step - 1) % LOG_EVERY :]).double().mean().item()
+                lately = torch.stack(list(losses)).double().mean().item()
+                losses.clear()
                 log.write(run.step, run.steps, lately, rate, held_out)
                 if run.plateau and held_out is not None:
                     run.plateau.update(run.step, held_out)

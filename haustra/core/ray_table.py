@@ -73,7 +73,7 @@ class RayTable:
 
     @property
     def focal_px(self) -> float:
-        """The camera's own."""
+        """Geometric mean of the camera's two focal lengths, px."""
         return self.camera.focal_px
 
 

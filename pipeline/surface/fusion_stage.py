@@ -155,10 +155,10 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
     mesh, dropped = drop_small_components(opened, MIN_COMPONENT)
     scale = find_scale(settings.scale, completed.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
-    area = max(float(whole.face_areas.sum()), 1e-12)
-    opened_share = 1 - float(opened.face_areas.sum()) / area if opened is not whole else 0.0
+    area, remaining = (float(part.face_areas.sum()) for part in (whole, opened))
+    dropped_share, opened_share = (part / max(area, 1e-12) for part in (dropped.area, area - remaining))
     moved, voxel_size = mesh.transformed(output_from_scene), ranges.voxel_size * scale.factor
-    return Surface(moved, scale, voxel_size, dropped.area / area, tuple(left_out), lamp, opened_share)
+    return Surface(moved, scale, voxel_size, dropped_share, tuple(left_out), lamp, opened_share)
 
 
 def _without_lids(mesh: SurfaceMesh, lamp: Illumination | None, voxel_size: float) -> SurfaceMesh:
@@ -214,9 +214,8 @@ def depth_filter(
 
 def _sentence(surface: Surface) -> str:
     mesh, unit = surface.mesh, surface.scale.unit
-    opened = f"{100 * surface.opened_share:.2f} % was too dark for its depth and left open; " * (
-        surface.opened_share > 0
-    )
+    share = f"{100 * surface.opened_share:.2f} %"
+    opened = f"{share} was too dark for its depth and left open; " if surface.opened_share else ""
     without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""
     return (
         f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "

@@ -19,7 +19,7 @@ from haustra.core.sim3 import scale_of
 from reconstruction.coverage.centreline import Centreline, NotATube
 from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
-from reconstruction.mesh.surface_mesh import SurfaceMesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh, boundary_sides
 
 Array = NDArray[np.float64]
 
@@ -176,14 +176,6 @@ def _beyond_boundary(mesh: SurfaceMesh, points: Array, edge_tolerance: float, ma
     on_boundary = ((weights < 1e-3) & boundary_sides(mesh.faces)[face]).any(axis=1)
     distance = np.linalg.norm(answer["points"].numpy() - points, axis=1)
     return (on_boundary & (distance > edge_tolerance)) | (distance > max_distance)
-
-
-def boundary_sides(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(F,3) whether the edge opposite to each corner is a boundary edge, used by this face alone."""
-    edges = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2).reshape(-1, 2)
-    key = edges[:, 0] * (int(faces.max(initial=0)) + 1) + edges[:, 1]
-    _, owner, count = np.unique(key, return_inverse=True, return_counts=True)
-    return (count[owner] == 1).reshape(-1, 3)
 
 
 def _pieces_with_observed(faces: NDArray[np.int64], unobserved: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from reconstruction.fusion.photometry import GAMMA, LUMA
-from reconstruction.mesh.surface_mesh import SurfaceMesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh, boundary_sides
 
 LOG_DARKER = -0.5  # of luminance: a spot has less than 0.61 of what the wall around it has
 AVERAGES = 10  # over each vertex and its neighbours: vessels of some voxels vanish, a mouth does not
@@ -94,10 +94,8 @@ def _rims(
 
 
 def _ends(mesh: SurfaceMesh) -> NDArray[np.int64]:
-    """Vertices where the mesh ends: on edges of one face alone that do not surround a small hole."""
-    edges = np.sort(np.concatenate([mesh.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
-    number, uses = np.unique(edges[:, 0] * len(mesh.vertices) + edges[:, 1], return_counts=True)
-    start, end = np.divmod(number[uses == 1], len(mesh.vertices))
+    """Vertices where the mesh ends: on boundary edges that do not surround a small hole."""
+    start, end = mesh.faces[:, [[1, 2], [2, 0], [0, 1]]][boundary_sides(mesh.faces)].T
     along = coo_array((np.ones(len(start)), (start, end)), shape=(len(mesh.vertices),) * 2)
     loop = connected_components(along, directed=False)[1]
     length = np.bincount(loop[start], minlength=loop.max() + 1)

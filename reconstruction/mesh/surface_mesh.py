@@ -143,6 +143,14 @@ def drop_small_components(
     return mesh.with_faces(kept), dropped
 
 
+def boundary_sides(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(F,3) whether the edge opposite to each corner is a boundary edge, used by this face alone."""
+    edges = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2).reshape(-1, 2)
+    key = edges[:, 0] * (int(faces.max(initial=0)) + 1) + edges[:, 1]
+    _, owner, count = np.unique(key, return_inverse=True, return_counts=True)
+    return (count[owner] == 1).reshape(-1, 3)
+
+
 def _doubled_face_vectors(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Cross product of two edges of each face (F,3): along its normal, of length twice its area."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
