@@ -85,7 +85,9 @@ class SparseDepthMaker:
         # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
         focal, angles = submap.camera_params[0], submap.triangulation_angles()
         self.good, self.scatter = reliable_points(submap, angles, focal)
-        self.error = error_with_slide(self.scatter, submap.is_klt, angles, SLIDE * pinhole.width / focal)
+        expected = error_with_slide(self.scatter, submap.is_klt, angles, SLIDE * pinhole.width / focal)
+        refined = np.isfinite(submap.known_depth_error)  # by its patches, which do not slide
+        self.error = np.where(refined, submap.known_depth_error, expected)
         order, self._starts = submap.by_frame()
         self._points = submap.observations[order, 1]
 

@@ -7,9 +7,14 @@ calibrated on those, and a point that moved with the wall is an outlier here and
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
-from pipeline.input.frames import Frames
+from pipeline.frontend.point_refinement import refine_points
+from pipeline.input.frames import Frames, read_image
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.feature_triangulation import triangulate_again
@@ -69,7 +74,18 @@ def _find_all(
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)
+    found = _refined(found, frames, workspace, progress)
     keep_points(found, frames, workspace)
+
+
+def _refined(submaps: list[Submap], frames: Frames, workspace: Workspace, progress: Progress) -> list[Submap]:
+    """The submaps with their points where the pictures confirm them."""
+
+    def read(frame: int) -> NDArray[np.uint8]:
+        return cv2.cvtColor(read_image(workspace.image_path(frame)), cv2.COLOR_RGB2GRAY)
+
+    with single_threaded(), progress.bar("refining points", None) as advance:
+        return [refine_points(submap, frames.camera, frames.content, read, advance) for submap in submaps]
 
 
 def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:

@@ -26,7 +26,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{index:06d}.jpg" for index in submap.frames]
-    followed = {} if submap.klt is None else {"followed": submap.klt}
+    optional = {"followed": submap.klt, "depth_error": submap.depth_error}
     np.savez(
         folder / "model.npz",
         allow_pickle=False,
@@ -37,7 +37,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
         observations=submap.observations,
         pixels=submap.pixels,
         camera_params=np.array(submap.camera_params),
-        **followed,
+        **{name: values for name, values in optional.items() if values is not None},
     )
     write_camera_sigma(folder, submap.camera_sigma)
     seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)

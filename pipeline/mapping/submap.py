@@ -19,7 +19,8 @@ class Submap:
     reprojection error. observations: (M,2) row in `frames` and row in `points`. pixels: (M,2), structure camera's
     image, COLMAP's convention. camera_params: as refined with it. camera_sigma: standard deviations of
     the refined ones, focal length first; empty if the camera was given. klt: (P,) points of corners that were
-    tracked from frame to frame, the others were found in each frame for itself; None if none was tracked.
+    tracked from frame to frame, the others were found in each frame for itself; None if none was tracked. depth_error:
+    (P,) relative, 1 sigma, of points that were refined by their patches, NaN of others; None if none was.
     """
 
     frames: NDArray[np.int64]
@@ -31,11 +32,17 @@ class Submap:
     camera_params: tuple[float, ...]
     camera_sigma: tuple[float, ...] = ()
     klt: NDArray[np.bool_] | None = None
+    depth_error: NDArray[np.float64] | None = None
 
     @property
     def is_klt(self) -> NDArray[np.bool_]:
         """(P,) `klt`, whatever the front end."""
         return np.zeros(len(self.points), dtype=bool) if self.klt is None else self.klt
+
+    @property
+    def known_depth_error(self) -> NDArray[np.float64]:
+        """(P,) `depth_error`, NaN where none was refined."""
+        return np.full(len(self.points), np.nan) if self.depth_error is None else self.depth_error
 
     @property
     def centres(self) -> NDArray[np.float64]:
@@ -124,6 +131,7 @@ class Submap:
             observations=observations,
             pixels=self.pixels[mine],
             klt=self.is_klt[~drop],
+            depth_error=None if self.depth_error is None else self.depth_error[~drop],
         )
 
     def scaled(self, factor: float) -> "Submap":
@@ -152,4 +160,5 @@ def read_submap(folder: Path) -> Submap:
             tuple(float(p) for p in arrays["camera_params"]),
             tuple(float(s) for s in sigma.read_text().split()) if sigma.exists() else (),
             arrays.get("followed"),
+            arrays.get("depth_error"),
         )

@@ -60,6 +60,7 @@ def pinhole_submap(run: Run) -> Submap:
         camera_params=pinhole.params,
         camera_sigma=(),
         klt=None,
+        depth_error=None,
     )
 
 

@@ -1,0 +1,218 @@
+"""Depth of points by what the pictures show around them, where their poses stand.
+
+A feature is found to half a pixel, and a corner that is followed slides; small patches about a point in up to nine
+frames say where it is to some hundredths. The point moves along its ray in a reference frame; its surroundings there
+are a plane, whose slope is that of the points about it (inverse depth is linear in the picture of a plane). What the
+pictures do not confirm stays as it was. A point on a strong edge along which it may slide is dropped: mostly it lies on
+the outline of a fold, beside which the depth is another.
+
+Constants: chosen on four films kept for choosing (docs/lab/points.md).
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from haustra.core.camera import Camera
+from haustra.core.progress import ProgressCallback, no_progress
+from haustra.core.ray_table import RayTable, ray_table
+from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.matching.patch_alignment import (
+    HALF_WIDTH,
+    Alignment,
+    PatchViews,
+    ReferencePatches,
+    align_patches,
+    read_patches,
+)
+
+VIEWS = 8  # frames with which the reference is compared, at most
+LEAST_VIEWS = 2  # that must correlate well
+LEAST_MEAN_CORRELATION = 0.8
+PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.9, 50.0, 0.0037  # of the expected error: `_expected_error`
+MOST_UNSURE_EDGE = 0.0005  # standard deviation times contrast, above which a point is dropped
+CHUNK = 4000  # points at once: some hundred megabytes
+PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
+MARGIN_PX = 2.0  # between a patch and the border of the picture
+NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
+SAME_WALL = 0.3  # relative difference of inverse depth within which a neighbour counts
+SLOPE_SIGMA = 0.02  # of relative inverse depth a pixel, expected before any neighbour is asked
+NEIGHBOUR_SIGMA = 0.02  # relative depth, of the surest neighbour
+PIXEL_NOISE = 0.5  # px, of a point before
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+ReadGrey = Callable[[int], NDArray[np.uint8]]
+
+
+def refine_points(
+    submap: Submap,
+    camera: Camera,
+    content: NDArray[np.uint8],
+    read: ReadGrey,
+    advance: ProgressCallback = no_progress,
+) -> Submap:
+    """The submap with the points that the pictures confirm moved, and their `depth_error`; poses and other points stay.
+
+    camera: of the working frames. content: mask (H,W) of what every frame shows. read: grey picture (H,W) of a frame.
+    """
+    scene = _Scene(submap, ray_table(refined_camera(camera, submap)), content, read)
+    reference, others = sightings(submap, submap.observations[_in_frames_of_features(submap)])
+    points, error, dropped = submap.points.copy(), np.full(len(submap.points), np.nan), np.zeros(len(reference), bool)
+    order = np.argsort(reference, kind="stable")
+    order = order[reference[order] >= 0]
+    for first in range(0, len(order), CHUNK):
+        mine = order[first : first + CHUNK]
+        aligned = scene.aligned(mine, reference[mine], others[mine])
+        good = (aligned.correlation >= LEAST_MEAN_CORRELATION) & (aligned.views >= LEAST_VIEWS)
+        centre = submap.centres[reference[mine]]
+        moved = centre + (points[mine] - centre) / (1 + aligned.shift)[:, None]
+        points[mine[good]], error[mine[good]] = moved[good], _expected_error(aligned)[good]
+        dropped[mine] = good & (aligned.sigma * aligned.contrast > MOST_UNSURE_EDGE)
+        advance(first + len(mine), len(order))
+    return replace(submap, points=points, depth_error=error).without_points(dropped)
+
+
+def _expected_error(aligned: Alignment) -> Array:
+    """(P,) relative error of depth, 1 sigma. The residuals alone say too little of it: what a patch has wrong, its
+    slope or an edge in it, is wrong in all views alike. Fitted by maximum likelihood (Student's t of two degrees)."""
+    return np.hypot(aligned.sigma * np.hypot(PER_SIGMA, PER_SIGMA_CONTRAST * aligned.contrast), LEAST_ERROR)
+
+
+def _in_frames_of_features(submap: Submap) -> Rows:
+    """Rows of the observations in frames that see features: followed corners are seen in all frames, far more than it
+    takes. All rows, where no point is a feature."""
+    feature = ~submap.is_klt[submap.observations[:, 1]]
+    frames = np.zeros(len(submap.frames), bool)
+    frames[submap.observations[feature, 0]] = True
+    return np.flatnonzero(frames[submap.observations[:, 0]] | ~feature.any())
+
+
+def sightings(submap: Submap, observations: NDArray[np.int64]) -> tuple[Rows, Rows]:
+    """(P,) row of each point's reference frame, the middle one of those that see it, and (P,VIEWS) rows of others,
+    spread evenly; -1 where there is none. Points that fewer than three frames see have no reference."""
+    frame, point = observations[np.lexsort(observations.T)].T
+    seen = np.bincount(point, minlength=len(submap.points))
+    start, middle = np.cumsum(seen) - seen, seen // 2
+    asked = np.minimum(seen - 1, VIEWS)
+    number = np.arange(VIEWS)
+    place = np.rint(number * ((seen - 2) / np.maximum(asked - 1, 1))[:, None]).astype(np.int64)
+    place += place >= middle[:, None]
+    enough = seen >= 3
+    known = enough[:, None] & (number < asked[:, None])
+    reference = np.where(enough, frame[np.where(enough, start + middle, 0)], -1)
+    return reference, np.where(known, frame[np.where(known, start[:, None] + place, 0)], -1)
+
+
+@dataclass(frozen=True)
+class _Patches:
+    """Of P points: in their reference frames, what is read there, and in the world (P,4,3): the point, the wall
+    `PROBE_PX` to the right and below of it, and the point at s = `PROBE_SHIFT`. whole: the patch lies in the picture.
+    """
+
+    reference: ReferencePatches
+    world: Array
+    whole: NDArray[np.bool_]
+
+
+class _Scene:
+    """A submap, its rays and its pictures."""
+
+    def __init__(self, submap: Submap, rays: RayTable, content: NDArray[np.uint8], read: ReadGrey) -> None:
+        self.submap, self.rays, self.read = submap, rays, read
+        self.inside = cv2.erode(rays.masked(content), np.ones((3, 3), np.uint8)) > 0
+        order, self.starts = submap.by_frame()
+        self.seen = submap.observations[order, 1]
+        # Before: relative errors of points that are found to half a pixel in each frame.
+        self.error = PIXEL_NOISE / (rays.focal_px * np.maximum(submap.ray_spreads(), 1e-6))
+
+    def aligned(self, points: Rows, reference: Rows, others: Rows) -> Alignment:
+        """Of points (P,), sorted by their reference frames."""
+        rows = np.unique(np.concatenate([reference, others[others >= 0]])).tolist()
+        pictures = {row: self.read(int(self.submap.frames[row])) for row in rows}
+        patches = self._patches(points, reference, pictures)
+        return align_patches(patches.reference, self._views(patches, others), pictures)
+
+    def _patches(self, points: Rows, reference: Rows, pictures: dict[int, NDArray[np.uint8]]) -> _Patches:
+        world, whole, read = np.zeros((len(points), 4, 3)), np.zeros(len(points), bool), []
+        for row, mine in _groups(reference):
+            local = self.submap.points_in_camera(row, self.submap.points[points[mine]])
+            pixels = np.nan_to_num(self.rays.project(local), nan=-1.0)
+            read.append(read_patches(pictures[row], pixels))
+            whole[mine] = self._whole(pixels[:, None] + HALF_WIDTH * CORNERS)
+            world[mine] = self._probes(row, local, pixels, self._slopes(row, local, pixels))
+        return _Patches(ReferencePatches(*(np.concatenate(part) for part in _columns(read))), world, whole)
+
+    def _probes(self, row: int, local: Array, pixels: Array, slopes: Array) -> Array:
+        """(N,4,3) of `_Patches.world`; local (N,3) the points in the camera of frame row `row`."""
+        pose, probes = self.submap.world_from_camera[row], np.zeros((len(local), 4, 3))
+        for number, (x, y, shift) in enumerate([(0, 0, 0), (PROBE_PX, 0, 0), (0, PROBE_PX, 0), (0, 0, PROBE_SHIFT)]):
+            plane, _ = self.rays.unproject(pixels + np.array([x, y]))
+            inverse = np.clip(1 + slopes @ np.array([x, y]), 0.5, 2) * (1 + shift) / local[:, 2]
+            probes[:, number] = np.column_stack([plane, np.ones(len(plane))]) / inverse[:, None]
+        return np.asarray(probes @ pose[:3, :3].T + pose[:3, 3])
+
+    def _slopes(self, row: int, local: Array, pixels: Array) -> Array:
+        """(N,2) relative change of inverse depth a pixel, about points (N,3) in the camera of a frame row.
+
+        A weighted plane through the inverse depths of the points that the frame sees near by.
+        """
+        seen = self.seen[self.starts[row] : self.starts[row + 1]]
+        around = self.submap.points_in_camera(row, self.submap.points[seen])
+        at = self.rays.project(around)
+        known = np.isfinite(at).all(axis=1) & (around[:, 2] > 0)
+        at, inverse, error = at[known], 1 / around[known, 2], self.error[seen[known]]
+        count = min(NEIGHBOURS, len(at))
+        distance, near = cKDTree(at).query(pixels, k=[*range(1, count + 1)])
+        relative = inverse[near] * local[:, 2:] - 1
+        weight = np.hypot(error[near], NEIGHBOUR_SIGMA) ** -2 / (1 + (distance / NEIGHBOUR_PX) ** 2)
+        weight *= np.abs(relative) < SAME_WALL
+        design = np.concatenate([at[near] - pixels[:, None], np.ones((*near.shape, 1))], axis=2)
+        normal = np.einsum("nk,nki,nkj->nij", weight, design, design)
+        normal += np.diag([SLOPE_SIGMA**-2, SLOPE_SIGMA**-2, 1e-3])
+        right = np.einsum("nk,nki,nk->ni", weight, design, relative)
+        return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :2, 0])
+
+    def _views(self, patches: _Patches, others: Rows) -> PatchViews:
+        """Pictures of whole patches in other frames, where they are whole too."""
+        patch, column = np.nonzero((others >= 0) & patches.whole[:, None])
+        row = others[patch, column]
+        order = np.argsort(row, kind="stable")
+        patch, row = patch[order], row[order]
+        pose = self.submap.world_from_camera[row]
+        local = np.einsum("vki,vij->vkj", patches.world[patch] - pose[:, None, :3, 3], pose[:, :3, :3])
+        pixels = self.rays.project(local.reshape(-1, 3)).reshape(-1, 4, 2)
+        centre = pixels[:, 0]
+        shape = np.stack([pixels[:, 1] - centre, pixels[:, 2] - centre], axis=2) / PROBE_PX
+        corners = centre[:, None] + HALF_WIDTH * np.einsum("vij,kj->vki", shape, CORNERS)
+        known = np.flatnonzero(np.isfinite(pixels).all(axis=(1, 2)))
+        whole = known[self._whole(corners[known]) & (np.abs(np.linalg.det(shape[known])) > LEAST_AREA)]
+        motion = (pixels[:, 3] - centre) / PROBE_SHIFT
+        return PatchViews(patch[whole], row[whole], centre[whole], shape[whole], motion[whole])
+
+    def _whole(self, corners: Array) -> NDArray[np.bool_]:
+        """(N,) True where all pixels of (N,4,2) show the content, `MARGIN_PX` from the picture's border at least."""
+        height, width = self.inside.shape
+        within = (corners >= MARGIN_PX).all(axis=2) & (corners <= np.array([width, height]) - MARGIN_PX).all(axis=2)
+        x, y = np.clip(np.floor(corners), 0, [width - 1, height - 1]).astype(int).transpose(2, 0, 1)
+        return np.asarray((within & self.inside[y, x]).all(axis=1))
+
+
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
+
+
+def _groups(rows: Rows) -> Iterator[tuple[int, slice]]:
+    """Each row of the sorted (N,), and where it stands."""
+    starts = np.flatnonzero(np.diff(rows, prepend=-1))
+    for first, last in zip(starts, [*starts[1:], len(rows)], strict=True):
+        yield int(rows[first]), slice(first, last)
+
+
+def _columns(read: list[ReferencePatches]) -> Iterator[list[NDArray[np.float32]]]:
+    for name in ("grey", "by_x", "by_y"):
+        yield [getattr(one, name) for one in read]

@@ -1,0 +1,185 @@
+"""Alignment of a small patch with its pictures in other frames along their epipolar lines.
+
+The only unknown of a patch is a relative change s of its inverse depth; it moves the patch's picture in view v by
+motion_v s. s minimises the squared difference of the normalised patches (mean 0, deviation 1, Gaussian window), so that
+neither the distance of a lamp nor the gain matters: a search over some pixels first, then Gauss-Newton steps whose
+derivative is taken from the reference patch alone (inverse compositional: Baker and Matthews, IJCV 2004).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+HALF_WIDTH = 4  # px; a patch has 9x9 pixels
+WINDOW_SIGMA = 2.5  # px
+SEARCH_PX, SEARCH_STEP_PX = 2.0, 0.5  # either way, in the view that moves most
+STEPS = 3  # of Gauss-Newton,
+LARGEST_STEP_PX = 0.7  # each
+LEAST_CORRELATION, FULL_CORRELATION = 0.5, 0.9  # of a view without a weight, and of one with all of it
+GOOD_CORRELATION = 0.7
+LEAST_CONTRAST = 0.5  # grey levels, below which a patch is flat
+
+Floats = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+
+def patch_offsets() -> Floats:
+    """(K,2) pixels of a patch from its centre, x and y."""
+    along = np.arange(-HALF_WIDTH, HALF_WIDTH + 1, dtype=np.float32)
+    x, y = np.meshgrid(along, along)
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+OFFSETS = patch_offsets()
+WINDOW = np.exp(-(OFFSETS.astype(np.float64) ** 2).sum(axis=1) / (2 * WINDOW_SIGMA**2))
+WINDOW = (WINDOW / WINDOW.sum()).astype(np.float32)  # (K,)
+
+
+@dataclass(frozen=True)
+class ReferencePatches:
+    """(P,K) grey values of the patches where they are defined, and their derivatives by x and y."""
+
+    grey: Floats
+    by_x: Floats
+    by_y: Floats
+
+
+@dataclass(frozen=True)
+class PatchViews:
+    """(V,) pictures of patches, sorted by frame: number of the patch and of the frame, pixel of the patch's centre
+    (V,2) in COLMAP's convention, shape (V,2,2) = d pixel / d offset, motion (V,2) = d pixel / d s."""
+
+    patch: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    centre: Array
+    shape: Array
+    motion: Array
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """(P,) of each patch: s, its standard deviation as the residuals have it (no systematic error), mean correlation of
+    the views that have a weight, number of views that correlate well, and contrast: deviation over mean grey value."""
+
+    shift: Array
+    sigma: Array
+    correlation: Array
+    views: NDArray[np.int64]
+    contrast: Array
+
+
+def read_patches(grey: NDArray[np.uint8], pixels: Array) -> ReferencePatches:
+    """Upright patches of a picture about pixels (P,2)."""
+    picture, at = grey.astype(np.float32), (pixels[:, None] + OFFSETS).astype(np.float32)
+    slope = [cv2.Sobel(picture, cv2.CV_32F, x, 1 - x, scale=1 / 8) for x in (1, 0)]
+    return ReferencePatches(*(_sampled(image, at) for image in (picture, *slope)))
+
+
+def align_patches(
+    reference: ReferencePatches, views: PatchViews, pictures: Mapping[int, NDArray[np.uint8]]
+) -> Alignment:
+    """pictures: grey, of all frames of `views`."""
+    problem = _Problem(reference, views, pictures)
+    shift = problem.searched()
+    for _ in range(STEPS):
+        shift = problem.stepped(shift)
+    return problem.judged(shift)
+
+
+def _sampled(picture: Floats, pixels: Floats) -> Floats:
+    """(N,K) of a picture at pixels (N,K,2)."""
+    at = pixels - np.float32(0.5)  # OpenCV's pixel centres are whole
+    found = cv2.remap(picture, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, np.float32)
+
+
+def _normalised(patches: Floats) -> tuple[Floats, Floats]:
+    """(N,K) with mean 0 and deviation 1 under the window, and the deviation (N,) before."""
+    centred = patches - (patches @ WINDOW)[:, None]
+    deviation = np.sqrt((centred * centred) @ WINDOW)
+    return centred / np.maximum(deviation, np.float32(LEAST_CONTRAST))[:, None], deviation
+
+
+class _Problem:
+    """Normalised reference patches, their derivatives by s in each view, and the views that they are compared with."""
+
+    def __init__(
+        self, reference: ReferencePatches, views: PatchViews, pictures: Mapping[int, NDArray[np.uint8]]
+    ) -> None:
+        self.views, self.pictures, self.count = views, pictures, len(reference.grey)
+        self.patch, deviation = _normalised(reference.grey)
+        self.contrast = (deviation / np.maximum(reference.grey @ WINDOW, 1)).astype(np.float64)
+        scale: Floats = np.maximum(deviation, np.float32(LEAST_CONTRAST))[:, None]
+        self.weighted = self.patch * WINDOW
+        self.by_x, self.by_y = (self._without_gain(d / scale) for d in (reference.by_x, reference.by_y))
+        # A change of s moves what view v shows by this many pixels of the reference patch.
+        self.along = np.linalg.solve(views.shape, views.motion[:, :, None])[:, :, 0]
+        products = (self.by_x * self.by_x, self.by_x * self.by_y, self.by_y * self.by_y)
+        xx, xy, yy = ((product @ WINDOW)[views.patch] for product in products)
+        x, y = self.along.T
+        self.information = x * x * xx + 2 * x * y * xy + y * y * yy
+        fastest = np.zeros(self.count)
+        np.maximum.at(fastest, views.patch, np.linalg.norm(views.motion, axis=1))
+        self.per_px = np.where(fastest > 0, 1 / np.maximum(fastest, 1e-9), 0)  # change of s that moves by a pixel
+        self.warp = np.einsum("vij,kj->vki", views.shape, OFFSETS).astype(np.float32)
+        self.starts = np.flatnonzero(np.diff(views.frame, prepend=-1))
+
+    def _without_gain(self, derivative: Floats) -> Floats:
+        """Of the normalised patch: what changes neither its mean nor its deviation."""
+        centred = derivative - (derivative @ WINDOW)[:, None]
+        return np.asarray(centred - ((centred * self.patch) @ WINDOW)[:, None] * self.patch, np.float32)
+
+    def summed(self, values: Array) -> Array:
+        """(P,) sums over the views of each patch."""
+        return np.asarray(np.bincount(self.views.patch, values, minlength=self.count), np.float64)
+
+    def seen(self, shift: Array) -> tuple[Floats, Array, Array]:
+        """(V,K) normalised patches as the views show them with s = shift, their correlations and their weights (V,)."""
+        views = self.views
+        centre = (views.centre + views.motion * shift[views.patch][:, None]).astype(np.float32)
+        patches = np.empty(self.warp.shape[:2], np.float32)
+        for first, last in zip(self.starts, [*self.starts[1:], len(patches)], strict=True):
+            picture = self.pictures[int(views.frame[first])].astype(np.float32)
+            patches[first:last] = _sampled(picture, centre[first:last, None] + self.warp[first:last])
+        patches, _ = _normalised(patches)
+        correlation = np.einsum("vk,vk->v", patches, self.weighted[views.patch]).astype(np.float64)
+        weight = (correlation - LEAST_CORRELATION) / (FULL_CORRELATION - LEAST_CORRELATION)
+        return patches, correlation, np.clip(weight, 0, 1)
+
+    def searched(self) -> Array:
+        """(P,) the s of the greatest correlation, in whole steps."""
+        best, chosen = np.full(self.count, -1.0), np.zeros(self.count)
+        for moved in np.arange(-SEARCH_PX, SEARCH_PX + SEARCH_STEP_PX / 2, SEARCH_STEP_PX):
+            total = self.summed(np.clip(self.seen(moved * self.per_px)[1], 0, 1))
+            better = total > best
+            best[better], chosen[better] = total[better], moved
+        return chosen * self.per_px
+
+    def stepped(self, shift: Array) -> Array:
+        """One Gauss-Newton step, of `LARGEST_STEP_PX` at most."""
+        patches, _, weight = self.seen(shift)
+        patch, (x, y) = self.views.patch, self.along.T
+        residual = (patches - self.patch[patch]) * WINDOW
+        across = [np.einsum("vk,vk->v", residual, part[patch]) for part in (self.by_x, self.by_y)]
+        slope = self.summed(weight * (x * across[0] + y * across[1]))
+        information = self.summed(weight * self.information)
+        largest = LARGEST_STEP_PX * self.per_px
+        return shift - np.clip(slope / np.maximum(information, 1e-12), -largest, largest)
+
+    def judged(self, shift: Array) -> Alignment:
+        """How well the patches fit, and what the residuals say of the uncertainty of s."""
+        patches, correlation, weight = self.seen(shift)
+        squared = ((patches - self.patch[self.views.patch]) ** 2) @ WINDOW
+        total = np.maximum(self.summed(weight), 1e-9)
+        variance = self.summed(weight * squared) / total
+        information = len(OFFSETS) * self.summed(weight * self.information)
+        return Alignment(
+            shift,
+            np.sqrt(variance / np.maximum(information, 1e-12)),
+            self.summed(weight * correlation) / total,
+            np.bincount(self.views.patch, correlation > GOOD_CORRELATION, minlength=self.count).astype(np.int64),
+            self.contrast,
+        )
