@@ -27,6 +27,7 @@ from pipeline.matching.patch_alignment import (
     PatchViews,
     ReferencePatches,
     align_patches,
+    groups,
     read_patches,
 )
 
@@ -43,6 +44,8 @@ SAME_WALL = 0.3  # relative difference of inverse depth within which a neighbour
 SLOPE_SIGMA = 0.02  # of relative inverse depth a pixel, expected before any neighbour is asked
 NEIGHBOUR_SIGMA = 0.02  # relative depth, of the surest neighbour
 PIXEL_NOISE = 0.5  # px, of a point before
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -104,8 +107,10 @@ def sightings(submap: Submap, observations: NDArray[np.int64]) -> tuple[Rows, Ro
     place += place >= middle[:, None]
     enough = seen >= 3
     known = enough[:, None] & (number < asked[:, None])
-    reference = np.where(enough, frame[np.where(enough, start + middle, 0)], -1)
-    return reference, np.where(known, frame[np.where(known, start[:, None] + place, 0)], -1)
+    reference, others = np.full(len(seen), -1), np.full((len(seen), VIEWS), -1)
+    reference[enough] = frame[(start + middle)[enough]]
+    others[known] = frame[(start[:, None] + place)[known]]
+    return reference, others
 
 
 @dataclass(frozen=True)
@@ -139,7 +144,7 @@ class _Scene:
 
     def _patches(self, points: Rows, reference: Rows, pictures: dict[int, NDArray[np.uint8]]) -> _Patches:
         world, whole, read = np.zeros((len(points), 4, 3)), np.zeros(len(points), bool), []
-        for row, mine in _groups(reference):
+        for row, mine in groups(reference):
             local = self.submap.points_in_camera(row, self.submap.points[points[mine]])
             pixels = np.nan_to_num(self.rays.project(local), nan=-1.0)
             read.append(read_patches(pictures[row], pixels))
@@ -166,6 +171,8 @@ class _Scene:
         at = self.rays.project(around)
         known = np.isfinite(at).all(axis=1) & (around[:, 2] > 0)
         at, inverse, error = at[known], 1 / around[known, 2], self.error[seen[known]]
+        if len(at) == 0:
+            return np.zeros((len(local), 2))
         count = min(NEIGHBOURS, len(at))
         distance, near = cKDTree(at).query(pixels, k=[*range(1, count + 1)])
         relative = inverse[near] * local[:, 2:] - 1
@@ -200,17 +207,6 @@ class _Scene:
         within = (corners >= MARGIN_PX).all(axis=2) & (corners <= np.array([width, height]) - MARGIN_PX).all(axis=2)
         x, y = np.clip(np.floor(corners), 0, [width - 1, height - 1]).astype(int).transpose(2, 0, 1)
         return np.asarray((within & self.inside[y, x]).all(axis=1))
-
-
-CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
-
-
-def _groups(rows: Rows) -> Iterator[tuple[int, slice]]:
-    """Each row of the sorted (N,), and where it stands."""
-    starts = np.flatnonzero(np.diff(rows, prepend=-1))
-    for first, last in zip(starts, [*starts[1:], len(rows)], strict=True):
-        yield int(rows[first]), slice(first, last)
 
 
 def _columns(read: list[ReferencePatches]) -> Iterator[list[NDArray[np.float32]]]:

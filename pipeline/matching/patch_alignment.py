@@ -6,8 +6,9 @@ neither the distance of a lamp nor the gain matters: a search over some pixels f
 derivative is taken from the reference patch alone (inverse compositional: Baker and Matthews, IJCV 2004).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -89,6 +90,13 @@ def align_patches(
     return problem.judged(shift)
 
 
+def groups(numbers: NDArray[np.int64]) -> Iterator[tuple[int, slice]]:
+    """Each number of the sorted (N,), none of which is negative, and where it stands."""
+    starts = np.flatnonzero(np.diff(numbers, prepend=-1))
+    for first, last in pairwise([*starts.tolist(), len(numbers)]):
+        yield int(numbers[first]), slice(first, last)
+
+
 def _sampled(picture: Floats, pixels: Floats) -> Floats:
     """(N,K) of a picture at pixels (N,K,2)."""
     at = pixels - np.float32(0.5)  # OpenCV's pixel centres are whole
@@ -125,7 +133,6 @@ class _Problem:
         np.maximum.at(fastest, views.patch, np.linalg.norm(views.motion, axis=1))
         self.per_px = np.where(fastest > 0, 1 / np.maximum(fastest, 1e-9), 0)  # change of s that moves by a pixel
         self.warp = np.einsum("vij,kj->vki", views.shape, OFFSETS).astype(np.float32)
-        self.starts = np.flatnonzero(np.diff(views.frame, prepend=-1))
 
     def _without_gain(self, derivative: Floats) -> Floats:
         """Of the normalised patch: what changes neither its mean nor its deviation."""
@@ -141,9 +148,9 @@ class _Problem:
         views = self.views
         centre = (views.centre + views.motion * shift[views.patch][:, None]).astype(np.float32)
         patches = np.empty(self.warp.shape[:2], np.float32)
-        for first, last in zip(self.starts, [*self.starts[1:], len(patches)], strict=True):
-            picture = self.pictures[int(views.frame[first])].astype(np.float32)
-            patches[first:last] = _sampled(picture, centre[first:last, None] + self.warp[first:last])
+        for frame, mine in groups(views.frame):
+            picture = self.pictures[frame].astype(np.float32)
+            patches[mine] = _sampled(picture, centre[mine, None] + self.warp[mine])
         patches, _ = _normalised(patches)
         correlation = np.einsum("vk,vk->v", patches, self.weighted[views.patch]).astype(np.float64)
         weight = (correlation - LEAST_CORRELATION) / (FULL_CORRELATION - LEAST_CORRELATION)
