@@ -32,8 +32,7 @@ from pipeline.matching.patch_alignment import (
 )
 
 VIEWS = 8  # frames with which the reference is compared, at most
-LEAST_VIEWS = 2  # that must correlate well
-LEAST_MEAN_CORRELATION = 0.8
+LEAST_VIEWS = 2  # that must correlate well, and more than half of those that there are
 PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.9, 50.0, 0.0037  # of the expected error: `_expected_error`
 MOST_UNSURE_EDGE = 0.0005  # standard deviation times contrast, above which a point is dropped
 CHUNK = 4000  # points at once: some hundred megabytes
@@ -71,7 +70,7 @@ def refine_points(
     for first in range(0, len(order), CHUNK):
         mine = order[first : first + CHUNK]
         aligned = scene.aligned(mine, reference[mine], others[mine])
-        good = (aligned.correlation >= LEAST_MEAN_CORRELATION) & (aligned.views >= LEAST_VIEWS)
+        good = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
         centre = submap.centres[reference[mine]]
         moved = centre + (points[mine] - centre) / (1 + aligned.shift)[:, None]
         points[mine[good]], error[mine[good]] = moved[good], _expected_error(aligned)[good]

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 HALF_WIDTH = 4  # px; a patch has 9x9 pixels
 WINDOW_SIGMA = 2.5  # px
-SEARCH_PX, SEARCH_STEP_PX = 2.0, 0.5  # either way, in the view that moves most
+SEARCH_PX, SEARCH_STEP_PX = 2.0, 1.0  # either way, in the view that moves most
 STEPS = 3  # of Gauss-Newton,
 LARGEST_STEP_PX = 0.7  # each
 LEAST_CORRELATION, FULL_CORRELATION = 0.5, 0.9  # of a view without a weight, and of one with all of it
-GOOD_CORRELATION = 0.7
+GOOD_CORRELATION = 0.6
 LEAST_CONTRAST = 0.5  # grey levels, below which a patch is flat
 
 Floats = NDArray[np.float32]
@@ -62,13 +62,13 @@ class PatchViews:
 
 @dataclass(frozen=True)
 class Alignment:
-    """(P,) of each patch: s, its standard deviation as the residuals have it (no systematic error), mean correlation of
-    the views that have a weight, number of views that correlate well, and contrast: deviation over mean grey value."""
+    """(P,) of each patch: s, its standard deviation as the residuals have it (no systematic error), number of views,
+    of those that correlate by more than `GOOD_CORRELATION`, and contrast: deviation over mean grey value."""
 
     shift: Array
     sigma: Array
-    correlation: Array
     views: NDArray[np.int64]
+    correlating: NDArray[np.int64]
     contrast: Array
 
 
@@ -186,7 +186,7 @@ class _Problem:
         return Alignment(
             shift,
             np.sqrt(variance / np.maximum(information, 1e-12)),
-            self.summed(weight * correlation) / total,
-            np.bincount(self.views.patch, correlation > GOOD_CORRELATION, minlength=self.count).astype(np.int64),
+            np.bincount(self.views.patch, minlength=self.count),
+            np.bincount(self.views.patch[correlation > GOOD_CORRELATION], minlength=self.count),
             self.contrast,
         )
