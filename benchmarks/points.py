@@ -1,4 +1,4 @@
-"""Points that a front end leaves beside those that its poses triangulate anew, and the surface from each.
+"""Points that a front end leaves, that its poses triangulate anew, and that patches refine; and the surface from each.
 
     python -m benchmarks.points FILMS/* --json benchmarks/results/points.json
 
@@ -6,7 +6,7 @@ Of the largest submap, every film once, default settings, lens given: points fro
 error. The error of a point is the median over its sightings of |log(z-depth / true depth)|, in the scale of the path's
 Sim(3); median and mean over the points, and the share that is off by more than a tenth. Then F-score at 1 mm, precision
 and recall of the mesh that is completed from them: one run, and the same run with depth and all that follows made from
-the front end's own points. A row is added as each film ends; a stopped call goes on where it was. Rendered by
+the other two kinds of points. A row is added as each film ends; a stopped call goes on where it was. Rendered by
 `python scripts/pages/points_page.py`.
 """
 
@@ -24,19 +24,21 @@ from benchmarks.common.record import RunTable, in_percent, print_row
 from benchmarks.common.rerun import without_depth
 from benchmarks.common.runner import add_folders, run
 from haustra.core.errors import HaustraError
+from haustra.core.progress import SilentProgress
 from haustra.core.sim3 import scale_of
 from pipeline.compare import compare_run
 from pipeline.config import Config
 from pipeline.depth.rectification import Rectifier, make_rectifier
 from pipeline.depth.sparse_depth import reliable_points
 from pipeline.finished_run import Run
-from pipeline.frontend.points_stage import STAGE, keep_points
+from pipeline.frontend.odometry.frame_io import frame_features
+from pipeline.frontend.points_stage import STAGE, keep_points, triangulated
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.run import reconstruct
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses
 
-OWN, ANEW = "the front end's own", "triangulated anew"
+OWN, ANEW, REFINED = "the front end's own", "triangulated anew", "refined"
 FAR_OFF = 0.1
 
 Array = NDArray[np.float64]
@@ -51,7 +53,7 @@ def measure(arguments: argparse.Namespace) -> None:
     table = RunTable(arguments.json)
     for film in arguments.folders:
         name = film.name if arguments.front_end == "auto" else f"{film.name}, {arguments.front_end}"
-        if table.has(name, 0, ANEW):
+        if table.has(name, 0, REFINED):
             continue
         try:
             found = figures_of(film, arguments.front_end)
@@ -60,25 +62,35 @@ def measure(arguments: argparse.Namespace) -> None:
             continue
         table.add(name, 0, found)
         for method, figures in found.items():
-            print_row({"film": name, "points": method} | figures)
+            print_row({"film": name, "kind": method} | figures)
 
 
 def figures_of(film: Path, front_end: str) -> dict[str, dict[str, Any]]:
-    """Of both kinds of points."""
+    """Of the three kinds of points."""
     with tempfile.TemporaryDirectory() as scratch:
-        folders = {ANEW: Path(scratch) / "anew", OWN: Path(scratch) / "own"}
-        config = Config(camera=str(film / "camera.json"), front_end=front_end)
-        runs = {ANEW: reconstruct(film, folders[ANEW], config)}
-        with_own_points(runs[ANEW], folders[OWN])
-        runs[OWN] = reconstruct(film, folders[OWN], config, resume=True)
-        return {method: _figures(film, made) for method, made in runs.items()}
+        folder, config = Path(scratch), Config(camera=str(film / "camera.json"), front_end=front_end)
+        made = reconstruct(film, folder / "refined", config)
+        points = {OWN: made.submaps_of_front_end, ANEW: _triangulated(made, config)}
+        runs = {REFINED: made}
+        for number, (method, submaps) in enumerate(points.items()):
+            with_points(made, submaps, folder / str(number))
+            runs[method] = reconstruct(film, folder / str(number), config, resume=True)
+        return {method: _figures(film, runs[method]) for method in (OWN, ANEW, REFINED)}
 
 
-def with_own_points(made: Run, folder: Path) -> None:
-    """A copy of a run whose depth is still to be made, from the front end's own points."""
+def _triangulated(made: Run, config: Config) -> list[Submap]:
+    motion_px = config.odometry.keyframe_motion * made.frames.camera.width
+    with frame_features(made.workspace) as features:
+        return triangulated(
+            made.frames, features, made.submaps_of_front_end, motion_px, made.workspace, SilentProgress()
+        )
+
+
+def with_points(made: Run, submaps: list[Submap], folder: Path) -> None:
+    """A copy of a run whose depth is still to be made, from the points of `submaps`."""
     workspace = without_depth(made, folder)
     workspace.record["stages"].pop(STAGE)
-    keep_points(made.submaps_of_front_end, made.frames, workspace)
+    keep_points(submaps, made.frames, workspace)
 
 
 def _figures(film: Path, made: Run) -> dict[str, Any]:

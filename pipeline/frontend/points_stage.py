@@ -1,4 +1,5 @@
-"""Stage 2b: the points of each submap's features found anew by its poses, which stay; depth is completed from these.
+"""Stage 2b: the points of each submap's features found anew by its poses, which stay, and refined by what the pictures
+show about them; depth is completed from these.
 
 The front end's own points are kept beside them: what is judged by their residuals (`map_doubt`, `wall_motion`) was
 calibrated on those, and a point that moved with the wall is an outlier here and evidence there.
@@ -66,6 +67,20 @@ def _find_all(
 ) -> None:
     for folder in (workspace.depth, workspace.confidence, workspace.first_depth):
         shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
+    found = triangulated(frames, features, submaps, motion_px, workspace, progress)
+    keep_points(_refined(found, frames, workspace, progress), frames, workspace)
+
+
+def triangulated(
+    frames: Frames,
+    features: SiftCache,
+    submaps: list[Submap],
+    motion_px: float,
+    workspace: Workspace,
+    progress: Progress,
+) -> list[Submap]:
+    """The submaps with the points that their poses triangulate, before these are refined. motion_px: between the frames
+    whose features are matched."""
     sensor, found = open_sensor(workspace, frames.camera.width), []
     depth_at = sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
     with single_threaded(), progress.bar("triangulation", None) as advance:
@@ -74,8 +89,7 @@ def _find_all(
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)
-    found = _refined(found, frames, workspace, progress)
-    keep_points(found, frames, workspace)
+    return found
 
 
 def _refined(submaps: list[Submap], frames: Frames, workspace: Workspace, progress: Progress) -> list[Submap]:

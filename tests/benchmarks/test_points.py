@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.common.rerun import LATER
-from benchmarks.points import _median_by, with_own_points
+from benchmarks.points import _median_by, with_points
 from pipeline.run_folder.workspace import open_workspace
 from scripts.pages import points_page
 
@@ -25,9 +25,9 @@ def test_both_front_ends_of_a_film_that_was_chosen_on_are_of_that_kind():
     assert points_page.kind("flexure, sfm") == "reported"
 
 
-def test_a_copy_with_the_front_ends_own_points_makes_all_later_stages_anew(tmp_path):
+def test_a_copy_with_other_points_makes_all_later_stages_anew(tmp_path):
     class Made:
-        folder, frames, submaps_of_front_end = tmp_path / "run", None, []
+        folder, frames = tmp_path / "run", None
 
     for name in ("depth", "confidence"):
         (Made.folder / name).mkdir(parents=True)
@@ -36,6 +36,6 @@ def test_a_copy_with_the_front_ends_own_points_makes_all_later_stages_anew(tmp_p
     (Made.folder / "run.yaml").write_text(
         yaml.safe_dump({"stages": stages, "config": {}, "source": {"sha256": {"source": ""}}})
     )
-    with_own_points(Made, tmp_path / "own")
+    with_points(Made, [], tmp_path / "own")
     assert not list((tmp_path / "own").rglob("*.png"))
     assert set(open_workspace(tmp_path / "own").record["stages"]) == {"frames", "lens", "structure", "points"}
