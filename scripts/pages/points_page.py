@@ -95,9 +95,9 @@ def _points(run: dict[str, Any]) -> str:
 
 
 def _in_words(gains: list[float]) -> str:
-    least, most, rose = min(gains), max(gains), sum(gain > 0 for gain in gains)
-    mean, median = statistics.mean(gains), statistics.median(gains)
-    return f"{median:+.1f}\n  points in the median and {mean:+.1f} in the mean ({least:+.1f} to {most:+.1f}); it rose on {rose}"
+    rose, mean, median = sum(gain > 0 for gain in gains), statistics.mean(gains), statistics.median(gains)
+    spread = f"({min(gains):+.1f} to {max(gains):+.1f})"
+    return f"{median:+.1f}\n  points in the median and {mean:+.1f} in the mean {spread}; it rose on {rose}"
 
 
 def kind(name: str) -> str:
