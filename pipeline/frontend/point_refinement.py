@@ -76,13 +76,24 @@ def refine_points(
         points[mine[good]], error[mine[good]] = moved[good], _expected_error(aligned)[good]
         dropped[mine] = good & (aligned.sigma * aligned.contrast > MOST_UNSURE_EDGE)
         advance(first + len(mine), len(order))
-    return replace(submap, points=points, depth_error=error).without_points(dropped)
+    refined = replace(submap, points=points, depth_error=error)
+    error_px = np.where(np.isfinite(error), _mean_reprojection(refined, scene.rays), submap.error_px)
+    return replace(refined, error_px=error_px).without_points(dropped)
 
 
 def _expected_error(aligned: Alignment) -> Array:
     """(P,) relative error of depth, 1 sigma. The residuals alone say too little of it: what a patch has wrong, its
     slope or an edge in it, is wrong in all views alike. Fitted by maximum likelihood (Student's t of two degrees)."""
     return np.hypot(aligned.sigma * np.hypot(PER_SIGMA, PER_SIGMA_CONTRAST * aligned.contrast), LEAST_ERROR)
+
+
+def _mean_reprojection(submap: Submap, rays: RayTable) -> Array:
+    """(P,) px, of each point over all that see it; infinite where one of these cannot."""
+    frame, point = submap.observations.T
+    pose = submap.world_from_camera[frame]
+    local = np.einsum("mi,mij->mj", submap.points[point] - pose[:, :3, 3], pose[:, :3, :3])
+    off = np.nan_to_num(np.linalg.norm(rays.project(local) - submap.pixels, axis=1), nan=np.inf)
+    return np.bincount(point, off, minlength=len(submap.points)) / np.maximum(submap.track_lengths(), 1)
 
 
 def _in_frames_of_features(submap: Submap) -> Rows:

@@ -110,6 +110,20 @@ def test_poses_observations_and_the_unit_stay(pictures):
     np.testing.assert_allclose(larger.depth_error, found.depth_error, rtol=1e-3)
 
 
+def test_reprojection_errors_are_those_of_the_moved_points(pictures):
+    """The tube's pixels are exact: what is left is how far the points still are from the wall."""
+    submap, _ = displaced(replace(true_submap(), error_px=np.full(400, 9.0)), np.random.default_rng(1))
+    found = refined(submap, pictures)
+    known = np.isfinite(found.depth_error)
+    np.testing.assert_array_equal(found.error_px[~known], 9.0)
+    one = np.flatnonzero(known)[7]
+    mine = found.observations[:, 1] == one
+    local = [(found.points[one] - p[:3, 3]) @ p[:3, :3] for p in POSES[found.observations[mine, 0]]]
+    by_hand = np.linalg.norm(CAMERA.project(np.array(local)) - found.pixels[mine], axis=1).mean()
+    assert found.error_px[one] == pytest.approx(by_hand)
+    assert np.median(found.error_px[known]) < 0.1
+
+
 def test_what_the_pictures_do_not_confirm_stays_as_it_was():
     submap, _ = displaced(true_submap(), np.random.default_rng(1))
     noise = np.random.default_rng(3).integers(0, 255, (COUNT, *MASK.shape)).astype(np.uint8)
