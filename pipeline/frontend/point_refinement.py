@@ -1,15 +1,15 @@
 """Depth of points by what the pictures show around them, where their poses stand.
 
 A feature is found to half a pixel, and a corner that is followed slides; small patches about a point in up to nine
-frames say where it is to some hundredths. The point moves along its ray in a reference frame; its surroundings there
-are a plane, whose slope is that of the points about it (inverse depth is linear in the picture of a plane). What the
-pictures do not confirm stays as it was. A point on a strong edge along which it may slide is dropped: mostly it lies on
-the outline of a fold, beside which the depth is another.
+frames say more. The point moves along its ray in a reference frame; its surroundings there are a plane, whose slope is
+that of the points about it (inverse depth is linear in the picture of a plane). What the pictures do not confirm stays
+as it was. A point that they confirm, but whose place is unsure for the contrast about it, may slide along an edge, such
+as the outline of a fold, beside which the depth is another; it is dropped.
 
-Constants: chosen on four films kept for choosing (docs/lab/points.md).
+Poses are taken for exact. Constants: chosen on films kept for choosing (docs/lab/points.md).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -23,6 +23,7 @@ from haustra.core.ray_table import RayTable, ray_table
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.matching.patch_alignment import (
     HALF_WIDTH,
+    SEARCH_PX,
     Alignment,
     PatchViews,
     ReferencePatches,
@@ -30,55 +31,61 @@ from pipeline.matching.patch_alignment import (
     groups,
     read_patches,
 )
+from pipeline.matching.sift_cache import ReadFrame
 
 VIEWS = 8  # frames with which the reference is compared, at most
 LEAST_VIEWS = 2  # that must correlate well, and more than half of those that there are
-PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.9, 50.0, 0.0037  # of the expected error: `_expected_error`
-MOST_UNSURE_EDGE = 0.0005  # standard deviation times contrast, above which a point is dropped
-CHUNK = 4000  # points at once: some hundred megabytes
+MOST_ERROR = 0.1  # expected, of a depth that is taken,
+MOST_SHIFT = 0.3  # relative change of inverse depth
+PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expected error: `_expected_error`
+UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above which a point is dropped
+CHUNK = 2000  # points at once: some hundred megabytes, mostly pictures
 PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
-MARGIN_PX = 2.0  # between a patch and the border of the picture
 NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
 SAME_WALL = 0.3  # relative difference of inverse depth within which a neighbour counts
 SLOPE_SIGMA = 0.02  # of relative inverse depth a pixel, expected before any neighbour is asked
 NEIGHBOUR_SIGMA = 0.02  # relative depth, of the surest neighbour
 PIXEL_NOISE = 0.5  # px, of a point before
-CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-ReadGrey = Callable[[int], NDArray[np.uint8]]
+Picture = NDArray[np.uint8]
+NONE = np.zeros(0, bool)
 
 
 def refine_points(
     submap: Submap,
     camera: Camera,
-    content: NDArray[np.uint8],
-    read: ReadGrey,
+    read: ReadFrame,
     advance: ProgressCallback = no_progress,
 ) -> Submap:
     """The submap with the points that the pictures confirm moved, and their `depth_error`; poses and other points stay.
 
-    camera: of the working frames. content: mask (H,W) of what every frame shows. read: grey picture (H,W) of a frame.
+    camera: of the working frames. read: rgb and mask of a frame; what the mask leaves out (the border, highlights) is
+    not compared.
     """
-    scene = _Scene(submap, ray_table(refined_camera(camera, submap)), content, read)
+    scene = _Scene(submap, ray_table(refined_camera(camera, submap)), read)
     reference, others = sightings(submap, submap.observations[_in_frames_of_features(submap)])
-    points, error, dropped = submap.points.copy(), np.full(len(submap.points), np.nan), np.zeros(len(reference), bool)
+    points, (error, unsure) = submap.points.copy(), np.full((2, len(submap.points)), np.nan)
     order = np.argsort(reference, kind="stable")
     order = order[reference[order] >= 0]
     for first in range(0, len(order), CHUNK):
         mine = order[first : first + CHUNK]
         aligned = scene.aligned(mine, reference[mine], others[mine])
-        good = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
+        expected = _expected_error(aligned)
+        confirmed = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
+        good = confirmed & (np.abs(aligned.shift) < MOST_SHIFT) & (expected < MOST_ERROR)
         centre = submap.centres[reference[mine]]
         moved = centre + (points[mine] - centre) / (1 + aligned.shift)[:, None]
-        points[mine[good]], error[mine[good]] = moved[good], _expected_error(aligned)[good]
-        dropped[mine] = good & (aligned.sigma * aligned.contrast > MOST_UNSURE_EDGE)
+        points[mine[good]], error[mine[good]] = moved[good], expected[good]
+        unsure[mine[confirmed]] = (aligned.sigma * aligned.contrast)[confirmed]
         advance(first + len(mine), len(order))
     refined = replace(submap, points=points, depth_error=error)
     error_px = np.where(np.isfinite(error), _mean_reprojection(refined, scene.rays), submap.error_px)
-    return replace(refined, error_px=error_px).without_points(dropped)
+    known = np.isfinite(unsure)
+    limit = UNSURE_EDGE * np.median(unsure[known]) if known.any() else np.inf
+    return replace(refined, error_px=error_px).without_points(unsure > limit)
 
 
 def _expected_error(aligned: Alignment) -> Array:
@@ -126,7 +133,7 @@ def sightings(submap: Submap, observations: NDArray[np.int64]) -> tuple[Rows, Ro
 @dataclass(frozen=True)
 class _Patches:
     """Of P points: in their reference frames, what is read there, and in the world (P,4,3): the point, the wall
-    `PROBE_PX` to the right and below of it, and the point at s = `PROBE_SHIFT`. whole: the patch lies in the picture.
+    `PROBE_PX` to the right and below of it, and the point at s = `PROBE_SHIFT`. whole: the patch shows the wall alone.
     """
 
     reference: ReferencePatches
@@ -137,9 +144,8 @@ class _Patches:
 class _Scene:
     """A submap, its rays and its pictures."""
 
-    def __init__(self, submap: Submap, rays: RayTable, content: NDArray[np.uint8], read: ReadGrey) -> None:
+    def __init__(self, submap: Submap, rays: RayTable, read: ReadFrame) -> None:
         self.submap, self.rays, self.read = submap, rays, read
-        self.inside = cv2.erode(rays.masked(content), np.ones((3, 3), np.uint8)) > 0
         order, self.starts = submap.by_frame()
         self.seen = submap.observations[order, 1]
         # Before: relative errors of points that are found to half a pixel in each frame.
@@ -148,17 +154,26 @@ class _Scene:
     def aligned(self, points: Rows, reference: Rows, others: Rows) -> Alignment:
         """Of points (P,), sorted by their reference frames."""
         rows = np.unique(np.concatenate([reference, others[others >= 0]])).tolist()
-        pictures = {row: self.read(int(self.submap.frames[row])) for row in rows}
-        patches = self._patches(points, reference, pictures)
-        return align_patches(patches.reference, self._views(patches, others), pictures)
+        read = {row: self.read(int(self.submap.frames[row])) for row in rows}
+        pictures = {row: cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for row, (rgb, _) in read.items()}
+        clear = {row: self._clear(mask) for row, (_, mask) in read.items()}
+        patches = self._patches(points, reference, pictures, clear)
+        return align_patches(patches.reference, self._views(patches, others, clear), pictures)
 
-    def _patches(self, points: Rows, reference: Rows, pictures: dict[int, NDArray[np.uint8]]) -> _Patches:
+    def _clear(self, mask: Picture) -> Picture:
+        """(H,W) 1 where a patch that moves as far as it is looked for touches nothing that is masked."""
+        size = 2 * int(HALF_WIDTH + SEARCH_PX) + 1
+        return cv2.erode(np.minimum(self.rays.masked(mask), 1), np.ones((size, size), np.uint8), borderValue=0)
+
+    def _patches(
+        self, points: Rows, reference: Rows, pictures: dict[int, Picture], clear: dict[int, Picture]
+    ) -> _Patches:
         world, whole, read = np.zeros((len(points), 4, 3)), np.zeros(len(points), bool), []
         for row, mine in groups(reference):
             local = self.submap.points_in_camera(row, self.submap.points[points[mine]])
             pixels = np.nan_to_num(self.rays.project(local), nan=-1.0)
             read.append(read_patches(pictures[row], pixels))
-            whole[mine] = self._whole(pixels[:, None] + HALF_WIDTH * CORNERS)
+            whole[mine] = _is_clear(clear[row], pixels)
             world[mine] = self._probes(row, local, pixels, self._slopes(row, local, pixels))
         return _Patches(ReferencePatches(*(np.concatenate(part) for part in _columns(read))), world, whole)
 
@@ -194,7 +209,7 @@ class _Scene:
         right = np.einsum("nk,nki,nk->ni", weight, design, relative)
         return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :2, 0])
 
-    def _views(self, patches: _Patches, others: Rows) -> PatchViews:
+    def _views(self, patches: _Patches, others: Rows, clear: dict[int, Picture]) -> PatchViews:
         """Pictures of whole patches in other frames, where they are whole too."""
         patch, column = np.nonzero((others >= 0) & patches.whole[:, None])
         row = others[patch, column]
@@ -205,18 +220,21 @@ class _Scene:
         pixels = self.rays.project(local.reshape(-1, 3)).reshape(-1, 4, 2)
         centre = pixels[:, 0]
         shape = np.stack([pixels[:, 1] - centre, pixels[:, 2] - centre], axis=2) / PROBE_PX
-        corners = centre[:, None] + HALF_WIDTH * np.einsum("vij,kj->vki", shape, CORNERS)
-        known = np.flatnonzero(np.isfinite(pixels).all(axis=(1, 2)))
-        whole = known[self._whole(corners[known]) & (np.abs(np.linalg.det(shape[known])) > LEAST_AREA)]
+        finite = np.isfinite(pixels.reshape(-1, 8)).all(axis=1)
+        at = np.where(finite[:, None], centre, -1.0)
+        seen = np.concatenate([_is_clear(clear[number], at[mine]) for number, mine in groups(row)] or [NONE])
+        whole = np.flatnonzero(seen)
+        whole = whole[np.linalg.det(shape[whole]) > LEAST_AREA]  # of what is seen from behind it is negative
         motion = (pixels[:, 3] - centre) / PROBE_SHIFT
         return PatchViews(patch[whole], row[whole], centre[whole], shape[whole], motion[whole])
 
-    def _whole(self, corners: Array) -> NDArray[np.bool_]:
-        """(N,) True where all pixels of (N,4,2) show the content, `MARGIN_PX` from the picture's border at least."""
-        height, width = self.inside.shape
-        within = (corners >= MARGIN_PX).all(axis=2) & (corners <= np.array([width, height]) - MARGIN_PX).all(axis=2)
-        x, y = np.clip(np.floor(corners), 0, [width - 1, height - 1]).astype(int).transpose(2, 0, 1)
-        return np.asarray((within & self.inside[y, x]).all(axis=1))
+
+def _is_clear(clear: Picture, pixels: Array) -> NDArray[np.bool_]:
+    """(N,) True where pixels (N,2) lie in the picture and are clear."""
+    height, width = clear.shape
+    within = (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
+    x, y = np.clip(np.floor(pixels), 0, [width - 1, height - 1]).astype(int).T
+    return np.asarray(within & (clear[y, x] > 0))
 
 
 def _columns(read: list[ReferencePatches]) -> Iterator[list[NDArray[np.float32]]]:

@@ -8,14 +8,13 @@ calibrated on those, and a point that moved with the wall is an outlier here and
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
+from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.point_refinement import refine_points
-from pipeline.input.frames import Frames, read_image
+from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.feature_triangulation import triangulate_again
@@ -68,7 +67,10 @@ def _find_all(
     for folder in (workspace.depth, workspace.confidence, workspace.first_depth):
         shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
     found = triangulated(frames, features, submaps, motion_px, workspace, progress)
-    keep_points(_refined(found, frames, workspace, progress), frames, workspace)
+    with single_threaded(), progress.bar("refining points", None) as advance:
+        if not _sensor_holds(workspace, frames):
+            found = [refine_points(one, frames.camera, frame_reader(workspace), advance) for one in found]
+    keep_points(found, frames, workspace)
 
 
 def triangulated(
@@ -92,14 +94,10 @@ def triangulated(
     return found
 
 
-def _refined(submaps: list[Submap], frames: Frames, workspace: Workspace, progress: Progress) -> list[Submap]:
-    """The submaps with their points where the pictures confirm them."""
-
-    def read(frame: int) -> NDArray[np.uint8]:
-        return cv2.cvtColor(read_image(workspace.image_path(frame)), cv2.COLOR_RGB2GRAY)
-
-    with single_threaded(), progress.bar("refining points", None) as advance:
-        return [refine_points(submap, frames.camera, frames.content, read, advance) for submap in submaps]
+def _sensor_holds(workspace: Workspace, frames: Frames) -> bool:
+    """Whether points were adjusted by what a sensor measured, which patches know nothing of."""
+    sensor = open_sensor(workspace, frames.camera.width)
+    return sensor is not None and sensor.settings.adjust
 
 
 def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:
@@ -107,7 +105,8 @@ def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> 
     shutil.rmtree(points_folder(workspace), ignore_errors=True)
     for number, submap in enumerate(submaps):
         write_model(submap, frames.camera, points_folder(workspace) / str(number))
-    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps])
+    refined = [int(np.isfinite(submap.known_depth_error).sum()) for submap in submaps]
+    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps], refined=refined)
 
 
 def points_folder(workspace: Workspace) -> Path:

@@ -37,6 +37,7 @@ def patch_offsets() -> Floats:
 OFFSETS = patch_offsets()
 WINDOW = np.exp(-(OFFSETS.astype(np.float64) ** 2).sum(axis=1) / (2 * WINDOW_SIGMA**2))
 WINDOW = (WINDOW / WINDOW.sum()).astype(np.float32)  # (K,)
+INDEPENDENT_PIXELS = 1 / float(WINDOW @ WINDOW)  # of a patch, as the window weighs them
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,8 @@ class _Problem:
     def searched(self) -> Array:
         """(P,) the s of the greatest correlation, in whole steps."""
         best, chosen = np.full(self.count, -1.0), np.zeros(self.count)
-        for moved in np.arange(-SEARCH_PX, SEARCH_PX + SEARCH_STEP_PX / 2, SEARCH_STEP_PX):
+        steps = np.arange(-SEARCH_PX, SEARCH_PX + SEARCH_STEP_PX / 2, SEARCH_STEP_PX)
+        for moved in steps[np.argsort(np.abs(steps), kind="stable")]:  # none, where all are as good
             total = self.summed(np.clip(self.seen(moved * self.per_px)[1], 0, 1))
             better = total > best
             best[better], chosen[better] = total[better], moved
@@ -182,10 +184,11 @@ class _Problem:
         squared = ((patches - self.patch[self.views.patch]) ** 2) @ WINDOW
         total = np.maximum(self.summed(weight), 1e-9)
         variance = self.summed(weight * squared) / total
-        information = len(OFFSETS) * self.summed(weight * self.information)
+        information = INDEPENDENT_PIXELS * self.summed(weight * self.information)
+        sigma = np.sqrt(variance / np.maximum(information, 1e-12))
         return Alignment(
             shift,
-            np.sqrt(variance / np.maximum(information, 1e-12)),
+            sigma,
             np.bincount(self.views.patch, minlength=self.count),
             np.bincount(self.views.patch[correlation > GOOD_CORRELATION], minlength=self.count),
             self.contrast,

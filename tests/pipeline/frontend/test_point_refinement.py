@@ -66,8 +66,8 @@ def displaced(submap, rng, by=0.03):
     return replace(submap, points=moved), reference
 
 
-def refined(submap, pictures):
-    return refine_points(submap, CAMERA, MASK, lambda frame: pictures[frame])
+def refined(submap, pictures, mask=MASK):
+    return refine_points(submap, CAMERA, lambda frame: (np.repeat(pictures[frame][..., None], 3, axis=2), mask))
 
 
 def test_points_go_back_to_the_wall_and_say_how_sure_they_are(pictures):
@@ -132,11 +132,33 @@ def test_what_the_pictures_do_not_confirm_stays_as_it_was():
     np.testing.assert_array_equal(found.points, submap.points)
 
 
-def test_a_patch_on_the_border_of_the_content_is_not_asked(pictures):
+def test_patches_that_touch_what_is_masked_are_not_compared(pictures):
+    """The left half of every frame is left out: what is seen there by more than half of its frames is not confirmed."""
     submap, _ = displaced(true_submap(), np.random.default_rng(1))
-    content = np.zeros_like(MASK)
-    found = refine_points(submap, CAMERA, content, lambda frame: pictures[frame])
-    assert np.isnan(found.depth_error).all()
+    mask = MASK.copy()
+    mask[:, :96] = 0
+    found, whole = refined(submap, pictures, mask), refined(submap, pictures)
+    reference, _ = sightings(found, found.observations)
+    x = np.full((len(found.points), COUNT), np.nan)
+    x[found.observations[:, 1], found.observations[:, 0]] = found.pixels[:, 0]
+    at = x[np.arange(len(reference)), reference]
+    known = np.isfinite(found.depth_error)
+    assert (at[known] > 96).all()
+    assert 0.2 < known.sum() / np.isfinite(whole.depth_error).sum() < 0.8
+
+
+def test_few_points_are_dropped_however_small_the_parallax_and_coarse_the_noise(pictures):
+    """Baselines of a tenth, and noise of 3 grey levels: unsure, but no edges."""
+    rng = np.random.default_rng(5)
+    noisy = [np.clip(p + rng.normal(0, 3, p.shape), 0, 255).astype(np.uint8) for p in pictures]
+    submap, _ = displaced(true_submap(), rng)
+    near = replace(submap, observations=submap.observations[submap.observations[:, 0] < 3])
+    near = replace(near, pixels=submap.pixels[submap.observations[:, 0] < 3])
+    for one in (submap, near):
+        found = refined(one, noisy)
+        assert len(found.points) > 0.9 * len(one.points)
+        in_front = [(found.points[point] - POSES[row][:3, 3]) @ POSES[row][:3, 2] for row, point in found.observations]
+        assert np.min(in_front) > 0
 
 
 def test_two_calls_agree_and_a_stored_submap_keeps_its_errors(pictures, tmp_path):
