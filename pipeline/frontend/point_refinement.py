@@ -220,7 +220,7 @@ class _Scene:
         pixels = self.rays.project(local.reshape(-1, 3)).reshape(-1, 4, 2)
         centre = pixels[:, 0]
         shape = np.stack([pixels[:, 1] - centre, pixels[:, 2] - centre], axis=2) / PROBE_PX
-        finite = np.isfinite(pixels.reshape(-1, 8)).all(axis=1)
+        finite: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=(1, 2)))
         at = np.where(finite[:, None], centre, -1.0)
         seen = np.concatenate([_is_clear(clear[number], at[mine]) for number, mine in groups(row)] or [NONE])
         whole = np.flatnonzero(seen)

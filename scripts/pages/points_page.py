@@ -83,11 +83,12 @@ Of refined points, by the films named there as chosen on; scripts not kept:
 
 - Two rounds, the second with the slopes of the refined points; patches of 7x7 and 13x13 pixels; four steps; steps of
   half a pixel; six views: the points are as good, or a little worse.
-- More points, of corners away from those that there are, at a depth between their neighbours: of 400 to 5,000 more a film
-  up to 22 % are off by more than a tenth. F-score -0.8 to +0.0 on `withdrawal_b`, `low_texture_b`, `choose_csd_fisheye`.
+- More points, of corners away from those that there are, at a depth between their neighbours: 400 to 5,000 more a
+  film, of which up to 22 % are off by more than a tenth. F-score -0.8 to +0.0 on `withdrawal_b`, `low_texture_b` and
+  `choose_csd_fisheye`.
 - Followed corners that are refined kept beside features as good: F-score -1.1 to +0.2 on six films.
-- The deviation in pixels, not in depth, times contrast as what is dropped: three times as many points off by a tenth stay
-  on `choose_csd_fisheye`.
+- To drop by the deviation in pixels times contrast, in place of that of depth: on `choose_csd_fisheye` twice as many
+  points that are off by more than a tenth stay.
 """
 
 
