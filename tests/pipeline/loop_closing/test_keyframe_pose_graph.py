@@ -128,9 +128,13 @@ def test_uniting_keeps_who_saw_what(workspace):
     whole = drifting_submap()
     even, odd = (dense(workspace, whole.without_frames(set(range(k, 48, 2)))) for k in (1, 0))
     followed = np.arange(len(whole.points)) % 2 == 0
-    even = replace(even, submap=replace(even.submap, klt=followed))
+    refined = np.where(followed, 0.02, np.nan)
+    even = replace(even, submap=replace(even.submap, klt=followed, depth_error=refined))
     both = concatenate(even, odd)
     np.testing.assert_array_equal(both.submap.is_klt, [*followed, *np.zeros_like(followed)])
+    np.testing.assert_array_equal(both.submap.depth_error, [*refined, *np.full(len(refined), np.nan)])
+    kept = both.submap.without_points(np.arange(len(both.submap.points)) % 4 == 1)
+    assert np.isfinite(kept.depth_error).sum() == followed.sum()  # of which none was left out
     assert both.submap.frames.tolist() == list(range(48))
     np.testing.assert_allclose(both.submap.depths().sum(), whole.depths().sum())
     assert set(both.submap.frames[both.rows]) == {*even.submap.frames[even.rows], *odd.submap.frames[odd.rows]}
