@@ -40,6 +40,7 @@ MOST_SHIFT = 0.3  # relative change of inverse depth
 PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expected error: `_expected_error`
 UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above which a point is dropped
 CHUNK = 2000  # points at once: some hundred megabytes, mostly pictures
+SIGHTINGS = 200_000  # projected at once
 PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
 NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
 SAME_WALL = 0.3  # relative difference of inverse depth within which a neighbour counts
@@ -96,11 +97,14 @@ def _expected_error(aligned: Alignment) -> Array:
 
 def _mean_reprojection(submap: Submap, rays: RayTable) -> Array:
     """(P,) px, of each point over all that see it; infinite where one of these cannot."""
-    frame, point = submap.observations.T
-    pose = submap.world_from_camera[frame]
-    local = np.einsum("mi,mij->mj", submap.points[point] - pose[:, :3, 3], pose[:, :3, :3])
-    off = np.nan_to_num(np.linalg.norm(rays.project(local) - submap.pixels, axis=1), nan=np.inf)
-    return np.bincount(point, off, minlength=len(submap.points)) / np.maximum(submap.track_lengths(), 1)
+    total = np.zeros(len(submap.points))
+    for first in range(0, len(submap.observations), SIGHTINGS):
+        frame, point = submap.observations[first : first + SIGHTINGS].T
+        pose = submap.world_from_camera[frame]
+        local = np.einsum("mi,mij->mj", submap.points[point] - pose[:, :3, 3], pose[:, :3, :3])
+        off = np.linalg.norm(rays.project(local) - submap.pixels[first : first + SIGHTINGS], axis=1)
+        total += np.bincount(point, np.nan_to_num(off, nan=np.inf), minlength=len(total))
+    return total / np.maximum(submap.track_lengths(), 1)
 
 
 def _in_frames_of_features(submap: Submap) -> Rows:
