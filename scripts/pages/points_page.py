@@ -25,10 +25,10 @@ HEAD = """# Points that the poses triangulate anew, and that the pictures refine
   features that are found to half a pixel, and corners that slide while they are followed?
 - **Answer:** On {count} films that nothing was chosen on, points triangulated anew changed the F-score by {anew}.
   Refined by their patches as well, by another {refined}.
-- **Command:** `python -m benchmarks.points FILMS --json {record}`, and `--front-end sfm` for the rows that say so, at
+- **Command:** `python -m benchmarks.points FILMS --json {record}` at
   {commit} on one machine ({machine}); rendered by `python scripts/pages/points_page.py > docs/lab/points.md`.
-- **Films:** rendered ones with truth, lens given, one seed. Chosen on: the constants were chosen there, or the gain was
-  first seen there. Looked at: its figures were known while they were chosen.
+- **Films:** rendered ones with truth, lens given, one seed. Reported: nothing was chosen there. Chosen on: the
+  constants were chosen there, or the gain was first seen there. Looked at: figures known while they were chosen.
 
 Number of points of the largest submap from which depth is completed, and |log(depth / true depth)| of each: median /
 mean, and the share off by more than a tenth. F-score at 1 mm (precision, recall) of the mesh: from the front end's own
@@ -55,7 +55,6 @@ FOOT = """
 - **The poses stay,** and so do the corners that were tracked. The front end's own points judge the map: the
   probability that it is wrong and the wall's motion are calibrated on their residuals, and a point that moved with
   the wall is an outlier here and evidence there.
-
 - **Refined by patches** (`pipeline/frontend/point_refinement.py`, `pipeline/matching/patch_alignment.py`). 9x9 pixels
   about a point in the middle one of the frames that see it are compared with up to eight others; the depth along the
   ray is that at which they fit best. The wall about the point is taken for a plane, whose slope is that of the points
