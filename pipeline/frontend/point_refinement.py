@@ -6,7 +6,7 @@ that of the points about it (inverse depth is linear in the picture of a plane).
 as it was. A point that they confirm, but whose place is unsure for the contrast about it, may slide along an edge, such
 as the outline of a fold, beside which the depth is another; it is dropped.
 
-Poses are taken for exact. Constants: chosen on films kept for choosing (docs/lab/points.md).
+Poses are held fixed. Constants: chosen on films kept for choosing (docs/lab/points.md).
 """
 
 from collections.abc import Iterator

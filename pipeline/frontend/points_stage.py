@@ -18,6 +18,7 @@ from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.feature_triangulation import triangulate_again
+from pipeline.mapping.local_map import DepthAt
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.stage import load_or_make
@@ -68,7 +69,7 @@ def _find_all(
         shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
     found = triangulated(frames, features, submaps, motion_px, workspace, progress)
     with single_threaded(), progress.bar("refining points", None) as advance:
-        if not _sensor_holds(workspace, frames):
+        if _adjusting_depth(frames, workspace) is None:  # what a sensor measured holds points better than patches do
             found = [refine_points(one, frames.camera, frame_reader(workspace), advance) for one in found]
     keep_points(found, frames, workspace)
 
@@ -83,8 +84,7 @@ def triangulated(
 ) -> list[Submap]:
     """The submaps with the points that their poses triangulate, before these are refined. motion_px: between the frames
     whose features are matched."""
-    sensor, found = open_sensor(workspace, frames.camera.width), []
-    depth_at = sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
+    depth_at, found = _adjusting_depth(frames, workspace), []
     with single_threaded(), progress.bar("triangulation", None) as advance:
         for number, submap in enumerate(submaps):
             again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at)
@@ -94,10 +94,10 @@ def triangulated(
     return found
 
 
-def _sensor_holds(workspace: Workspace, frames: Frames) -> bool:
-    """Whether points were adjusted by what a sensor measured, which patches know nothing of."""
+def _adjusting_depth(frames: Frames, workspace: Workspace) -> DepthAt | None:
+    """What a sensor measured, where poses and points are adjusted by it."""
     sensor = open_sensor(workspace, frames.camera.width)
-    return sensor is not None and sensor.settings.adjust
+    return sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
 
 
 def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:

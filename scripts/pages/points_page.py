@@ -52,7 +52,7 @@ FOOT = """
   them there. An observation that is off by more than twice the median error, and by half as much as the worst of its
   track, is dropped, up to four times; what then does not meet, or at less than 0.6 degrees, is no point. Less than 0.4
   px is always forgiven.
-- **The poses stay,** and so do the corners that were tracked. The front end's own points judge the map: the
+- **The poses stay,** and tracked corners are not triangulated anew. The front end's own points judge the map: the
   probability that it is wrong and the wall's motion are calibrated on their residuals, and a point that moved with
   the wall is an outlier here and evidence there.
 - **Refined by patches** (`pipeline/frontend/point_refinement.py`, `pipeline/matching/patch_alignment.py`). 9x9 pixels
@@ -61,7 +61,7 @@ FOOT = """
   around. A point that more than half of the frames confirm gets the new depth and an expected error from how well it is
   held, whose constants were fitted by maximum likelihood on four films (`withdrawal_b`, `choose_csd_fisheye`,
   `choose_colon_pinhole`, `choose_small_intestine_pinhole`). Whether that error is calibrated on other films was not
-  measured. Poses are taken for exact. Points that a sensor's depth has adjusted are left alone.
+  measured. Poses are held fixed. Points that a sensor's depth has adjusted are left alone.
 - **Unsure points at strong contrast are dropped**: those whose standard deviation times contrast is over three times
   the submap's median. Many of them lie on outlines of folds, along which a patch may slide. So the columns of errors
   gain by what is dropped, too.
