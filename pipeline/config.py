@@ -139,7 +139,7 @@ class FusionSettings(Settings):
         1, ge=1, description="keyframes that must have seen a surface; 2 where they are many and lie close together"
     )
     min_confidence: float = Field(0.1, ge=0, le=1, description="of depth that is fused")
-    max_error_voxels: float = Field(2.5, gt=0, description="greatest expected error of depth that is fused, in voxels")
+    max_error_voxels: float = Field(3.0, gt=0, description="greatest expected error of depth that is fused, in voxels")
     delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
     open_dark_spots: bool = Field(
         True, description="leave small spots open that are far darker than the wall around, with `delight`"

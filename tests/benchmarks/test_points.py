@@ -5,7 +5,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.common.rerun import LATER
+from benchmarks.common.rerun import FROM_DEPTH, FROM_SURFACE, without_surface
 from benchmarks.points import _median_by, with_points
 from pipeline.run_folder.workspace import open_workspace
 from scripts.pages import points_page
@@ -16,7 +16,7 @@ def test_the_median_of_each_point_is_numpys(seen):
     point = np.array([p for p, _ in seen], np.int64)
     off = np.array([value for _, value in seen], np.float64)
     known = [off[(point == k) & np.isfinite(off)] for k in range(10)]
-    expected = [np.median(values) for values in known if len(values)]
+    expected = [np.median(values) if len(values) else np.nan for values in known]
     np.testing.assert_allclose(_median_by(point, off, 10), expected)
 
 
@@ -26,16 +26,31 @@ def test_both_front_ends_of_a_film_that_was_chosen_on_are_of_that_kind():
 
 
 def test_a_copy_with_other_points_makes_all_later_stages_anew(tmp_path):
+    Made = _made(tmp_path)
+    with_points(Made, [], tmp_path / "own")
+    assert not list((tmp_path / "own").rglob("*.png"))
+    assert set(open_workspace(tmp_path / "own").record["stages"]) == {"frames", "lens", "structure", "points"}
+
+
+def test_a_copy_with_another_surface_keeps_its_depth(tmp_path):
+    without_surface(_made(tmp_path), tmp_path / "own")
+    assert len(list((tmp_path / "own").rglob("*.png"))) == 2
+    left = set(open_workspace(tmp_path / "own").record["stages"])
+    assert {"depth", "refinement"} <= left
+    assert not left & set(FROM_SURFACE)
+
+
+def _made(tmp_path):
+    """A finished run, as far as `rerun` looks at it."""
+
     class Made:
         folder, frames = tmp_path / "run", None
 
     for name in ("depth", "confidence"):
         (Made.folder / name).mkdir(parents=True)
         (Made.folder / name / "000000.png").write_bytes(b"of other points")
-    stages = {stage: {} for stage in ("frames", "lens", "structure", "points", *LATER)}
+    stages = {stage: {} for stage in ("frames", "lens", "structure", "points", *FROM_DEPTH)}
     (Made.folder / "run.yaml").write_text(
         yaml.safe_dump({"stages": stages, "config": {}, "source": {"sha256": {"source": ""}}})
     )
-    with_points(Made, [], tmp_path / "own")
-    assert not list((tmp_path / "own").rglob("*.png"))
-    assert set(open_workspace(tmp_path / "own").record["stages"]) == {"frames", "lens", "structure", "points"}
+    return Made
