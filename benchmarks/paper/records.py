@@ -1,7 +1,9 @@
 """The records of the runs, read back as tables of seeds and meshes."""
 
 import json
-from dataclasses import asdict, dataclass
+from collections import defaultdict
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,9 @@ RESULTS = ROOT / "benchmarks/results/paper"
 AGAIN = ROOT / "benchmarks/results/paper_again"  # of trainings made a second time, on another machine
 FIGURES = ROOT / "benchmarks/results/paper_figures.json"  # of `benchmarks.paper.figures`
 Record = dict[str, Any]
+Row = tuple[Any, ...]
 LATER: Record = {"side": SIZE}  # of records that do not name it
+ROW = tuple(field.name for field in fields(Run) if field.name not in ("seed", "scenes"))  # what runs of a row share
 
 
 @dataclass(frozen=True)
@@ -31,12 +35,12 @@ class Records:
 
     def of(self, run: Run) -> dict[int, Record]:
         """By seed, but for trainings that came to nothing."""
-        found = [record for record in self.records if of_same_row(record, run) and not record["failed"]]
+        found = [record for record in self._of_row(run) if not record["failed"]]
         return {record["seed"]: record for record in sorted(found, key=lambda record: record["seed"])}
 
     def failed(self, run: Run) -> int:
         """Trainings that came to nothing."""
-        return sum(of_same_row(record, run) and bool(record["failed"]) for record in self.records)
+        return sum(bool(record["failed"]) for record in self._of_row(run))
 
     def table(self, scene: str, run: Run, figure: str, seeds: set[int] | None = None) -> Table:
         """(S,M) of a figure, of all seeds or of these; no row where there is no record."""
@@ -64,11 +68,22 @@ class Records:
         first, second = (self.table(scene, which, figure, shared) for which in (run, beside))
         return (first, second) if shared else None
 
+    def _of_row(self, run: Run) -> list[Record]:
+        return self._by_row.get(row_of_run(run), [])
 
-def of_same_row(record: Record, run: Run) -> bool:
-    """Whether a record is of this run, but for the seed."""
-    wanted = asdict(run)
-    del wanted["seed"], wanted["scenes"]
-    return all((LATER | record)[name] == value for name, value in wanted.items()) and [*record["frames_digest"]] == [
-        *run.scenes
-    ]
+    @cached_property
+    def _by_row(self) -> dict[Row, list[Record]]:
+        rows = defaultdict(list)
+        for record in self.records:
+            rows[row_of_record(record)].append(record)
+        return rows
+
+
+def row_of_run(run: Run) -> Row:
+    """What it shares with the records of its row: all but the seed."""
+    return (*(getattr(run, name) for name in ROW), *run.scenes)
+
+
+def row_of_record(record: Record) -> Row:
+    """The same of a record."""
+    return (*((LATER | record)[name] for name in ROW), *record["frames_digest"])

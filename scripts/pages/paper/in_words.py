@@ -32,7 +32,7 @@ from benchmarks.paper.plan import (
     Training,
 )
 from benchmarks.paper.published import FIGURE_NAMES, TABLE_2
-from benchmarks.paper.records import AGAIN, LATER, Records, of_same_row
+from benchmarks.paper.records import AGAIN, LATER, Records, row_of_record, row_of_run
 from completion.data.shards import validation_meshes
 from completion.networks.checkpoint import load_network
 from completion.networks.registry import Size, build_model
@@ -89,7 +89,8 @@ def figures(records: Records) -> dict[str, str]:
     found: dict[str, str] = {}
     for name, of in REDUCTIONS.items():
         found[name], found[f"{name}_seeds"] = reduced(records, *of)
-    theirs = [r for r in records.records if any(of_same_row(r, run) for run in named_rivals().values())]
+    rivals = {row_of_run(run) for run in named_rivals().values()}
+    theirs = [record for record in records.records if row_of_record(record) in rivals]
     same = [record["parameters"] / 1e6 for record in theirs if record["size"] == "same-parameters"]
     watched = validation_meshes(TRAINING_FRAMES // FRAMES_PER_COLON) * FRAMES_PER_COLON
     trained = TRAINING_FRAMES - watched

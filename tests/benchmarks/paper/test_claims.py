@@ -199,5 +199,4 @@ def test_frames_that_fail_are_counted_beside_ours_and_beside_the_colon():
     text, finding = abnormal_in_small_intestine(records)
     assert finding == "reproduced"
     assert "GAENet 75.0 % (0.0 %), NLSPN 75.0 % (0.0 %), MSCSA-Net, plain U-Net 0.0 % (0.0 %)" in text
-    del records.records[-1]
-    assert abnormal_in_small_intestine(records) is None
+    assert abnormal_in_small_intestine(Records(records.records[:-1])) is None
