@@ -72,4 +72,4 @@ def _finished(workspace: Workspace, film: Path, model: str, limit: float) -> Run
     config = Config.model_validate(settings)
     workspace.record |= {"config": settings, "source": record_inputs(film, config)}
     workspace.save()
-    return reconstruct(film, workspace.folder, config, resume=True)
+    return reconstruct(film, workspace.root, config, resume=True)
