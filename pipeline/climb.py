@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
+from haustra.core.se3 import interpolated
 from pipeline.compare import true_path
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import read_colmap_poses
@@ -89,16 +90,15 @@ def _lines(
     """A submap's lines in the order of its frames, with the frames `between` interpolated: centres on the straight
     line, rotations on the great arc between the posed neighbours."""
     times, wanted = (film.seconds[np.searchsorted(film.index, frames)] for frames in (posed, between))
-    turns = Rotation.from_matrix(world_from_camera[:, :3, :3])
-    entries = list(
-        zip(posed.tolist(), times, world_from_camera[:, :3, 3], turns.as_quat(), [0] * len(posed), strict=True)
-    )
+    poses, marks = world_from_camera, [0] * len(posed) + [1] * len(between)
     if len(between):
-        centres = np.stack([np.interp(wanted, times, world_from_camera[:, axis, 3]) for axis in range(3)], axis=1)
-        turned = Slerp(times, turns)(wanted).as_quat()
-        entries += zip(between.tolist(), wanted, centres, turned, [1] * len(between), strict=True)
+        poses = np.concatenate([poses, interpolated(times, world_from_camera, wanted)])
+    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    frames, seconds = (np.concatenate(parts).tolist() for parts in ((posed, between), (times, wanted)))
     lines = []
-    for frame, time, centre, (x, y, z, w), mark in sorted(entries, key=lambda entry: entry[0]):
+    for frame, time, centre, (x, y, z, w), mark in sorted(
+        zip(frames, seconds, poses[:, :3, 3], turns, marks, strict=True), key=lambda entry: entry[0]
+    ):
         place = ",".join(f"{value:.9f}" for value in (*centre, w, x, y, z))
         lines.append(f"{time:.6f},{frame + 1:06d}.png,{place},{mark}\n")
     return lines

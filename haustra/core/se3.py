@@ -69,3 +69,17 @@ def share_of(motion: Array, share: float) -> Array:
 def angle_between(first: Array, second: Array) -> float:
     """Angle of the rotation between two poses, radians."""
     return float(Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).magnitude())
+
+
+def interpolated(seconds: Array, world_from_camera: Array, wanted: Array) -> Array:
+    """(K,4,4) at times wanted (K,), of poses (N,4,4) at rising times (N,), two and more: centres on straight lines,
+    rotations on great arcs; before the first and after the last these."""
+    after = np.searchsorted(seconds, wanted).clip(1, len(seconds) - 1)
+    part = ((wanted - seconds[after - 1]) / (seconds[after] - seconds[after - 1])).clip(0, 1)[:, None]
+    first, second = world_from_camera[after - 1], world_from_camera[after]
+    turns = Rotation.from_matrix(first[:, :3, :3])
+    turned = (turns.inv() * Rotation.from_matrix(second[:, :3, :3])).as_rotvec()
+    result = np.tile(np.eye(4), (len(wanted), 1, 1))
+    result[:, :3, :3] = (turns * Rotation.from_rotvec(part * turned)).as_matrix()
+    result[:, :3, 3] = first[:, :3, 3] + part * (second[:, :3, 3] - first[:, :3, 3])
+    return result

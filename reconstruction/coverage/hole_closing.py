@@ -19,7 +19,7 @@ from haustra.core.sim3 import scale_of
 from reconstruction.coverage.centreline import Centreline, NotATube
 from reconstruction.coverage.visibility import FieldOfView, VisibilityLimits, visible_points
 from reconstruction.mesh.open3d_import import import_open3d, ray_scene
-from reconstruction.mesh.surface_mesh import SurfaceMesh, boundary_sides
+from reconstruction.mesh.surface_mesh import SurfaceMesh, boundary_sides, connected_faces
 
 Array = NDArray[np.float64]
 
@@ -182,18 +182,3 @@ def _pieces_with_observed(faces: NDArray[np.int64], unobserved: NDArray[np.bool_
     """(F,) faces of connected pieces with at least one observed face: Poisson's bubbles elsewhere are no wall."""
     piece = connected_faces(faces)
     return (np.bincount(piece, weights=~unobserved) > 0)[piece]
-
-
-def connected_faces(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number (F,) of the connected piece of each face; faces that share a vertex are connected."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    if not len(faces):
-        return np.empty(0, np.int64)
-    names, compact = np.unique(faces, return_inverse=True)
-    compact = compact.reshape(-1, 3)
-    start, end = compact[:, :2].ravel(), compact[:, 1:].ravel()
-    links = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(len(names), len(names)))
-    label = connected_components(links, directed=False)[1]
-    return np.unique(label[compact[:, 0]], return_inverse=True)[1].reshape(-1)

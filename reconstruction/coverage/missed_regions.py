@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.coverage.centreline import Centreline
-from reconstruction.coverage.hole_closing import ClosedWall, connected_faces
+from reconstruction.coverage.hole_closing import ClosedWall
+from reconstruction.mesh.surface_mesh import connected_faces
 
 Array = NDArray[np.float64]
 

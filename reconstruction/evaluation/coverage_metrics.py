@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
 from reconstruction.coverage.coverage import Coverage
-from reconstruction.coverage.hole_closing import MAX_OFF_LINE, connected_faces
+from reconstruction.coverage.hole_closing import MAX_OFF_LINE
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
-from reconstruction.mesh.surface_mesh import SurfaceMesh
+from reconstruction.mesh.surface_mesh import SurfaceMesh, connected_faces
 
 Array = NDArray[np.float64]
 

@@ -121,26 +121,34 @@ def drop_small_components(
     mesh: SurfaceMesh, min_fraction: float = 0.0, min_area: float = 0.0
 ) -> tuple[SurfaceMesh, DroppedComponents]:
     """The mesh without connected components below `min_area`, or below `min_fraction` of the largest one's area."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if not len(mesh.faces):
         return mesh, DroppedComponents(0, 0, 0.0, 0)
-    count = len(mesh.vertices)
-    start, end = mesh.faces[:, :2].ravel(), mesh.faces[:, 1:].ravel()
-    links = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count))
-    component_of_face = connected_components(links, directed=False)[1][mesh.faces[:, 0]]
+    component_of_face = connected_faces(mesh.faces)
     area = np.bincount(component_of_face, weights=mesh.face_areas)
-    real = np.bincount(component_of_face) > 0
-    large = real & (area >= max(min_area, min_fraction * area.max()))
+    large = area >= max(min_area, min_fraction * area.max())
     kept = large[component_of_face]
     dropped = DroppedComponents(
-        components=int((real & ~large).sum()),
+        components=int((~large).sum()),
         faces=int((~kept).sum()),
-        area=float(area[real & ~large].sum()),
+        area=float(area[~large].sum()),
         kept_components=int(large.sum()),
     )
     return mesh.with_faces(kept), dropped
+
+
+def connected_faces(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number (F,) of the connected piece of each face; faces that share a vertex are connected."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(faces):
+        return np.empty(0, np.int64)
+    names, compact = np.unique(faces, return_inverse=True)
+    compact = compact.reshape(-1, 3)
+    start, end = compact[:, :2].ravel(), compact[:, 1:].ravel()
+    links = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(len(names), len(names)))
+    label = connected_components(links, directed=False)[1]
+    return np.unique(label[compact[:, 0]], return_inverse=True)[1].reshape(-1)
 
 
 def boundary_sides(faces: NDArray[np.int64]) -> NDArray[np.bool_]:

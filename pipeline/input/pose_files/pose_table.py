@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
+from haustra.core.se3 import interpolated
 from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
 from pipeline.run_folder.workspace import Workspace
@@ -163,12 +163,8 @@ def _between(wanted: Array, seconds: Array, world_from_camera: Array, nearest: N
     spacing = np.median(np.diff(seconds))
     apart = (gaps < WIDEST_GAP * spacing) & (np.abs(wanted - seconds[nearest]) > SAME_TIME * spacing)
     inside = apart & (wanted > seconds[after - 1]) & (wanted < seconds[after])
-    part = ((wanted - seconds[after - 1]) / gaps)[inside]
-    before, behind = world_from_camera[after[inside] - 1], world_from_camera[after[inside]]
-    first = Rotation.from_matrix(before[:, :3, :3])
-    turn = (first.inv() * Rotation.from_matrix(behind[:, :3, :3])).as_rotvec()
-    result[inside, :3, :3] = (first * Rotation.from_rotvec(part[:, None] * turn)).as_matrix()
-    result[inside, :3, 3] = before[:, :3, 3] + part[:, None] * (behind[:, :3, 3] - before[:, :3, 3])
+    if inside.any():
+        result[inside] = interpolated(seconds, world_from_camera, wanted[inside])
     return result
 
 
