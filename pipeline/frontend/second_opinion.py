@@ -1,8 +1,8 @@
 """The second front end, asked of the stretches of a film that the first one leaves in doubt, within a budget of time.
 
-Each stretch is mapped by itself, the shortest first: what is finished when the time is over counts, and the pace of the
-finished ones tells which of the others the time that is left is too short for. Where nobody knows the lens, all are
-mapped at once, since one film has one lens.
+Stretches for which that time is too short are not begun. Each is mapped by itself, the shortest first: what is
+finished when the time is over counts, and the pace of the finished ones tells for which of the others too little is
+left. Where nobody knows the lens, all are mapped at once, since one film has one lens.
 """
 
 import shutil
@@ -26,7 +26,8 @@ from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
-MOST_FRAMES = 1000  # of all stretches: COLMAP needs half a second a frame and more
+LEAST_PACE = 0.2  # s that COLMAP takes a frame on a quick machine; 0.5 and more on a slow one
+MOST_FRAMES = 1000  # of all stretches
 
 ByMapper = dict[str, list[Candidate]]
 
@@ -47,9 +48,9 @@ class Opinion:
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames) -> list[Stretch]:
+def stretches_in_doubt(candidates: list[Candidate], frames: Frames, seconds: float | None = None) -> list[Stretch]:
     """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
-    out, and the longest, where all are too many."""
+    out, and the longest, where all are too many, or the time, if it is limited, too short for them."""
     sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
     edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
@@ -60,7 +61,8 @@ def stretches_in_doubt(candidates: list[Candidate], frames: Frames) -> list[Stre
             wide = spans.pop()[0], wide[1]
         spans.append(wide)
     spans.sort(key=lambda span: span[1] - span[0])
-    few = np.cumsum([end - begin for begin, end in spans]) <= MOST_FRAMES
+    total = np.cumsum([end - begin for begin, end in spans])
+    few = (total <= MOST_FRAMES) & (total * LEAST_PACE <= (np.inf if seconds is None else seconds))
     rows = [np.arange(*span) for span, is_few in zip(spans, few, strict=True) if is_few]
     return [
         Stretch(replace(frames, index=frames.index[r], seconds=frames.seconds[r]), frames.index[r[doubtful[r]]])

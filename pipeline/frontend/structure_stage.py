@@ -210,8 +210,15 @@ def _run(
     if not needs_second_opinion(found, total):
         return results, None
     budget = settings.second_opinion * (time.monotonic() - started) if found else None
-    stretches, lens = stretches_in_doubt(found, frames), known_lens(found, frames)
-    if not stretches or budget == 0:
+    if budget == 0:
+        return results, None
+    stretches, lens = stretches_in_doubt(found, frames, budget), known_lens(found, frames)
+    if not stretches:
+        if shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]:
+            progress.log(
+                f"{_why(found, total)}; {SECOND} (COLMAP) is not asked: it may take {budget or 0:.0f} s "
+                f"(second_opinion), too few for {shortest[0]} frames"
+            )
         return results, None
     if lens is None:
         stretches = at_once(stretches)

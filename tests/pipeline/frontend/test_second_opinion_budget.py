@@ -120,6 +120,19 @@ def test_a_stretch_for_which_the_time_left_is_too_short_is_not_begun(monkeypatch
     assert sorted(len(one.submap.frames) for one in maps) == [30, 50, 70, 100, 100], "the other stretch's map stays"
 
 
+@pytest.mark.parametrize(("seconds", "asked"), [(13.9, []), (14.1, [70]), (37.9, [70]), (38.1, [70, 120])])
+def test_stretches_that_colmap_cannot_map_in_its_time_are_not_begun(monkeypatch, tmp_path, seconds, asked):
+    """Of 70 and 120 frames, at 0.2 s a frame."""
+    found_nothing = FrontEndResult({})
+    clock, _ = in_two_stretches(monkeypatch, tmp_path, lambda: found_nothing, seconds, 0.0)
+    results, failure = clock.run(400)
+    assert [len(index) for index, _ in clock.told] == asked
+    assert failure is None
+    if not asked:
+        assert list(results) == ["odometry"]
+        assert clock.lines[-1].endswith("is not asked: it may take 14 s (second_opinion), too few for 70 frames")
+
+
 def test_a_stretch_that_the_second_front_end_maps_worse_keeps_the_first_ones_map(monkeypatch, tmp_path):
     parts = iter([range(90, 160), range(190, 195)])
 
@@ -191,7 +204,7 @@ def test_an_interrupt_of_the_second_opinion_keeps_the_first(monkeypatch):
     def interrupted():
         raise KeyboardInterrupt
 
-    clock = Clockwork(monkeypatch, 5.0, {"odometry": [DARK]}, interrupted)
+    clock = Clockwork(monkeypatch, 50.0, {"odometry": [DARK]}, interrupted)
     results, failure = clock.run(100)
     assert list(results) == ["odometry"]
     assert failure is None

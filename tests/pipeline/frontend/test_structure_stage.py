@@ -23,6 +23,12 @@ SETTINGS = Config().front_end_settings
 NO_FEATURES = SiftCache(None)  # nobody asks for any
 
 
+@pytest.fixture(autouse=True)
+def no_time(monkeypatch):
+    """Front ends take no time here, and leave none to each other."""
+    monkeypatch.setattr(second_opinion, "LEAST_PACE", 0.0)
+
+
 @pytest.fixture
 def asked(monkeypatch, tmp_path):
     """Run the stage's front ends with mappers that find what is given; the mappers run, in order, and the best one."""
