@@ -26,7 +26,7 @@ from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
-LEAST_PACE = 0.2  # s that COLMAP takes a frame on a quick machine; 0.5 and more on a slow one
+SLOWER = 2.0  # times as long as odometry COLMAP takes a frame, at the least: 2.4 in 80 frames, more in more
 MOST_FRAMES = 1000  # of all stretches
 
 ByMapper = dict[str, list[Candidate]]
@@ -48,9 +48,9 @@ class Opinion:
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames, seconds: float | None = None) -> list[Stretch]:
+def stretches_in_doubt(candidates: list[Candidate], frames: Frames, most: float = MOST_FRAMES) -> list[Stretch]:
     """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
-    out, and the longest, where all are too many, or the time, if it is limited, too short for them."""
+    out, and the longest, where all have more than `most` frames."""
     sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
     edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
@@ -61,13 +61,18 @@ def stretches_in_doubt(candidates: list[Candidate], frames: Frames, seconds: flo
             wide = spans.pop()[0], wide[1]
         spans.append(wide)
     spans.sort(key=lambda span: span[1] - span[0])
-    total = np.cumsum([end - begin for begin, end in spans])
-    few = (total <= MOST_FRAMES) & (total * LEAST_PACE <= (np.inf if seconds is None else seconds))
+    few = np.cumsum([end - begin for begin, end in spans]) <= most
     rows = [np.arange(*span) for span, is_few in zip(spans, few, strict=True) if is_few]
     return [
         Stretch(replace(frames, index=frames.index[r], seconds=frames.seconds[r]), frames.index[r[doubtful[r]]])
         for r in rows
     ]
+
+
+def most_frames(total: int, share: float) -> float:
+    """That COLMAP may be asked about, of `total`, if it has `share` times the time that odometry took for all of them:
+    with more it would not end in time. Not measured by the clock, so that the load of a machine changes nothing."""
+    return min(MOST_FRAMES, share * total / SLOWER)
 
 
 def at_once(stretches: list[Stretch]) -> list[Stretch]:

@@ -36,11 +36,13 @@ from pipeline.frontend.scoring import (
     uncovered,
 )
 from pipeline.frontend.second_opinion import (
+    MOST_FRAMES,
     ByMapper,
     ask_of_each,
     at_once,
     joined,
     known_lens,
+    most_frames,
     stretches_in_doubt,
     with_sigma,
 )
@@ -210,14 +212,13 @@ def _run(
     if not needs_second_opinion(found, total):
         return results, None
     budget = settings.second_opinion * (time.monotonic() - started) if found else None
-    if budget == 0:
-        return results, None
-    stretches, lens = stretches_in_doubt(found, frames, budget), known_lens(found, frames)
+    most = MOST_FRAMES if budget is None else most_frames(total, settings.second_opinion)
+    stretches, lens = stretches_in_doubt(found, frames, most), known_lens(found, frames)
     if not stretches:
-        if shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]:
+        if budget and (shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]):
             progress.log(
-                f"{_why(found, total)}; {SECOND} (COLMAP) is not asked: it may take {budget or 0:.0f} s "
-                f"(second_opinion), too few for {shortest[0]} frames"
+                f"{_why(found, total)}; {SECOND} (COLMAP) is not asked: it may take {budget:.0f} s (second_opinion), "
+                f"too few for {shortest[0]} frames"
             )
         return results, None
     if lens is None:
