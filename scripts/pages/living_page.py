@@ -16,7 +16,7 @@ AMPLITUDES = {"0.0": "0", "2.5": "2.5", "5.0": "5", "10": "10"}
 
 HEAD = """# Walls that move
 
-- **Date:** 2026-11-25
+- **Date:** 2026-11-28
 - **Question:** How far off are the camera path and the surface when the wall moves by 0, 2.5, 5 or 10 mm?
 - **Films:** the sweep of `haustra/phantom/dataset/living.yaml`: three recorded paths of a real hand (C3VD, 18 to 46 mm
   long), each filmed with four walls, through the lens and lamp of endoscopes 3, 9 and 13; 600 frames of 400x300,
@@ -38,8 +38,8 @@ READ = """
   that moves as a whole cannot be told from a camera that moves: a fifth of the amplitude is such a shift.
 - **A low ATE is no proof of a right map.** The Sim(3) of so short and straight a path is turned easily: rotations
   after alignment are off by degrees, and the surface, which lies 20 to 60 mm away, by millimetres.
-- **Frames without a pose**, at 5 and 10 mm: tracking is lost, or the lamp contradicts the map, and COLMAP, which is
-  then asked and may take no longer than odometry did (`second_opinion`), does not finish in that time.
+- **Frames without a pose**, at 5 and 10 mm: tracking is lost, or the lamp contradicts the map, and COLMAP has no map of
+  them within the time that odometry took (`second_opinion`).
 - **No model of motion.** Poses and points are adjusted as if the wall stood still, and depth is averaged over time.
   That it moved is said (below); why no more is done follows.
 """
@@ -50,7 +50,7 @@ CEILINGS = """
 F-score at 1 mm, as above, of the three paths and in the mean: our own fusion fed with the film's true poses and depth,
 or with those of a run, and with each frame's depth carried to the wall at rest by the true motion, which is what a
 perfect model of motion would do. True poses and depth: every sixth frame of the film; the others: keyframes of the
-largest submaps of the runs above.
+largest submaps of that commit's runs.
 `python -m benchmarks.living_ceilings FILMS/* --runs RUNS --json living_ceilings.json`; commit {commit}.
 
 | amplitude (mm) | fused | motion left in: paths | mean | carried to rest: paths | mean |
