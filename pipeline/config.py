@@ -160,7 +160,8 @@ class Config(Settings):
     second_opinion: float = Field(
         1.0,
         ge=0,
-        description="time that COLMAP may take to check what odometry left in doubt, over the time that odometry took",
+        description="time that COLMAP may take to check what odometry left in doubt, over the time that odometry took "
+        "(over 90 s, if that was less)",
     )
     model: str = Field("mscsa", description="completion network: a shipped name or a weight file")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where completion runs")

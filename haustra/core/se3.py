@@ -72,8 +72,8 @@ def angle_between(first: Array, second: Array) -> float:
 
 
 def interpolated(seconds: Array, world_from_camera: Array, wanted: Array) -> Array:
-    """(K,4,4) at times wanted (K,), of poses (N,4,4) at rising times (N,), two and more: centres on straight lines,
-    rotations on great arcs; before the first and after the last these."""
+    """(K,4,4) at times wanted (K,), between poses (N,4,4) at strictly rising times (N,), two and more: centres on
+    straight lines, rotations on great arcs; at times beyond either end, the pose at that end."""
     after = np.searchsorted(seconds, wanted).clip(1, len(seconds) - 1)
     part = ((wanted - seconds[after - 1]) / (seconds[after] - seconds[after - 1])).clip(0, 1)[:, None]
     first, second = world_from_camera[after - 1], world_from_camera[after]

@@ -1,8 +1,9 @@
 """The second front end, asked of the stretches of a film that the first one leaves in doubt, within a budget of time.
 
-Stretches for which that time is too short are not begun. Each is mapped by itself, the shortest first: what is
-finished when the time is over counts, and the pace of the finished ones tells for which of the others too little is
-left. Where nobody knows the lens, all are mapped at once, since one film has one lens.
+A film of some seconds always gets one; of a longer one, stretches that are too long for the time are not begun. Each
+is mapped by itself, the shortest first: what is finished when the time is over counts, and the pace of the finished
+ones tells for which of the others too little is left. Where nobody knows the lens, all are mapped at once, since one
+film has one lens.
 """
 
 import shutil
@@ -26,7 +27,8 @@ from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
-SLOWER = 2.0  # times as long as odometry COLMAP takes a frame, at the least: 2.4 in 80 frames, more in more
+SLOWER = 2.0  # times as long as odometry COLMAP takes a frame; usually 3 to 12
+FEW_FRAMES, FEW_SECONDS = 100, 90.0  # about which it may be asked however quick odometry was, and the time for them
 MOST_FRAMES = 1000  # of all stretches
 
 ByMapper = dict[str, list[Candidate]]
@@ -72,7 +74,12 @@ def stretches_in_doubt(candidates: list[Candidate], frames: Frames, most: float 
 def most_frames(total: int, share: float) -> float:
     """That COLMAP may be asked about, of `total`, if it has `share` times the time that odometry took for all of them:
     with more it would not end in time. Not measured by the clock, so that the load of a machine changes nothing."""
-    return min(MOST_FRAMES, share * total / SLOWER)
+    return min(MOST_FRAMES, share * max(total / SLOWER, FEW_FRAMES))
+
+
+def time_allowed(odometry_s: float, share: float) -> float:
+    """Seconds that COLMAP may take."""
+    return share * max(odometry_s, FEW_SECONDS)
 
 
 def at_once(stretches: list[Stretch]) -> list[Stretch]:

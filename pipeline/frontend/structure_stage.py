@@ -44,6 +44,7 @@ from pipeline.frontend.second_opinion import (
     known_lens,
     most_frames,
     stretches_in_doubt,
+    time_allowed,
     with_sigma,
 )
 from pipeline.input.frames import Frames
@@ -211,14 +212,14 @@ def _run(
     found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
     if not needs_second_opinion(found, total):
         return results, None
-    budget = settings.second_opinion * (time.monotonic() - started) if found else None
+    budget = time_allowed(time.monotonic() - started, settings.second_opinion) if found else None
     most = MOST_FRAMES if budget is None else most_frames(total, settings.second_opinion)
     stretches, lens = stretches_in_doubt(found, frames, most), known_lens(found, frames)
     if not stretches:
-        if budget and (shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]):
+        if most and (shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]):
             progress.log(
-                f"{_why(found, total)}; {SECOND} (COLMAP) is not asked: it may take {budget:.0f} s (second_opinion), "
-                f"too few for {shortest[0]} frames"
+                f"{_why(found, total)}; {SECOND} (COLMAP) is not asked about {shortest[0]} frames or more, of which it "
+                f"maps {most:.0f} in its time (second_opinion {settings.second_opinion:g}); --front-end sfm maps all"
             )
         return results, None
     if lens is None:

@@ -54,18 +54,18 @@ class Clockwork:
         self.forgotten += 1
 
 
-@pytest.mark.parametrize("share", [1.0, 2.5, 0.0])
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
 def test_the_second_opinion_gets_its_share_of_the_time_that_the_first_took(monkeypatch, share):
     found = {"odometry": [map_of(range(60)), map_of(range(60, 100), 0.5)], "global": [map_of(range(50, 100))]}
-    clock = Clockwork(monkeypatch, 40.0, found, lambda: FrontEndResult({"global": []}))
+    clock = Clockwork(monkeypatch, 400.0, found, lambda: FrontEndResult({"global": []}))
     results, _ = clock.run(100, SETTINGS.model_copy(update={"second_opinion": share}))
     if share == 0:
         assert clock.told == []
         return
     ((index, deadline),) = clock.told
     assert index == list(range(50, 100))  # the sure map's frames are not asked again, but for the margin
-    assert deadline == pytest.approx(140.0 + 40.0 * share)
-    assert f"for {40 * share:.0f} s at most" in clock.lines[0]
+    assert deadline == pytest.approx(500.0 + 400.0 * share)
+    assert f"for {400 * share:.0f} s at most" in clock.lines[0]
     posed = [len(c.submap.frames) for c in results["sfm"].candidates["global"]]
     assert posed == [60, 50]
     assert results["sfm"].in_parts
@@ -129,7 +129,18 @@ def test_stretches_that_colmap_cannot_map_in_its_time_are_not_begun(monkeypatch,
     assert failure is None
     if not asked:
         assert list(results) == ["odometry"]
-        assert clock.lines[-1].endswith("is not asked: it may take 14 s (second_opinion), too few for 70 frames")
+        assert clock.lines[-1].endswith(
+            "is not asked about 70 frames or more, of which it maps 68 in its time (second_opinion 0.34); "
+            "--front-end sfm maps all"
+        )
+
+
+@pytest.mark.parametrize(("count", "asked"), [(30, True), (100, True), (199, False)])
+def test_a_short_film_that_is_in_doubt_as_a_whole_gets_a_second_opinion(monkeypatch, count, asked):
+    """However quick odometry was: as it does where odometry finds nothing at all."""
+    clock = Clockwork(monkeypatch, 2.0, {"odometry": [DARK]}, lambda: FrontEndResult({}))
+    clock.run(count)
+    assert clock.told == ([(list(range(count)), pytest.approx(100.0 + 2.0 + 90.0))] if asked else [])
 
 
 def test_a_stretch_that_the_second_front_end_maps_worse_keeps_the_first_ones_map(monkeypatch, tmp_path):
@@ -204,7 +215,7 @@ def test_an_interrupt_of_the_second_opinion_keeps_the_first(monkeypatch):
         raise KeyboardInterrupt
 
     clock = Clockwork(monkeypatch, 5.0, {"odometry": [DARK]}, interrupted)
-    results, failure = clock.run(100, SETTINGS.model_copy(update={"second_opinion": 2.0}))
+    results, failure = clock.run(100)
     assert list(results) == ["odometry"]
     assert failure is None
     assert "interrupted" in clock.lines[-1]

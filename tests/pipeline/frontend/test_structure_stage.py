@@ -23,12 +23,6 @@ SETTINGS = Config().front_end_settings
 NO_FEATURES = SiftCache(None)  # nobody asks for any
 
 
-@pytest.fixture(autouse=True)
-def no_time(monkeypatch):
-    """Both front ends take none here."""
-    monkeypatch.setattr(second_opinion, "SLOWER", 1.0)
-
-
 @pytest.fixture
 def asked(monkeypatch, tmp_path):
     """Run the stage's front ends with mappers that find what is given; the mappers run, in order, and the best one."""
