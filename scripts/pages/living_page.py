@@ -38,8 +38,7 @@ READ = """
   that moves as a whole cannot be told from a camera that moves: a fifth of the amplitude is such a shift.
 - **A low ATE is no proof of a right map.** The Sim(3) of so short and straight a path is turned easily: rotations
   after alignment are off by degrees, and the surface, which lies 20 to 60 mm away, by millimetres.
-- **Frames without a pose**, at 5 and 10 mm: tracking is lost, or the lamp contradicts the map, and COLMAP has no map of
-  them within the time that odometry took (`second_opinion`).
+- **Frames without a pose**, at 5 and 10 mm: tracking is lost, or the lamp contradicts the map.
 - **No model of motion.** Poses and points are adjusted as if the wall stood still, and depth is averaged over time.
   That it moved is said (below); why no more is done follows.
 """
@@ -87,9 +86,8 @@ told). `python -m benchmarks.living_motion FILMS/* --runs RUNS --json living_mot
 - **That points miss a still wall together is known**, and said in {told} of the {moving} moving films above, and in
   {still_told} of the {still} still ones. The limit was chosen on six films of two other paths
   (`benchmarks/living_choosing.yaml`: still ones -9 and -5 %, moving ones 8, 13, 16, 7 %) and on fifteen rigid films of
-  other suites (-8 to -1 %), by runs that no record keeps. An earlier prior of 0.01 told five of the nine; it was
-  changed on the choosing films alone. Where the camera is fast or the map wrong, nothing may be left to tell it by:
-  silence is no proof that the wall stood still.
+  other suites (-8 to -1 %), by runs that no record keeps. Where the camera is fast or the map wrong, nothing may be
+  left to tell it by: silence is no proof that the wall stood still.
 - **It is not always the wall.** Whatever neighbours share foretells too. In a simulated rigid tube a rolling shutter of
   half a frame, a first radial term off by 0.03 and a focal length off by a tenth were told, with 13 to 33 % (by a
   script that was not kept). So the sentence names lens, shutter and path beside the wall, and submaps that closed loops
