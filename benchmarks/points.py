@@ -98,10 +98,10 @@ def _figures(film: Path, made: Run) -> dict[str, Any]:
     submap = made.submaps_before_loops[0].submap
     rectifier = make_rectifier(refined_camera(made.frames.camera, submap))
     maker = SparseDepthMaker(submap, rectifier.camera)
-    all_errors = point_errors(film, submap, rectifier, maker.good)
-    known = np.isfinite(all_errors)
-    error, expected, confirmed = (part[known] for part in (all_errors, maker.error, submap.known_depth_error))
-    confirmed = np.isfinite(confirmed)
+    error = point_errors(film, submap, rectifier, maker.good)
+    known = np.isfinite(error)
+    error, within = error[known], (error < maker.error)[known]
+    confirmed = np.isfinite(submap.known_depth_error)[known]
     compared = compare_run(made.folder, film)
     assert compared.surface is not None
     return {
@@ -109,9 +109,9 @@ def _figures(film: Path, made: Run) -> dict[str, Any]:
         "off_median_percent": float(100 * np.median(error)),
         "off_mean_percent": float(100 * error.mean()),
         "far_off_percent": float(100 * (error > FAR_OFF).mean()),
-        "within_expected_percent": float(100 * (error < expected).mean()),
+        "within_expected_percent": _percent(within),
         "confirmed": int(confirmed.sum()),
-        "confirmed_within_expected_percent": _percent((error < expected)[confirmed]),
+        "confirmed_within_expected_percent": _percent(within[confirmed]),
         "keyframes": made.metrics["submaps"][0]["keyframes"],
         **in_percent(compared.surface),
     }

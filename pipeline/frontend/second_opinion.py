@@ -1,9 +1,9 @@
 """The second front end, asked of the stretches of a film that the first one leaves in doubt, within a budget of time.
 
-A film of some seconds always gets one; of a longer one, stretches that are too long for the time are not begun. Each
-is mapped by itself, the shortest first: what is finished when the time is over counts, and the pace of the finished
-ones tells for which of the others too little is left. Where nobody knows the lens, all are mapped at once, since one
-film has one lens.
+A stretch of at most 100 frames always gets one; stretches that are too long for the time are not begun. Each is mapped
+by itself, the shortest first: what is finished when the time is over counts, and the pace of the finished ones tells
+for which of the others too little is left. Where nobody knows the lens, all are mapped at once, since one film has one
+lens.
 """
 
 import shutil
@@ -27,8 +27,8 @@ from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
-SLOWER = 2.0  # times as long as odometry COLMAP takes a frame; usually 3 to 12
-FEW_FRAMES, FEW_SECONDS = 100, 90.0  # about which it may be asked however quick odometry was, and the time for them
+SLOWER = 2.0  # times odometry's time a frame that COLMAP takes; usually 3 to 12 (docs/lab/front_end.md, mapper seeds)
+FEW_FRAMES, FEW_SECONDS = 100, 90.0  # that COLMAP may always map, and the time for them, however quick odometry was
 MOST_FRAMES = 1000  # of all stretches
 
 ByMapper = dict[str, list[Candidate]]
@@ -72,13 +72,13 @@ def stretches_in_doubt(candidates: list[Candidate], frames: Frames, most: float 
 
 
 def most_frames(total: int, share: float) -> float:
-    """That COLMAP may be asked about, of `total`, if it has `share` times the time that odometry took for all of them:
-    with more it would not end in time. Not measured by the clock, so that the load of a machine changes nothing."""
+    """Frames that COLMAP can map in `share` times the time that odometry took for a film of `total` frames. By a fixed
+    ratio of their speeds and not by the clock, so that the load of a machine changes nothing."""
     return min(MOST_FRAMES, share * max(total / SLOWER, FEW_FRAMES))
 
 
 def time_allowed(odometry_s: float, share: float) -> float:
-    """Seconds that COLMAP may take."""
+    """Seconds that COLMAP may take; odometry_s: those that odometry took."""
     return share * max(odometry_s, FEW_SECONDS)
 
 

@@ -218,8 +218,9 @@ def _run(
     if not stretches:
         if most and (shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]):
             progress.log(
-                f"{_why(found, total)}; {SECOND} (COLMAP) is not asked about {shortest[0]} frames or more, of which it "
-                f"maps {most:.0f} in its time (second_opinion {settings.second_opinion:g}); --front-end sfm maps all"
+                f"{_why(found, total)}; {SECOND} (COLMAP) is not run for comparison: the shortest stretch in doubt has "
+                f"{shortest[0]} frames, and it could map {most:.0f} in its time (second_opinion "
+                f"{settings.second_opinion:g}); --front-end sfm runs it on the whole film"
             )
         return results, None
     if lens is None:

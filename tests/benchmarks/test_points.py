@@ -26,8 +26,7 @@ def test_both_front_ends_of_a_film_that_was_chosen_on_are_of_that_kind():
 
 
 def test_a_copy_with_other_points_makes_all_later_stages_anew(tmp_path):
-    Made = _made(tmp_path)
-    with_points(Made, [], tmp_path / "own")
+    with_points(_made(tmp_path), [], tmp_path / "own")
     assert not list((tmp_path / "own").rglob("*.png"))
     assert set(open_workspace(tmp_path / "own").record["stages"]) == {"frames", "lens", "structure", "points"}
 

@@ -130,8 +130,8 @@ def test_stretches_that_colmap_cannot_map_in_its_time_are_not_begun(monkeypatch,
     if not asked:
         assert list(results) == ["odometry"]
         assert clock.lines[-1].endswith(
-            "is not asked about 70 frames or more, of which it maps 68 in its time (second_opinion 0.34); "
-            "--front-end sfm maps all"
+            "is not run for comparison: the shortest stretch in doubt has 70 frames, and it could map 68 in its time "
+            "(second_opinion 0.34); --front-end sfm runs it on the whole film"
         )
 
 
