@@ -4,12 +4,15 @@ Each frame is compared with the reference image, not with the frame before it, s
 reference frame and a single bad frame costs nothing. The reference moves on when the view has changed.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frontend.odometry.klt import Pixels, TrackerImage, detect, track_klt
 
-CELL_SHARE = 0.045  # of the width: one track for each cell of this side
+CELLS = 490  # of equal size, in the part of the picture where windows fit: one track in each
+LEAST_CELL_PX = 6
 
 
 class CornerTracks:
@@ -42,7 +45,9 @@ class CornerTracks:
     def set_reference(self, view: TrackerImage) -> None:
         """Make `view`, which `follow` was just given, the reference frame; fill empty places with new tracks."""
         self.keep(self.found)
-        added = detect(view, self.now, max(6, round(CELL_SHARE * view.image.shape[1])))
+        # By area: a film in a wide or cut picture is tracked by as many corners as one that fills a square.
+        side = math.sqrt(np.count_nonzero(view.mask) / CELLS)
+        added = detect(view, self.now, max(LEAST_CELL_PX, round(side)))
         fresh = np.arange(self.count, self.count + len(added))
         self.count += len(added)
         self.ids = np.concatenate([self.ids, fresh])

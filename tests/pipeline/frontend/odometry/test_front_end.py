@@ -1,5 +1,6 @@
 """The streaming front end on rendered views of a textured tube: tracking, loss, submaps, joining, what it writes."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -7,7 +8,7 @@ from scipy.spatial.distance import cdist
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.frontend.odometry.corner_tracks import CornerTracks
+from pipeline.frontend.odometry.corner_tracks import CELLS, CornerTracks
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.klt import detect, track_klt, tracker_image
 from pipeline.frontend.structure_stage import solve_structure
@@ -107,6 +108,19 @@ def test_tracks_follow_a_known_shift(clip):
     now, found = track_klt(first, second, reference_pixels, reference_pixels)
     assert found.mean() > 0.6
     np.testing.assert_allclose(np.median((now - reference_pixels)[found], axis=0), [-5, -3], atol=0.05)
+
+
+@pytest.mark.parametrize("shape", [(320, 320), (240, 320), (480, 640), (200, 420)])
+@pytest.mark.parametrize("cut", [0.0, 0.3])
+def test_a_wide_or_cut_picture_is_tracked_by_as_many_corners(shape, cut):
+    """Noise has a corner everywhere; `cut` is the share of the height and width that the mask takes from each corner,
+    as an octagonal picture does."""
+    picture = np.random.default_rng(0).integers(0, 255, (*shape, 3), dtype=np.uint8)
+    y, x = (np.minimum(a, a[::-1] if k == 0 else a[:, ::-1]) for k, a in enumerate(np.indices(shape)))
+    mask = np.where(y / shape[0] + x / shape[1] < cut, 0, 255).astype(np.uint8)
+    tracks = CornerTracks()
+    tracks.set_reference(tracker_image(cv2.GaussianBlur(picture, (0, 0), 1.5), mask))
+    assert len(tracks.ids) == pytest.approx(CELLS, rel=0.15)
 
 
 def followed(second, off):
