@@ -1,121 +1,135 @@
-"""A long video through odometry: peak memory against the number of frames, submaps, and drift per length of path.
+"""Long films through the whole of `reconstruct`: time, peak memory, drift of the scale and error of the path.
 
-    haustra phantom FILM --config benchmarks/long_video.yaml --size 160     # 10,000 frames of a 1.5 m colon
-    python -m benchmarks.long_video FILM --frames 1000 10000 --json long_video.json
+    haustra phantom WITHDRAWAL --config benchmarks/withdrawal.yaml             # 1,500 frames of 320x320, 450 mm
+    haustra phantom LONG --config benchmarks/long_video.yaml --size 320        # 10,000 frames of 320x320, 1.5 m
+    python -m benchmarks.long_video WITHDRAWAL --json long_video.json
+    python -m benchmarks.long_video LONG --frames 1000 10000 --json long_video.json
 
-Each number of frames runs in a process of its own (decoding and judging the frames, tracking, mapping, joining,
-evidence; no depth), whose peak resident memory is printed: Python and its libraries included, COLMAP not, as it does
-not run. Drift: each submap is cut into stretches of `--stretch` mm of true path, one beginning every half stretch; a
-similarity fitted to a stretch's first quarter carries the rest into the truth, and the distance at its end is divided
-by its length. Median and 90th percentile over all stretches.
+Each number of frames is a run of its own from the film's beginning, in a process of its own: `reconstruct --profile`,
+default settings, lens given, seed 0. Seconds are of the whole process; the peak is its resident memory, Python and its
+libraries included. Path: RMSE of camera centres after one Sim(3) a submap. Scale: each submap is cut into stretches of
+`--stretch` mm of true path, one beginning every half stretch; a Sim(3) fitted to each has its own scale, and how far
+these are from their median is what the scale drifts by. End error: a Sim(3) fitted to a stretch's first quarter carries
+the rest into the truth; distance at its end over its length. A row is added as each run ends; a stopped call goes on
+where it was. Rendered by `python scripts/pages/long_page.py`.
 """
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.common.front_end import path_errors, store
+from benchmarks.common.front_end import path_errors
+from benchmarks.common.record import RunTable, print_row
 from benchmarks.common.runner import add_folder, run
-from haustra.core.progress import SilentProgress
-from pipeline.config import Config, FrameSettings
-from pipeline.frontend.odometry.frame_io import frame_features
-from pipeline.frontend.structure_stage import solve_structure
+from haustra.core.errors import HaustraError
+from haustra.core.sim3 import scale_of, transform_points
+from pipeline.finished_run import Run, open_run
 from pipeline.mapping.submap import Submap
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses
 
 FITTED = 0.25  # of a stretch
 MIN_FITTED = 5  # frames
+METHOD = "reconstruct"
+
+Array = NDArray[np.float64]
 
 
-def drifts(submaps: list[Submap], truth: np.ndarray, stretch_mm: float) -> list[float]:
-    """End error of every stretch over its length."""
-    found = []
+def stretches(submap: Submap, truth: Array, stretch_mm: float) -> Iterator[tuple[NDArray[np.int64], int]]:
+    """Rows of each stretch of a submap, and how many of them make its first quarter; truth (N,4,4), mm."""
+    centres = truth[submap.frames][:, :3, 3]
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
+    for start in np.arange(0, along[-1] - stretch_mm, stretch_mm / 2):
+        rows = np.flatnonzero((along >= start) & (along <= start + stretch_mm))
+        fitted = int((along[rows] <= start + FITTED * stretch_mm).sum())
+        if fitted >= MIN_FITTED:
+            yield rows, fitted
+
+
+def drift(submaps: list[Submap], truth: Array, stretch_mm: float) -> dict[str, Any]:
+    """Of all stretches: their scales about the median one of their submap, and their end errors, percent."""
+    scales, ends = [], []
     for submap in submaps:
-        true = truth[submap.frames]
-        along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))])
-        for start in np.arange(0, along[-1] - stretch_mm, stretch_mm / 2):
-            rows = np.flatnonzero((along >= start) & (along <= start + stretch_mm))
-            fitted = rows[along[rows] <= start + FITTED * stretch_mm]
-            if len(fitted) < MIN_FITTED:
-                continue
-            truth_from_run = align_poses(submap.world_from_camera[fitted], true[fitted])
-            end = truth_from_run[:3, :3] @ submap.centres[rows[-1]] + truth_from_run[:3, 3]
-            found.append(float(np.linalg.norm(end - true[rows[-1], :3, 3]) / (along[rows[-1]] - along[rows[0]])))
-    return found
+        own = []
+        for rows, fitted in stretches(submap, truth, stretch_mm):
+            poses, true = submap.world_from_camera[rows], truth[submap.frames[rows]]
+            own.append(float(scale_of(align_poses(poses, true))))
+            first = align_poses(poses[:fitted], true[:fitted])
+            off = np.linalg.norm(transform_points(first, poses[-1:, :3, 3]) - true[-1, :3, 3])
+            ends.append(float(off / np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()))
+        scales += (np.abs(np.array(own) / np.median(own) - 1)).tolist() if own else []
+    if not ends:
+        return {"stretches": 0}
+    return {
+        "stretches": len(ends),
+        "scale_off_median_percent": float(100 * np.median(scales)),
+        "scale_off_most_percent": float(100 * np.max(scales)),
+        "end_error_median_percent": float(100 * np.median(ends)),
+        "end_error_most_percent": float(100 * np.max(ends)),
+    }
 
 
-def track(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
-    _, truth = read_tum(folder / "trajectory.txt")
-    fps = json.loads((folder / "camera.json").read_text())["fps"]
-    config = Config(front_end="odometry", frames=FrameSettings(end_s=(frames - 0.5) / fps))
-    with tempfile.TemporaryDirectory() as scratch:
-        kept, workspace = store(folder, config, Path(scratch) / "run")
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        start = time.perf_counter()
-        with frame_features(workspace) as features:
-            told = config.front_end_settings
-            submaps = solve_structure(kept, features, config.front_end, told, workspace, SilentProgress())
-        seconds = time.perf_counter() - start
-    drift = drifts(submaps, truth, stretch_mm)
+def figures_of(film: Path, made: Run, frames: int, seconds: float, stretch_mm: float) -> dict[str, Any]:
+    """Of one finished run with a profile."""
+    _, truth = read_tum(film / "trajectory.txt")
+    metrics, submaps = made.metrics, [completed.submap for completed in made.completed_submaps]
+    path = np.linalg.norm(np.diff(truth[:frames, :3, 3], axis=0), axis=1).sum()
     return {
         "frames": frames,
-        "worth_tracking": len(kept.index),
-        "posed": sum(len(submap.frames) for submap in submaps),
+        "used": metrics["frames"]["verdicts"]["used"],
+        "posed": metrics["frames"]["posed"],
         "submaps": len(submaps),
-        "path_mm": float(np.linalg.norm(np.diff(truth[:frames, :3, 3], axis=0), axis=1).sum()),
-        "peak_mebibytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "peak_before_structure_mebibytes": before,
-        "frames_per_s": len(kept.index) / seconds,
-        "stretches": len(drift),
-        "drift_median": float(np.median(drift)) if drift else None,
-        "drift_90": float(np.percentile(drift, 90)) if drift else None,
+        "keyframes": metrics["submaps"][0]["keyframes"],
+        "path_mm": float(path),
+        "seconds": seconds,
+        "frames_per_s": frames / seconds,
+        "peak_mib": max(stage["peak_mib"] for stage in metrics["profile"]),
+        "stages": {stage["stage"]: [stage["seconds"], stage["peak_mib"]] for stage in metrics["profile"]},
+        **drift(submaps, truth, stretch_mm),
         **path_errors(submaps, truth),
     }
 
 
-def in_a_process(folder: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
-    command = [sys.executable, "-m", "benchmarks.long_video", str(folder)]
-    command += ["--frames", str(frames), "--stretch", str(stretch_mm), "--here"]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
-
-
-def print_run(of: dict[str, Any], stretch_mm: float) -> None:
-    text = f"{of['frames']} frames, {of['path_mm']:.0f} mm: peak {of['peak_mebibytes']:.0f} MiB "
-    text += f"({of['peak_before_structure_mebibytes']:.0f} before structure), {of['posed']} of {of['worth_tracking']} "
-    text += f"posed in {of['submaps']} submaps, {of['frames_per_s']:.1f} frames/s"
-    if of["drift_median"] is not None:
-        text += f"; drift {100 * of['drift_median']:.1f} % of the path in the median, {100 * of['drift_90']:.1f} % at "
-        text += f"the 90th percentile ({of['stretches']} stretches of {stretch_mm:.0f} mm)"
-    print(text, flush=True)
+def measured(film: Path, frames: int, stretch_mm: float) -> dict[str, Any]:
+    """Run the first `frames` frames of an RGB-D folder, and measure."""
+    fps = json.loads((film / "camera.json").read_text())["fps"]
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "run"
+        command = [sys.executable, "-m", "pipeline", str(film), "-o", str(folder), "--profile", "-q"]
+        command += ["--camera", str(film / "camera.json"), "--end", f"{(frames - 0.5) / fps:.6f}"]
+        started = time.perf_counter()
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        seconds = time.perf_counter() - started
+        if done.returncode != 0:
+            raise HaustraError(f"{film}, {frames} frames: {done.stderr.strip()}")
+        return figures_of(film, open_run(folder), frames, seconds, stretch_mm)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(parser)
-    parser.add_argument("--frames", type=int, nargs="+", default=[1000, 10000], help="each in a process of its own")
+    parser.add_argument("--frames", type=int, nargs="+", help="each a run of its own (default: the whole film)")
     parser.add_argument("--stretch", type=float, default=100.0, help="mm")
-    parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)  # in this process, as JSON
 
 
-def measure(arguments: argparse.Namespace) -> dict[str, Any] | None:
+def measure(arguments: argparse.Namespace) -> None:
     """A run for each number of frames."""
-    cv2.setNumThreads(1)
-    if arguments.here:
-        print(json.dumps(track(arguments.folder, arguments.frames[0], arguments.stretch)))
-        return None
-    runs = [in_a_process(arguments.folder, frames, arguments.stretch) for frames in arguments.frames]
-    for figures in runs:
-        print_run(figures, arguments.stretch)
-    return {"stretch_mm": arguments.stretch, "runs": runs}
+    film, table = arguments.folder, RunTable(arguments.json)
+    for frames in arguments.frames or [len(read_tum(film / "trajectory.txt")[0])]:
+        name = f"{film.name}, {frames} frames"
+        if table.has(name, 0, METHOD):
+            continue
+        figures = measured(film, frames, arguments.stretch)
+        table.add(name, 0, {METHOD: {"stretch_mm": arguments.stretch} | figures})
+        print_row({"film": name} | {key: value for key, value in figures.items() if key != "stages"})
 
 
 if __name__ == "__main__":
