@@ -20,10 +20,10 @@ from pipeline.matching.sift import FindFeatures
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
 # more on compressed ones, where fine texture moves with its blocks (docs/lab/front_end.md).
 WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
-MIN_SEEN = 20  # features of a keyframe that is fixed by them; another one follows its neighbour
+MIN_SEEN = 20  # features of a keyframe that is held by them; another one follows its neighbour
 MIN_TYPICAL_FEATURES = 100  # features of the median keyframe: fewer are no better than the corners
 MIN_COMMON = 12  # features that hold two keyframes together
-MAX_FOLLOWING = 0.1  # share of keyframes that may follow
+MAX_FOLLOWING = 0.1  # share of keyframes that may follow: those that see too few, or do not hang together with most
 
 
 def adjust_maps(
@@ -95,30 +95,44 @@ def _adjusted(
     narrow = matched.tracks(world, False, widest)
     ids = local_map.insert_features(narrow, matched.pixels)
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
-    if not _is_held(local_map, moving, MIN_TYPICAL_FEATURES):
+    if _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES) is None:
         return False
     old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
-    if not _is_held(local_map, moving, MIN_TYPICAL_FEATURES / 2):
+    held = _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2)
+    if held is None:
         return False
     sure = moving.copy()
     sure[ids[matched.extrapolated(narrow)]] = False  # guesses say nothing of how the map grew
-    _propagate(local_map, old, _scales(local_map, old, before, sure), moving)
+    scale = _scales(local_map, old, before, sure)
+    scale[~held] = np.nan
+    _forget_unheld(local_map, moving, held)
+    _propagate(local_map, old, scale, moving)
     fit_points(local_map)
     return True
 
 
-def _is_held(local_map: LocalMap, among: NDArray[np.bool_], typical: float) -> bool:
-    """Whether the tracks `among` (T,) are many, few keyframes are left to follow, and all others hang together."""
+def _held_keyframes(local_map: LocalMap, among: NDArray[np.bool_], typical: float) -> NDArray[np.bool_] | None:
+    """(K,) the keyframes that see enough of the tracks `among` (T,) and hang together by them: the most that do. None
+    where these are too few, or the median keyframe sees fewer than `typical`."""
     if len(local_map.keyframes) < 2:
-        return False
+        return None
     seen = local_map.incidence(among)
     count = np.diff(seen.indptr)
     fixed = np.flatnonzero(count >= MIN_SEEN)
-    if len(fixed) < (1 - MAX_FOLLOWING) * len(count) or np.median(count) < typical:
-        return False
+    if len(fixed) == 0 or np.median(count) < typical:
+        return None
     together = (seen[fixed] @ seen[fixed].T) >= MIN_COMMON
-    return connected_components(together, directed=False)[0] == 1
+    part = connected_components(together, directed=False)[1]
+    held = np.zeros(len(count), dtype=bool)
+    held[fixed[part == np.bincount(part).argmax()]] = True
+    return held if held.sum() >= (1 - MAX_FOLLOWING) * len(count) else None
+
+
+def _forget_unheld(local_map: LocalMap, moving: NDArray[np.bool_], held: NDArray[np.bool_]) -> None:
+    """Points of tracks `moving` (T,) that no keyframe of `held` (K,) sees: their own world is not the map's."""
+    seen = np.asarray(local_map.incidence(moving)[np.flatnonzero(held)].sum(axis=0)).ravel() > 0
+    local_map.tracks.has_point[moving & ~seen] = False
 
 
 def _scales(local_map: LocalMap, old: list[Array], before: Array, sure: NDArray[np.bool_]) -> Array:

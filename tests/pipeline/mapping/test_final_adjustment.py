@@ -210,6 +210,42 @@ def test_a_keyframe_without_features_follows_its_neighbour(finished):
     assert np.median(off) < 0.05 * step
 
 
+def other_wall(frames):
+    """Features of the film, but that those of `frames` are described as nothing that the other frames show."""
+    found = SiftCache(read)
+
+    def of(frame):
+        features = found(frame)
+        return replace(features, descriptors=features.descriptors[:, ::-1]) if frame in frames else features
+
+    return of
+
+
+def test_a_few_keyframes_that_hang_together_alone_follow_the_others(finished, adjusted):
+    """The first ones, bent away: their features match each other's, and none of the rest of the map's."""
+    local_map = copy.deepcopy(finished)
+    count = len(local_map.keyframes)
+    alone = max(2, int(final_adjustment.MAX_FOLLOWING * count))
+    for keyframe in local_map.keyframes[:alone]:
+        keyframe.camera_from_world = keyframe.camera_from_world.copy()
+        keyframe.camera_from_world[:3, 3] += 0.02
+    before = poses_of(local_map)
+    assert adjust_to_features(local_map, other_wall(set(frames_of(local_map)[:alone])))
+    after, right = poses_of(local_map), poses_of(adjusted)
+    np.testing.assert_allclose(after[alone + 1 :, :3, 3], right[alone + 1 :, :3, 3], atol=0.05)
+    step = inverse(before[alone]) @ before[0], inverse(after[alone]) @ after[0]
+    np.testing.assert_allclose(step[1][:3, :3], step[0][:3, :3], atol=1e-6)
+    features = local_map.tracks.is_kind(TrackKind.FEATURE) & local_map.tracks.has_point
+    assert not any(features[keyframe.ids].any() for keyframe in local_map.keyframes[:alone])
+
+
+def test_halves_that_hang_together_alone_move_nothing(finished):
+    local_map = copy.deepcopy(finished)
+    before = poses_of(local_map)
+    assert adjust_to_features(local_map, other_wall(set(frames_of(local_map)[: len(local_map.keyframes) // 2]))) is None
+    np.testing.assert_array_equal(poses_of(local_map), before)
+
+
 def test_a_second_time_the_features_of_the_first_are_forgotten(adjusted, features):
     local_map = copy.deepcopy(adjusted)
     seen = features_seen(local_map)
