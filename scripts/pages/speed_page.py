@@ -60,8 +60,8 @@ READ = """
 - Tracking was not made faster.
 {peer}- Completion does not begin while tracking goes on: depth is completed from points that the adjusted poses
   triangulate, and these are known last.
-- Films of 1,500 and 10,000 frames are measured without a peer ([long_videos.md](long_videos.md)). The peer's accuracy
-  is not measured here.
+- Films of 1,000 and 1,500 frames are measured without a peer ([long_videos.md](long_videos.md)). The peer's accuracy is
+  not measured here.
 """
 
 
