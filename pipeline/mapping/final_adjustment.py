@@ -6,6 +6,8 @@ less, narrow ones least. The map is adjusted to narrow features alone; wide feat
 all features become points of the map.
 """
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
@@ -38,15 +40,17 @@ def adjust_maps(
     return held
 
 
-def adjust_maps_to_features(maps: list[LocalMap], find: FindFeatures, progress: Progress) -> list[float | None]:
+def adjust_maps_to_features(
+    maps: list[LocalMap], find: FindFeatures, progress: Progress, may_part: bool = True
+) -> list[float | None]:
     """Every map moved to where its own features have it; of each, how wide the features were at most, pixels. Maps that
-    they do not hold (None) stay as they are, and a sentence says so."""
+    they do not hold (None) stay as they are, and a sentence says so. may_part: see `adjust_to_features`."""
     if not maps:
         return []
     held = []
     for local_map in maps:
         with progress.bar("adjusting to features", None) as advance:
-            held.append(adjust_to_features(local_map, find, advance))
+            held.append(adjust_to_features(local_map, find, advance, may_part))
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.log(
@@ -56,13 +60,15 @@ def adjust_maps_to_features(maps: list[LocalMap], find: FindFeatures, progress: 
 
 
 def adjust_to_features(
-    local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress
+    local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress, may_part: bool = True
 ) -> float | None:
     """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
     None if too few do, which leaves poses and KLT points as they were.
 
     Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
-    The features of an earlier call are forgotten first.
+    may_part: where neither hold all keyframes together, a few may hang together alone; they then follow the others. Not
+    for a map that was joined of two: there it would hide that the join is wrong. The features of an earlier call are
+    forgotten first.
     """
     local_map.forget_features()
     views = [local_map.sparse_view(keyframe) for keyframe in local_map.keyframes]
@@ -72,8 +78,9 @@ def adjust_to_features(
         f.world_points(camera_from_world)
         for f, camera_from_world in zip(matched.features, cameras_from_world, strict=True)
     ]
-    for widest in (widest_narrow(local_map.rays.camera.width), np.inf):
-        if _adjusted(local_map, matched, world, widest, advance):
+    widths = widest_narrow(local_map.rays.camera.width), float(np.inf)
+    for parted, widest in product((False, True) if may_part else (False,), widths):
+        if _adjusted(local_map, matched, world, widest, parted, advance):
             return widest
         local_map.forget_features()
         for keyframe, camera_from_world in zip(local_map.keyframes, cameras_from_world, strict=True):
@@ -87,19 +94,26 @@ def widest_narrow(width: int) -> float:
 
 
 def _adjusted(
-    local_map: LocalMap, matched: MatchedFeatures, world: list[Array], widest: float, advance: ProgressCallback
+    local_map: LocalMap,
+    matched: MatchedFeatures,
+    world: list[Array],
+    widest: float,
+    parted: bool,
+    advance: ProgressCallback,
 ) -> bool:
     """Whether features of at most `widest` pixels hold the map, which is then adjusted to them; what they left behind,
-    if they do not, is for the caller to undo."""
+    if they do not, is for the caller to undo. parted: a few keyframes may hang together alone."""
     local_map.insert_features(matched.tracks(world, True, widest), matched.pixels, TrackKind.WIDE_FEATURE)
     narrow = matched.tracks(world, False, widest)
     ids = local_map.insert_features(narrow, matched.pixels)
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
-    if _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES) is None:
+    held = _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES, parted)
+    if held is None:
         return False
+    _forget_unheld(local_map, moving, held)  # so that they move nothing else
     old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
-    held = _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2)
+    held = _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2, parted)
     if held is None:
         return False
     sure = moving.copy()
@@ -112,9 +126,12 @@ def _adjusted(
     return True
 
 
-def _held_keyframes(local_map: LocalMap, among: NDArray[np.bool_], typical: float) -> NDArray[np.bool_] | None:
+def _held_keyframes(
+    local_map: LocalMap, among: NDArray[np.bool_], typical: float, parted: bool
+) -> NDArray[np.bool_] | None:
     """(K,) the keyframes that see enough of the tracks `among` (T,) and hang together by them: the most that do. None
-    where these are too few, or the median keyframe sees fewer than `typical`."""
+    where these are too few, where the median keyframe sees fewer than `typical`, and, unless `parted`, where others
+    that see enough hang together alone."""
     if len(local_map.keyframes) < 2:
         return None
     seen = local_map.incidence(among)
@@ -123,7 +140,9 @@ def _held_keyframes(local_map: LocalMap, among: NDArray[np.bool_], typical: floa
     if len(fixed) == 0 or np.median(count) < typical:
         return None
     together = (seen[fixed] @ seen[fixed].T) >= MIN_COMMON
-    part = connected_components(together, directed=False)[1]
+    parts, part = connected_components(together, directed=False)
+    if parts > 1 and not parted:
+        return None
     held = np.zeros(len(count), dtype=bool)
     held[fixed[part == np.bincount(part).argmax()]] = True
     return held if held.sum() >= (1 - MAX_FOLLOWING) * len(count) else None

@@ -65,7 +65,7 @@ def merge_and_adjust(
         if len(whole.members) == 1:
             result.append(whole.map)
             continue
-        (by,) = adjust_maps_to_features([whole.map], find, progress)
+        (by,) = adjust_maps_to_features([whole.map], find, progress, may_part=False)
         before = [width for width in (held[number] for number in whole.members) if width is not None]
         if len(before) < len(whole.members):  # one of them never was
             if by is None:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.frontend.odometry.klt import Pixels, TrackerImage, detect, track_klt
 
-CELLS = 490  # of equal size, in the part of the picture where windows fit: one track in each
-LEAST_CELL_PX = 6
+CELLS = 465  # at least, of those where windows fit: one track in each; a square of 320 px has 484, of 14 px
+LEAST_CELL_PX, LEAST_CELL_SHARE = 6, 0.7  # and of the side by which the whole picture would have so many
 
 
 class CornerTracks:
@@ -45,9 +45,7 @@ class CornerTracks:
     def set_reference(self, view: TrackerImage) -> None:
         """Make `view`, which `follow` was just given, the reference frame; fill empty places with new tracks."""
         self.keep(self.found)
-        # By area: a film in a wide or cut picture is tracked by as many corners as one that fills a square.
-        side = math.sqrt(np.count_nonzero(view.mask) / CELLS)
-        added = detect(view, self.now, max(LEAST_CELL_PX, round(side)))
+        added = detect(view, self.now, cell_side(view.mask))
         fresh = np.arange(self.count, self.count + len(added))
         self.count += len(added)
         self.ids = np.concatenate([self.ids, fresh])
@@ -64,3 +62,17 @@ class CornerTracks:
     def found_share(self) -> float:
         """Share of the reference's tracks that were found."""
         return float(self.found.mean()) if len(self.found) else 0.0
+
+
+def cell_side(mask: NDArray[np.uint8]) -> int:
+    """Side, px, of the widest cells of which `CELLS` have some of the mask in them, so that a wide or cut picture is
+    tracked by as many corners as one that fills a square; but no narrower than a share of those that the whole picture
+    would have: what glare leaves of it is not crowded."""
+    whole = math.sqrt(mask.size / CELLS)
+    least = max(LEAST_CELL_PX, round(LEAST_CELL_SHARE * whole))
+    for side in range(math.ceil(whole), least, -1):
+        rows, columns = mask.shape[0] // side, mask.shape[1] // side
+        cells = mask[: rows * side, : columns * side].reshape(rows, side, columns, side)
+        if np.count_nonzero(cells.max(axis=(1, 3))) >= CELLS:
+            return side
+    return least

@@ -228,15 +228,27 @@ def test_a_few_keyframes_that_hang_together_alone_follow_the_others(finished, ad
     alone = max(2, int(final_adjustment.MAX_FOLLOWING * count))
     for keyframe in local_map.keyframes[:alone]:
         keyframe.camera_from_world = keyframe.camera_from_world.copy()
-        keyframe.camera_from_world[:3, 3] += 0.02
+        keyframe.camera_from_world[:3, 3] += 0.2
     before = poses_of(local_map)
     assert adjust_to_features(local_map, other_wall(set(frames_of(local_map)[:alone])))
     after, right = poses_of(local_map), poses_of(adjusted)
     np.testing.assert_allclose(after[alone + 1 :, :3, 3], right[alone + 1 :, :3, 3], atol=0.05)
-    step = inverse(before[alone]) @ before[0], inverse(after[alone]) @ after[0]
-    np.testing.assert_allclose(step[1][:3, :3], step[0][:3, :3], atol=1e-6)
+    was, now = inverse(before[alone]) @ before[0], inverse(after[alone]) @ after[0]
+    np.testing.assert_allclose(now[:3, :3], was[:3, :3], atol=1e-6)
+    length = np.linalg.norm(was[:3, 3])
+    np.testing.assert_allclose(now[:3, 3] / np.linalg.norm(now[:3, 3]), was[:3, 3] / length, atol=1e-6)
+    assert np.linalg.norm(now[:3, 3]) == pytest.approx(length, rel=0.05), "it grows as its neighbour's surroundings did"
     features = local_map.tracks.is_kind(TrackKind.FEATURE) & local_map.tracks.has_point
     assert not any(features[keyframe.ids].any() for keyframe in local_map.keyframes[:alone])
+
+
+def test_a_few_that_hang_together_alone_are_too_many_in_a_map_that_was_joined(finished):
+    """There they are the other map, and the join is wrong."""
+    local_map = copy.deepcopy(finished)
+    before = poses_of(local_map)
+    alone = set(frames_of(local_map)[: max(2, int(final_adjustment.MAX_FOLLOWING * len(before)))])
+    assert adjust_to_features(local_map, other_wall(alone), may_part=False) is None
+    np.testing.assert_array_equal(poses_of(local_map), before)
 
 
 def test_halves_that_hang_together_alone_move_nothing(finished):

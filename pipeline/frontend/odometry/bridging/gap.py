@@ -45,7 +45,7 @@ def bridge_maps(
             continue
         between = min(local_map.frames) - max(before.frames) - 1
         whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
-        by = adjust_to_features(whole, find)
+        by = adjust_to_features(whole, find, may_part=False)
         first, held = min(local_map.frames), "" if by is not None else "; too few features agree to adjust it"
         progress.log(f"submap from frame {first} on joined to the one before over {between} frames by depth{held}")
         result[-1], count = whole, count + 1
