@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.frontend.odometry.klt import Pixels, TrackerImage, detect, track_klt
 
-CELLS = 465  # at least, of those where windows fit: one track in each; a square of 320 px has 484, of 14 px
+CELLS = 484  # about, where windows fit: one track in each; a square of 320 px has so many, of 14 px
 LEAST_CELL_PX, LEAST_CELL_SHARE = 6, 0.7  # and of the side by which the whole picture would have so many
 
 
@@ -65,14 +65,17 @@ class CornerTracks:
 
 
 def cell_side(mask: NDArray[np.uint8]) -> int:
-    """Side, px, of the widest cells of which `CELLS` have some of the mask in them, so that a wide or cut picture is
-    tracked by as many corners as one that fills a square; but no narrower than a share of those that the whole picture
-    would have: what glare leaves of it is not crowded."""
+    """Side, px, of the cells of which as near as may be to `CELLS` have some of the mask in them, so that a wide or cut
+    picture is tracked by as many corners as one that fills a square; but no narrower than a share of those that the
+    whole picture would have: what glare leaves of it is not crowded."""
     whole = math.sqrt(mask.size / CELLS)
     least = max(LEAST_CELL_PX, round(LEAST_CELL_SHARE * whole))
-    for side in range(math.ceil(whole), least, -1):
-        rows, columns = mask.shape[0] // side, mask.shape[1] // side
-        cells = mask[: rows * side, : columns * side].reshape(rows, side, columns, side)
-        if np.count_nonzero(cells.max(axis=(1, 3))) >= CELLS:
-            return side
-    return least
+    sides = range(max(least, math.ceil(whole)), least - 1, -1)
+    return min(sides, key=lambda side: abs(math.log(max(_open_cells(mask, side), 1) / CELLS)))
+
+
+def _open_cells(mask: NDArray[np.uint8], side: int) -> int:
+    """Number of cells of the grid of `detect` that have some of the mask in them."""
+    rows, columns = mask.shape[0] // side, mask.shape[1] // side
+    cells = mask[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return int(np.count_nonzero(cells.max(axis=(1, 3))))
