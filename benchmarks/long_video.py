@@ -46,10 +46,15 @@ METHOD = "reconstruct"
 Array = NDArray[np.float64]
 
 
+def travelled(poses: Array) -> Array:
+    """(N,) length of the path of camera centres up to each of poses (N,4,4)."""
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    return np.concatenate([[0], np.cumsum(steps)])
+
+
 def stretches(submap: Submap, truth: Array, stretch_mm: float) -> Iterator[tuple[NDArray[np.int64], int]]:
     """Rows of each stretch of a submap, and how many of them make its first quarter; truth (N,4,4), mm."""
-    centres = truth[submap.frames][:, :3, 3]
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1))])
+    along = travelled(truth[submap.frames])
     for start in np.arange(0, along[-1] - stretch_mm, stretch_mm / 2):
         rows = np.flatnonzero((along >= start) & (along <= start + stretch_mm))
         fitted = int((along[rows] <= start + FITTED * stretch_mm).sum())
@@ -68,7 +73,7 @@ def drift(submaps: list[Submap], truth: Array, stretch_mm: float) -> dict[str, A
             own.append(float(scale_of(align_poses(poses, true))))
             first = align_poses(poses[:fitted], true[:fitted])
             off = np.linalg.norm(transform_points(first, poses[-1:, :3, 3]) - true[-1, :3, 3])
-            ends.append(float(off / np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()))
+            ends.append(float(off / travelled(true)[-1]))
         scales += np.abs(np.array(own) / np.median(own) - 1).tolist() if len(own) >= MIN_STRETCHES else []
     return {
         "stretches": len(ends),
@@ -86,14 +91,13 @@ def figures_of(film: Path, made: Run, frames: int, seconds: float, stretch_mm: f
     """Of one finished run with a profile."""
     _, truth = read_tum(film / "trajectory.txt")
     metrics, submaps = made.metrics, [completed.submap for completed in made.completed_submaps]
-    path = np.linalg.norm(np.diff(truth[:frames, :3, 3], axis=0), axis=1).sum()
     return {
         "frames": frames,
         "used": metrics["frames"]["verdicts"]["used"],
         "posed": metrics["frames"]["posed"],
         "submaps": len(submaps),
         "keyframes": sum(submap["keyframes"] for submap in metrics["submaps"]),
-        "path_mm": float(path),
+        "path_mm": float(travelled(truth[:frames])[-1]),
         "seconds": seconds,
         "frames_per_s": frames / seconds,
         "peak_mib": max(stage["peak_mib"] for stage in metrics["profile"]),

@@ -93,10 +93,10 @@ Of refined points, by the films named there as chosen on; scripts not kept:
 What better points would be worth, and how to get them, on three films kept for choosing (`low_texture_b`,
 `choose_colon_fisheye`, `choose_small_intestine_pinhole`; one run each, scripts not kept):
 
-- **True depth at the points that there are**: F-score +9.9, +1.5 and -0.3. On `low_texture_b` wrong
-  points limit the surface: with the same points, but the true error of each given to completion, the F-score rises by
-  6.3. On the other two completion between the points limits it: true depth every 8 px beside the points raises it by
-  13.4, 3.3 and 10.7.
+- **True depth at the points that there are**: F-score +9.9, +1.5 and -0.3. On `low_texture_b` wrong points limit the
+  surface: with the same points, but the true error of each given to completion, the F-score rises by 6.3. On the other
+  two completion between the points limits it: true depth every 8 px beside the points raises it by 3.3 and 10.7 (by
+  13.4 on `low_texture_b`).
 - Twelve frames in which a point must show, whether or not it was matched there, and 11x11 px: on six films (these,
   `withdrawal_b`, `choose_csd_fisheye` and `choose_colon_pinhole`) the median error of confirmed points falls by 0 to
   30 %; on four of them, all but `withdrawal_b` and `choose_colon_pinhole`, the F-score changes by -0.4 to +0.3.
