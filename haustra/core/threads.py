@@ -1,9 +1,10 @@
 """Threads that share a stage's work and change nothing that is computed; libraries that keep to one thread."""
 
 import contextlib
+import functools
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -34,6 +35,23 @@ def prefetched(make: Callable[[Item], Made], items: Iterable[Item], count: int =
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def side_by_side(make: Callable[[Item], Made], items: Sequence[Item]) -> list[Made]:
+    """What `make` gives of each of a few items, the first made by the calling thread. For work of milliseconds: the
+    other threads stay from call to call. `make` must not call this function."""
+    others = [_kept_threads().submit(make, item) for item in items[1:]]
+    first = [make(item) for item in items[:1]]
+    return first + [other.result() for other in others]
+
+
+@functools.cache
+def _kept_threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(MOST_WORKERS, "side")
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has none of the threads
+    os.register_at_fork(after_in_child=_kept_threads.cache_clear)
 
 
 def workers() -> int:

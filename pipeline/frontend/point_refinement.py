@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback, no_progress
 from haustra.core.ray_table import RayTable, ray_table
+from haustra.core.threads import prefetched
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.matching.patch_alignment import (
     HALF_WIDTH,
@@ -39,7 +40,8 @@ MOST_ERROR = 0.1  # expected, of a depth that is taken,
 MOST_SHIFT = 0.3  # relative change of inverse depth
 PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expected error: `_expected_error`
 UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above which a point is dropped
-CHUNK = 2000  # points at once: some hundred megabytes, mostly pictures
+CHUNK = 2000  # points aligned in one go: some hundred megabytes, mostly pictures
+AT_ONCE = 2  # chunks, each by a thread of its own
 SIGHTINGS = 200_000  # projected at once
 PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
 NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
@@ -71,9 +73,13 @@ def refine_points(
     points, (error, unsure) = submap.points.copy(), np.full((2, len(submap.points)), np.nan)
     order = np.argsort(reference, kind="stable")
     order = order[reference[order] >= 0]
-    for first in range(0, len(order), CHUNK):
-        mine = order[first : first + CHUNK]
-        aligned = scene.aligned(mine, reference[mine], others[mine])
+    chunks = np.split(order, range(CHUNK, len(order), CHUNK))
+
+    def aligned_of(mine: Rows) -> Alignment:
+        return scene.aligned(mine, reference[mine], others[mine])
+
+    done = 0
+    for mine, aligned in zip(chunks, prefetched(aligned_of, chunks, 1, AT_ONCE), strict=True):
         expected = _expected_error(aligned)
         confirmed = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
         good = confirmed & (np.abs(aligned.shift) < MOST_SHIFT) & (expected < MOST_ERROR)
@@ -81,7 +87,8 @@ def refine_points(
         moved = centre + (points[mine] - centre) / (1 + aligned.shift)[:, None]
         points[mine[good]], error[mine[good]] = moved[good], expected[good]
         unsure[mine[confirmed]] = (aligned.sigma * aligned.contrast)[confirmed]
-        advance(first + len(mine), len(order))
+        done += len(mine)
+        advance(done, len(order))
     refined = replace(submap, points=points, depth_error=error)
     error_px = np.where(np.isfinite(error), _mean_reprojection(refined, scene.rays), submap.error_px)
     known = np.isfinite(unsure)

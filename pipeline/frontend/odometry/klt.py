@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.threads import processors, side_by_side
+
 Pixels = NDArray[np.float32]  # (N,2), COLMAP's convention unless named otherwise
 
 WINDOW = 15  # px at 320 px width; scaled with the image
@@ -21,6 +23,7 @@ FLOOR = 0.02  # of the logarithm; where the wall varies less than 2 %, noise mus
 CONTRAST = 42.0  # grey levels for one local standard deviation
 MAX_RETURN_PX = 0.7  # forward-backward error; beyond it the patch was lost on the way
 BORDER = 5  # px from the edge of the mask at which windows still lie mostly inside
+HALVES, MANY = 2, 50  # points that are worth a second thread: OpenCV lets go of the interpreter
 MIN_CORNER = 5e-4  # smallest eigenvalue of the structure tensor, of normalised images
 
 
@@ -63,6 +66,17 @@ def track_klt(
     which of them came back to where they started, within the mask."""
     if len(places) == 0:
         return places.copy(), np.zeros(0, dtype=bool)
+    if len(places) < MANY or processors() == 1:
+        return _track(reference, current, places, guess, near)
+    halves = zip(np.array_split(places, HALVES), np.array_split(guess, HALVES), strict=True)
+    found = side_by_side(lambda half: _track(reference, current, *half, near), list(halves))
+    return np.concatenate([pixels for pixels, _ in found]), np.concatenate([back for _, back in found])
+
+
+def _track(
+    reference: TrackerImage, current: TrackerImage, places: Pixels, guess: Pixels, near: bool
+) -> tuple[Pixels, NDArray[np.bool_]]:
+    """`track_klt` of one point and more, in the thread that calls it."""
     start = (places - 0.5).astype(np.float32)
     window = _window(reference.image)
     guessed = (guess - 0.5).astype(np.float32)

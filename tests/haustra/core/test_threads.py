@@ -1,13 +1,16 @@
 """Items made ahead of their turn: same order, no more than was asked for, and what fails fails in its turn."""
 
 import gc
+import os
+import signal
 import threading
+import time
 from contextlib import nullcontext
 from itertools import islice
 
 import pytest
 
-from haustra.core.threads import prefetched
+from haustra.core.threads import prefetched, side_by_side
 
 
 def test_same_as_one_after_the_other():
@@ -73,3 +76,42 @@ def test_what_fails_fails_in_its_turn():
     assert list(islice(stream, 3)) == [0, 1, 2]
     with pytest.raises(ValueError, match="no third"):
         next(stream)
+
+
+def test_a_few_items_are_made_at_once_and_come_in_their_order():
+    """Each waits for the other: one after the other they would never end."""
+    both = threading.Barrier(2, timeout=20)
+
+    def make(k):
+        both.wait()
+        return k, threading.get_ident()
+
+    for _ in range(3):
+        (zero, here), (one, there) = side_by_side(make, [0, 1])
+        assert (zero, one) == (0, 1)
+        assert here == threading.get_ident() != there
+    assert side_by_side(make, []) == []
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_what_one_of_a_few_raises_is_raised(bad):
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda k: 1 / (k - bad), [0, 1])
+    assert side_by_side(str, [0, 1]) == ["0", "1"], "and the threads are still there"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_forked_process_has_threads_of_its_own():
+    assert side_by_side(str, [0, 1]) == ["0", "1"]
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if side_by_side(str, [0, 1]) == ["0", "1"] else 1)
+    for _ in range(200):  # a child without threads would wait for ever
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            break
+        time.sleep(0.05)
+    else:
+        os.kill(child, signal.SIGKILL)
+    assert ended == child
+    assert status == 0

@@ -8,6 +8,7 @@ from scipy.spatial.distance import cdist
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
+from pipeline.frontend.odometry import klt
 from pipeline.frontend.odometry.corner_tracks import CELLS, CornerTracks
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.klt import detect, track_klt, tracker_image
@@ -98,6 +99,19 @@ def test_images_without_the_lamp_survive_a_change_of_light(clip):
     assert len(reference_pixels) > 100
     assert found.mean() > 0.9
     assert np.median(np.abs(now - reference_pixels)[found]) < 0.1
+
+
+def test_tracks_are_the_same_by_one_thread_and_by_two(clip, monkeypatch):
+    first, second = (tracker_image(clip[0][k], MASK) for k in (0, 4))
+    corners = detect(first, np.zeros((0, 2), np.float32), 12)
+    assert len(corners) > klt.MANY
+    both = []
+    for count in (1, 2):
+        monkeypatch.setattr(klt, "processors", lambda count=count: count)
+        both.append(track_klt(first, second, corners, corners + np.float32(1), near=True))
+    assert 0.2 < both[0][1].mean() < 1
+    np.testing.assert_array_equal(both[0][0], both[1][0])
+    np.testing.assert_array_equal(both[0][1], both[1][1])
 
 
 def test_tracks_follow_a_known_shift(clip):
