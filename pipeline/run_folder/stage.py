@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import TypeVar
 
+from pipeline.run_folder.malloc import give_back_freed_memory
 from pipeline.run_folder.workspace import Workspace
 
 T = TypeVar("T")
@@ -13,4 +14,5 @@ def load_or_make(workspace: Workspace, stage: str, load: Callable[[], T], make: 
     records it by `Workspace.finish` when they are whole."""
     if not workspace.is_done(stage):
         make()
+        give_back_freed_memory()
     return load()

@@ -34,3 +34,31 @@ def test_memory_that_is_freed_comes_back_without_page_faults_and_the_largest_blo
     assert after < pages / 100
     assert after < usual / 10
     assert largest > 10 * after
+
+
+RESIDENT = """
+import resource
+import numpy as np
+from pathlib import Path
+from pipeline.run_folder.malloc import give_back_freed_memory, keep_freed_memory
+
+def mib():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+
+keep_freed_memory()
+arrays = [np.ones(1 << 18) for _ in range(100)]
+last = np.ones(1000)  # at the end of the heap: what lies before it is not given back by itself
+del arrays
+before = mib()
+print(before, int(give_back_freed_memory()), mib())
+"""
+
+
+def test_freed_memory_goes_back_when_asked():
+    run = subprocess.run([sys.executable, "-c", RESIDENT], capture_output=True, text=True, check=False)
+    if run.returncode != 0 and "statm" in run.stderr:
+        pytest.skip("the system does not tell the resident memory")
+    before, given, after = map(float, run.stdout.split())
+    if not given:
+        pytest.skip("not glibc's allocator")
+    assert after < before - 150, "200 MiB were freed"
