@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.numba_cache import compiled
+from haustra.core.threads import side_by_side
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -19,6 +20,7 @@ Image = NDArray[np.float32]
 
 DEPTH_TOLERANCE = 0.05  # relative depth difference up to which a depth map supports a vertex
 MAX_ANGLE_DEG = 70.0  # best angle between ray and normal above which a vertex is dropped
+FEW = 20_000  # vertices that are not worth a second thread
 MAX_CONTRADICTION = 0.2  # confidence share of frames that see through a vertex, above which it is dropped
 # The last two were chosen on two phantom videos, seeds 11 and 12; docs/lab/coverage.md marks them as not held out.
 
@@ -42,18 +44,22 @@ class DepthSupport:
     def add(self, depth: Image, confidence: Image, intrinsics: Array, world_from_camera: Array) -> None:
         """Accumulate a keyframe: z-depth (H,W), 0 = none; confidence (H,W); intrinsics (3,3), the top-left pixel's
         centre at (0.5, 0.5); world_from_camera (4,4)."""
-        _add_votes(
-            self._mesh.vertices,
-            self._mesh.normals,
+        view = (
             np.ascontiguousarray(depth, np.float32),
             _nearest_around(depth),
             np.ascontiguousarray(confidence, np.float32),
             np.ascontiguousarray(intrinsics, np.float64),
             np.ascontiguousarray(world_from_camera, np.float64),
-            self._supporting,
-            self._seen_through,
-            self.best_cosine,
         )
+        votes = self._supporting, self._seen_through, self.best_cosine
+
+        def add_to(part: slice) -> None:
+            vertices, normals = self._mesh.vertices[part], self._mesh.normals[part]
+            _add_votes(vertices, normals, *view, *(of_all[part] for of_all in votes))
+
+        count = len(self._mesh.vertices)
+        parts = [slice(count)] if count < FEW else [slice(count // 2), slice(count // 2, count)]
+        side_by_side(add_to, parts)  # no vertex is in two
 
     def supported_faces(self) -> SurfaceMesh:
         """The mesh of those faces whose three vertices pass both thresholds."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from reconstruction.coverage import depth_support
 from reconstruction.coverage.depth_support import DEPTH_TOLERANCE, DepthSupport
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -53,7 +54,9 @@ def test_an_edge_that_a_frame_meets_a_pixel_off_is_supported(off_px, contradicte
     assert (doubted == np.arange(35, 35 + contradicted)).all()
 
 
-def test_votes_are_those_of_the_same_rule_over_whole_arrays():
+@pytest.mark.parametrize("few", [depth_support.FEW, 100])
+def test_votes_are_those_of_the_same_rule_over_whole_arrays(few, monkeypatch):
+    monkeypatch.setattr(depth_support, "FEW", few)  # one thread, and two
     """Cameras turned and moved, some of the surface behind them or beside the picture, confidence with zeros."""
     rng = np.random.default_rng(0)
     mesh, intrinsics, far = screen_before_wall()
