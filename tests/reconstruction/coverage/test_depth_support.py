@@ -56,8 +56,8 @@ def test_an_edge_that_a_frame_meets_a_pixel_off_is_supported(off_px, contradicte
 
 @pytest.mark.parametrize("few", [depth_support.FEW, 100])
 def test_votes_are_those_of_the_same_rule_over_whole_arrays(few, monkeypatch):
-    monkeypatch.setattr(depth_support, "FEW", few)  # one thread, and two
     """Cameras turned and moved, some of the surface behind them or beside the picture, confidence with zeros."""
+    monkeypatch.setattr(depth_support, "FEW", few)  # one thread, and two
     rng = np.random.default_rng(0)
     mesh, intrinsics, far = screen_before_wall()
     support, supporting, through, best = DepthSupport(mesh), *np.zeros((3, len(mesh.vertices)))
