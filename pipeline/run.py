@@ -73,7 +73,7 @@ def reconstruct(
         told = config.front_end_settings
         if guessed_by(workspace) is not None:
             frames = timed("lens", guess_lens)(frames, told, workspace, progress)
-        with frame_features(workspace) as features:  # forgotten before depth is completed: 150 KB a frame
+        with frame_features(workspace) as features:  # forgotten before depth is completed
             submaps = timed("structure", solve_structure)(frames, features, config.front_end, told, workspace, progress)
             retriangulated = timed("points", find_points)(
                 frames, features, submaps, told.odometry.keyframe_motion, workspace, progress

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import chain, groupby
 from operator import itemgetter
@@ -17,8 +17,13 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, in_camera
 from pipeline.matching.feature_tracks import FeatureTracks, both_narrow, join_features
 from pipeline.matching.guided_matching import match_near, self_similarity
-from pipeline.matching.keyframe_features import KeyframeFeatures, SparseView, features_of_view
-from pipeline.matching.sift import FindFeatures
+from pipeline.matching.keyframe_features import (
+    KeyframeFeatures,
+    SparseView,
+    features_of_view,
+    without_descriptors,
+)
+from pipeline.matching.sift import FindFeatures, rootsift
 from pipeline.matching.sim3_match import STATIC_PX
 
 AHEAD = 8  # keyframes with which each one's features are compared, besides as many that share most points with it
@@ -38,7 +43,7 @@ class MatchedFeatures:
 
     features: list[KeyframeFeatures]
     pairs: list[tuple[int, int]]
-    same: list[NDArray[np.int64]]
+    same: list[NDArray[np.int32]]
 
     @property
     def pixels(self) -> list[Array]:
@@ -70,20 +75,26 @@ def match_features(
     """
     radius = MAX_OFF_SHARE * rays.camera.width
     with ThreadPoolExecutor(THREADS) as threads:
-        # At the picture's edge is the nearest wall, which the frame's depth needs most, and corners end before it.
-        lift = partial(features_of_view, rays=rays, find=find, extrapolate=True)
-        features = list(_counted(threads.map(lift, range(len(views)), views), len(views), "finding features", advance))
+
+        def lift(number: int, view: SparseView) -> tuple[KeyframeFeatures, Array]:
+            # At the picture's edge is the nearest wall, which the frame's depth needs most, and corners end before it.
+            of = features_of_view(number, view, rays, find, extrapolate=True)
+            return without_descriptors(of), self_similarity(of.pixels, of.rootsift, radius)
+
+        def described(number: int) -> NDArray[np.float32]:
+            mine = features[number]
+            return rootsift(find(views[number].frame).descriptors[mine.rows]) if len(mine) else mine.rootsift
+
+        lifted = threads.map(lift, range(len(views)), views)
+        features, elsewhere = _apart(_counted(lifted, len(views), "finding features", advance))
         pairs = covisible_pairs(seen)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
-        roots = lru_cache(CACHED)(lambda number: features[number].rootsift)
-        elsewhere = list(threads.map(lambda f: self_similarity(f.pixels, f.rootsift, radius), features))
+        roots = lru_cache(CACHED)(described)
         match = partial(_match_with, views, rays, features, elsewhere, roots)
         partners = {one: [other for _, other in of] for one, of in groupby(pairs, key=itemgetter(0))}
         matched = threads.map(match, partners.keys(), partners.values())
         same = list(_counted(chain.from_iterable(matched), len(pairs), "matching pairs of keyframes", advance))
-    # What tells features apart has done its part; it is nearly all of their memory.
-    bare = [replace(f, descriptors=np.zeros((0, 128), np.uint8)) for f in features]
-    return MatchedFeatures(bare, pairs, same)
+    return MatchedFeatures(features, pairs, same)
 
 
 def covisible_pairs(seen: csr_array) -> list[tuple[int, int]]:
@@ -108,7 +119,7 @@ def _match_with(
     roots: RootSift,
     one: int,
     others: list[int],
-) -> list[NDArray[np.int64]]:
+) -> list[NDArray[np.int32]]:
     """Of a keyframe and each of some others, (K,2) features that look alike and lie where the poses say.
 
     elsewhere: of each keyframe, how much its features' most alike elsewhere in it look like them. What stands still in
@@ -125,8 +136,16 @@ def _match_with(
         rows = match_near(expected, there.pixels, roots(one), roots(other), elsewhere[one], radius)
         before, now = here.pixels[rows[:, 0]], there.pixels[rows[:, 1]]
         way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)
-        found.append(rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))])
+        found.append(rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))].astype(np.int32))  # millions are held
     return found
+
+
+def _apart(lifted: Iterable[tuple[KeyframeFeatures, Array]]) -> tuple[list[KeyframeFeatures], list[Array]]:
+    features, elsewhere = [], []
+    for one, similarity in lifted:
+        features.append(one)
+        elsewhere.append(similarity)
+    return features, elsewhere
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: ProgressCallback) -> Iterator[T]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ class FeatureTracks:
 
 
 def both_narrow(
-    sizes: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]], widest: float
+    sizes: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.integer[Any]]], widest: float
 ) -> list[NDArray[np.bool_]]:
     """For each pair of pictures, (K,) whether both features that are the same are at most `widest` pixels across."""
     narrow = [of <= widest for of in sizes]
@@ -31,7 +32,7 @@ def both_narrow(
 
 
 def join_features(
-    points: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.int64]]
+    points: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.integer[Any]]]
 ) -> FeatureTracks:
     """Tracks of two pictures and more, each at the mean of its features' points.
 
@@ -44,8 +45,9 @@ def join_features(
     graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(int(starts[-1]),) * 2)
     label = connected_components(graph, directed=False)[1]
     place = np.repeat(np.arange(len(points)), np.diff(starts))
-    _, group, times = np.unique(np.column_stack([label, place]), axis=0, return_inverse=True, return_counts=True)
-    single = np.flatnonzero(times[group.ravel()] == 1)
+    in_picture = label.astype(np.int64) * len(points) + place  # of one track and one picture
+    _, group, times = np.unique(in_picture, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(times[group] == 1)
     seen = np.bincount(label[single], minlength=int(starts[-1]))
     chosen = single[seen[label[single]] >= 2]
     track = np.unique(label[chosen], return_inverse=True)[1]

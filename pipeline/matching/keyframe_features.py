@@ -4,7 +4,7 @@ Interpolated depth is off by a few percent, which two views of one place forgive
 matching neighbouring keyframes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,8 @@ MIN_FEATURES = 25  # of a keyframe that is compared with others
 @dataclass(frozen=True)
 class KeyframeFeatures:
     """keyframe: its number in its map. pixels (N,2); descriptors (N,128) as SIFT gives them; points (N,3) in the
-    camera's axes; sizes (N,) in pixels; extrapolated (N,): the depth is that of the nearest sparse point, a guess."""
+    camera's axes; sizes (N,) in pixels; extrapolated (N,): the depth is that of the nearest sparse point, a guess.
+    rows (N,): which of its picture's features they are, where they were lifted from these."""
 
     keyframe: int
     pixels: Array
@@ -30,6 +31,7 @@ class KeyframeFeatures:
     points: Array
     sizes: Array
     extrapolated: NDArray[np.bool_]
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -88,7 +90,8 @@ def lift_features(
     extrapolate: beyond the hull too, as deep as the nearest sparse point.
     """
     x, y = np.floor(found.pixels).astype(int).T
-    found = found.at(rays.usable[y, x] > 0)
+    usable = rays.usable[y, x] > 0
+    found = found.at(usable)
     if len(found.pixels) == 0 or len(depth) == 0:
         return KeyframeFeatures.none(keyframe)
     inverse_depth = interpolate_inverse_depth(found.pixels, delaunay(pixels), depth)
@@ -98,6 +101,12 @@ def lift_features(
     good = np.isfinite(inverse_depth)
     xy, _ = rays.unproject(found.pixels[good])
     points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) / inverse_depth[good, None]
+    rows = np.flatnonzero(usable)[good]
     return KeyframeFeatures(
-        keyframe, found.pixels[good], found.descriptors[good], points, found.sizes[good], outside[good]
+        keyframe, found.pixels[good], found.descriptors[good], points, found.sizes[good], outside[good], rows
     )
+
+
+def without_descriptors(features: KeyframeFeatures) -> KeyframeFeatures:
+    """All that tells where features are; what tells them apart is nearly all of their memory."""
+    return replace(features, descriptors=np.zeros((0, 128), np.uint8))

@@ -17,7 +17,7 @@ def frame_reader(workspace: Workspace) -> ReadFrame:
 
 def frame_features(workspace: Workspace) -> SiftCache:
     """SIFT features of the stored working frames, each found once for all who share the cache."""
-    return SiftCache(frame_reader(workspace))
+    return SiftCache(frame_reader(workspace), workspace.log / "features")
 
 
 def _read_mask(workspace: Workspace, index: int) -> NDArray[np.uint8]:

@@ -45,6 +45,54 @@ def test_what_was_found_is_forgotten_at_the_end():
     assert kept() is None
 
 
+def same(first, second):
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name)) for name in ("pixels", "descriptors", "sizes")
+    )
+
+
+def test_of_a_long_film_the_latest_stay_in_memory_and_the_others_in_files(tmp_path):
+    asked, folder = [], tmp_path / "features"
+
+    def read(frame):
+        asked.append(frame)
+        return np.roll(IMAGE, frame, axis=1), MASK
+
+    with SiftCache(read, folder, held=2) as find:
+        find.begin(0)
+        references = [weakref.ref(find(frame)) for frame in range(6)]
+        gc.collect()
+        assert sum(reference() is not None for reference in references) <= 3  # one more may be under way
+        assert len(list(folder.iterdir())) >= 3
+        for frame in (0, 5, 1):
+            find.begin(frame)
+            assert same(find(frame), detect_sift(*read(frame)))
+        assert asked == [0, 1, 2, 3, 4, 5, 0, 5, 1], "only the test read again"
+    assert not folder.exists()
+
+
+def test_files_that_were_tidied_away_and_a_disk_that_is_full_cost_nothing_but_time(tmp_path):
+    folder, asked = tmp_path / "features", []
+
+    def read(frame):
+        asked.append(frame)
+        return IMAGE, MASK
+
+    with SiftCache(read, folder, held=1) as find:
+        first = find(0)
+        for frame in (1, 2, 3):
+            find(frame)
+        for path in folder.iterdir():
+            path.write_bytes(b"cut")
+        assert same(find(0), first)
+    assert asked == [0, 1, 2, 3, 0]
+    (tmp_path / "file").write_text("no folder can be made here")
+    with SiftCache(read, tmp_path / "file" / "features", held=1) as find:
+        for frame in (0, 1, 2, 0, 1, 2):
+            assert same(find(frame), first)
+    assert asked == [0, 1, 2, 3, 0, 0, 1, 2]
+
+
 def test_what_has_not_begun_is_found_by_whoever_asks():
     """One thread is busy with the first frame; the third is asked for, and does not wait for it."""
     go, by = threading.Event(), {}
