@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.pairing import paired
-from pipeline.truth.hints import Timed, clock_hint, pose_hint, unit_hint
+from pipeline.truth.hints import Timed, clock_hint, misfit_hint, pose_hint, unit_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
@@ -107,7 +107,7 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
             surface_se3 = _surface(mesh, align_poses(estimated, true, with_scale=False), points, tau)
     true_path_of_run = Timed(true_seconds, true_world_from_camera[:, :3, 3])
     other = pose_hint(estimated, true) or clock_hint(Timed(seconds, world_from_camera[:, :3, 3]), true_path_of_run)
-    hints = (other, unit_hint(true_path_of_run, sim3.scale, se3 is not None))
+    hints = (other or misfit_hint(estimated, true), unit_hint(true_path_of_run, sim3.scale, se3 is not None))
     found = tuple(hint for hint in hints if hint)
     counts = metrics["frames"]["posed"], metrics["frames"]["total"]
     return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3)

@@ -2,8 +2,9 @@
 
 Both are tried on the film's beginning. Tracking drops what does not fit the lens, and what it keeps fits less well: the
 score of a guess is the number of observations that its maps keep, each weighted by 1 - e^2, at least 0, where e px is
-the mean reprojection error of its point. The refinement after tracking then starts near the truth (measured:
-docs/lab/unknown_lens.md). Where no map begins, the guess by the picture's shape stays (`calibrate`).
+the mean reprojection error of its point. Where the scores are close, the mean is taken. The refinement after tracking
+then starts near the truth (measured: docs/lab/unknown_lens.md). Where no map begins, the guess by the
+picture's shape stays (`calibrate`).
 """
 
 from collections.abc import Callable
@@ -29,6 +30,7 @@ GUESSES: dict[str, Callable[..., Camera]] = {
     "the mean of 18 colonoscopes": colonoscope_across,
     "100 degrees across": guess_camera,
 }
+CLOSE = 1.05  # of one score over the other
 MOST_FRAMES = 120
 LOOK_EVERY = 20  # frames, after which the two are held against each other
 CLEAR_LEAD, LOWEST_SCORE = 2.0, 1500.0  # of the better over the other, at which no more frames are asked
@@ -47,11 +49,15 @@ def guess_lens(frames: Frames, settings: FrontEndSettings, workspace: Workspace,
 def _choose(frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress) -> None:
     scores = scores_of_guesses(frames, settings, workspace, progress)
     told: dict[str, Any] = {"scores": scores}
-    best = max(scores, key=lambda name: scores[name])  # the first of two that are even
+    first, *others = scores
+    # Of two that are close the first: endoscopes are more like the mean of those that were measured.
+    best = next((name for name in others if scores[name] > CLOSE * scores[first]), first)
     if scores[best] > 0:
-        others = " and ".join(f"{score:.0f} with {name}" for name, score in scores.items() if name != best)
+        others = [f"{score:.0f} with {name}" for name, score in scores.items() if name != best]
         kept = f"the maps of the first frames keep {scores[best]:.0f} observations, weighted by their fit"
-        told["origin"] = f"guessed: {best}, with which {kept}; {others}"
+        close = min(scores.values()) * CLOSE >= max(scores.values())
+        doubt = "; that is close, and does not tell the lens" if close else ""
+        told["origin"] = f"guessed: {best}, with which {kept}; {' and '.join(others)}{doubt}"
         told["camera"] = GUESSES[best](*_size_and_content(frames)).to_dict()
     progress.log(f"camera: {told.get('origin', guessed_by(workspace))}")
     workspace.finish(LENS_STAGE, **told)

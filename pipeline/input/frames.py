@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, ProgressCallback
+from haustra.core.text import counted
 from haustra.core.threads import prefetched
 from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
@@ -234,6 +235,9 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def _too_few(verdicts: Counter[str], notes: list[str]) -> str:
+    if verdicts.total() < MIN_FRAMES:
+        looked_at = counted(verdicts.total(), "frame")
+        return "; ".join([f"the input has {looked_at} to look at; at least {MIN_FRAMES} are needed", *notes])
     tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
     return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({_listed(verdicts)})", *notes])
 

@@ -65,8 +65,6 @@ def _by_pinhole(submap: Submap, camera: Camera) -> tuple[Submap, Camera]:
 
 def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
     order, starts = submap.by_frame()
-    # Python's own numbers from here on: NumPy's take three times as long to print.
-    point, pixels = (submap.observations[order, 1] + 1).tolist(), submap.pixels[order].tolist()
     rotations = np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)
     quaternions = Rotation.from_matrix(rotations).as_quat(canonical=True)
     for row, name in enumerate(names):
@@ -74,8 +72,10 @@ def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
         x, y, z, w = quaternions[row]
         yield f"{row + 1} {w:.17g} {x:.17g} {y:.17g} {z:.17g} {shift[0]:.17g} {shift[1]:.17g} {shift[2]:.17g} "
         yield f"{CAMERA_ID} {name}\n"
-        mine = slice(starts[row], starts[row + 1])
-        yield " ".join(f"{u:.4f} {v:.4f} {p}" for (u, v), p in zip(pixels[mine], point[mine], strict=True)) + "\n"
+        mine = order[starts[row] : starts[row + 1]]
+        # Python's own numbers: NumPy's take three times as long to print. Those of one frame, since all are gigabytes.
+        point, pixels = (submap.observations[mine, 1] + 1).tolist(), submap.pixels[mine].tolist()
+        yield " ".join(f"{u:.4f} {v:.4f} {p}" for (u, v), p in zip(pixels, point, strict=True)) + "\n"
 
 
 def _point_lines(submap: Submap, colours: NDArray[np.uint8] | None) -> Iterator[str]:
@@ -85,8 +85,9 @@ def _point_lines(submap: Submap, colours: NDArray[np.uint8] | None) -> Iterator[
     place = np.arange(len(frame)) - first[frame]  # of each observation within its image
     by_point = np.argsort(point, kind="stable")
     starts = np.searchsorted(point[by_point], np.arange(len(submap.points) + 1))
-    seen = [f"{f} {k}" for f, k in zip((frame[by_point] + 1).tolist(), place[by_point].tolist(), strict=True)]
     begins, errors = starts.tolist(), submap.error_px.tolist()
     for row, ((x, y, z), (red, green, blue)) in enumerate(zip(submap.points.tolist(), shades.tolist(), strict=True)):
-        track = " ".join(seen[begins[row] : begins[row + 1]])
+        mine = by_point[begins[row] : begins[row + 1]]
+        seen = zip((frame[mine] + 1).tolist(), place[mine].tolist(), strict=True)
+        track = " ".join(f"{f} {k}" for f, k in seen)
         yield f"{row + 1} {x:.17g} {y:.17g} {z:.17g} {red} {green} {blue} {errors[row]:.6g} {track}\n"

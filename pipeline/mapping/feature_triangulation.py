@@ -15,6 +15,7 @@ from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.se3 import Array, inverse
+from haustra.core.threads import prefetched
 from pipeline.mapping.local_map import FEATURES, DepthAt, LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.mapping.metric_map import make_metric
@@ -28,7 +29,8 @@ MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that stand err less than
 OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/points.md)
 MIN_ERROR_PX = 0.4  # that is always forgiven: pictures without noise have errors of a few hundredths
 MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leaves points in all of them
-CHUNK = 20_000  # points triangulated at once: some hundred megabytes
+CHUNK = 5_000  # points triangulated in one go: some fifty megabytes,
+AT_ONCE = 2  # by as many threads
 ROUNDS = 4  # of dropping what a track's other observations contradict
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
 
@@ -192,14 +194,16 @@ def _rays_of(local_map: LocalMap, among: NDArray[np.bool_]) -> _Rays:
 def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], count: int) -> tuple[Array, Array, Array]:
     """Points (count,3), their widest angle (count,), and the error of each observation (M,), px."""
     cameras_from_world = np.stack([k.camera_from_world for k in local_map.keyframes])
-    points, angle, error = np.zeros((count, 3)), np.zeros(count), np.zeros(len(point))
-    for first in range(0, count, CHUNK):
+
+    def meeting(first: int) -> tuple[Array, Array, Array]:
         last = min(first + CHUNK, count)
         part = slice(*np.searchsorted(point, [first, last]))
         mine = cameras_from_world[rays.keyframe[part]]
-        points[first:last], error[part], angle[first:last] = meeting_points(
-            mine[:, :3, :3], mine[:, :3, 3], point[part] - first, last - first, rays.xy[part], rays.jacobian[part]
-        )
+        rotation, shift, xy, jacobian = mine[:, :3, :3], mine[:, :3, 3], rays.xy[part], rays.jacobian[part]
+        return meeting_points(rotation, shift, point[part] - first, last - first, xy, jacobian)
+
+    found = list(prefetched(meeting, range(0, count, CHUNK), 1, AT_ONCE))
+    points, error, angle = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return points, angle, error
 
 

@@ -38,7 +38,8 @@ def adjust_maps(
 ) -> list[float | None]:
     """The last adjustment of each map: to its features (`adjust_maps_to_features`, which says what is returned); where
     these do not hold it, to its corners, `changed` or not (see `adjust_all`). before: what was returned for the maps
-    when they were last adjusted with nearly this lens: narrower features are not asked again."""
+    when they were last adjusted with nearly this lens: narrower features did not hold all keyframes
+    then, and are not asked to again."""
     held = adjust_maps_to_features(maps, find, progress, before=before)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         with progress.bar("adjusting to corners", None) as advance:
@@ -83,7 +84,7 @@ def adjust_to_features(
     Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
     may_part: where neither hold all keyframes together, a few may hang together alone; they then follow the others. Not
     for a map that was joined of two: there it would hide that the join is wrong. least: features narrower than so many
-    pixels are not asked alone. The features of an earlier call are forgotten first.
+    pixels are not asked to hold all keyframes. The features of an earlier call are forgotten first.
     """
     local_map.forget_features()
     views = [local_map.sparse_view(keyframe) for keyframe in local_map.keyframes]
@@ -93,8 +94,10 @@ def adjust_to_features(
         f.world_points(camera_from_world)
         for f, camera_from_world in zip(matched.features, cameras_from_world, strict=True)
     ]
-    widths = [width for width in (widest_narrow(local_map.rays.camera.width), float(np.inf)) if width >= least]
+    widths = widest_narrow(local_map.rays.camera.width), float(np.inf)
     for parted, widest in product((False, True) if may_part else (False,), widths):
+        if not parted and widest < least:
+            continue
         if _adjusted(local_map, matched, world, widest, parted, advance):
             return widest
         local_map.forget_features()

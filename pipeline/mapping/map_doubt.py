@@ -101,7 +101,10 @@ FIGURES: dict[str, Figure] = {
     ),
     "light": Figure(
         lambda e: e.spearman,
-        lambda e: f"nearer points are little brighter (rank correlation {e.spearman:.2f})",
+        lambda e: (
+            f"brightness falls with distance less clearly than in most right maps (rank correlation {e.spearman:.2f}, "
+            "-1 at best)"
+        ),
     ),
     "light against it": Figure(
         lambda e: min(e.inconsistent_share, 0.3),

@@ -40,10 +40,7 @@ def join_features(
     that are the same. What would be two features of one picture is left out there.
     """
     starts = np.concatenate([[0], np.cumsum([len(p) for p in points])]).astype(np.int64)
-    found = [rows + starts[list(pair)] for pair, rows in zip(pairs, same, strict=True)]
-    ties = np.concatenate([np.zeros((0, 2), np.int64), *found])
-    graph = coo_array((np.ones(len(ties)), (ties[:, 0], ties[:, 1])), shape=(int(starts[-1]),) * 2)
-    label = connected_components(graph, directed=False)[1]
+    label = connected_components(_ties(starts, pairs, same), directed=False)[1]
     place = np.repeat(np.arange(len(points)), np.diff(starts))
     in_picture = label.astype(np.int64) * len(points) + place  # of one track and one picture
     _, group, times = np.unique(in_picture, return_inverse=True, return_counts=True)
@@ -55,3 +52,17 @@ def join_features(
     total = np.stack([np.bincount(track, world[:, k]) for k in range(3)], axis=1)
     mean = total / np.maximum(np.bincount(track), 1)[:, None]
     return FeatureTracks(mean, track, place[chosen], chosen - starts[place[chosen]])
+
+
+def _ties(
+    starts: NDArray[np.int64], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.integer[Any]]]
+) -> coo_array:
+    """(N,N) ones between features that are the same, of all pictures' features together; `starts`: each picture's."""
+    # Of a long film there are tens of millions: each is held once, in as few bytes as do.
+    ends = np.empty((2, sum(map(len, same))), np.int32 if starts[-1] < 2**31 else np.int64)
+    filled = 0
+    for (one, other), rows in zip(pairs, same, strict=True):
+        ends[0, filled : filled + len(rows)] = rows[:, 0] + starts[one]
+        ends[1, filled : filled + len(rows)] = rows[:, 1] + starts[other]
+        filled += len(rows)
+    return coo_array((np.ones(filled), (ends[0], ends[1])), shape=(int(starts[-1]),) * 2)

@@ -151,6 +151,7 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
                 fusion.integrate(*images, completed.camera.matrix, keyframe.world_from_camera)
             advance(done)
     whole = fusion.extract()
+    del fusion  # its voxels are most of the memory
     opened = _without_lids(whole, lamp, ranges.voxel_size) if settings.fusion.open_dark_spots else whole
     mesh, dropped = drop_small_components(opened, MIN_COMPONENT)
     scale = find_scale(settings.scale, completed.submap, mesh)

@@ -22,6 +22,7 @@ MOST_SHIFTS = 400
 RATES = (1 / 2, 2.0, 24 / 25, 25 / 24, 24 / 30, 30 / 24, 25 / 30, 30 / 25)  # of a film's frames/s and those assumed
 UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the number that stands for it / 1000
 BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
+NO_FIT, NO_TURN_DEG = 0.5, 45.0  # from which on a path is none of this film, or wrong
 SHORTEST_MM = 1.0  # a path over which nothing could be triangulated: its numbers are of another unit
 
 
@@ -75,6 +76,17 @@ def pose_hint(estimated: Array, true: Array) -> str:
                 f"{100 * off:.2g} % of their spread off for {100 * given[0]:.2g} %"
             )
     return ""
+
+
+def misfit_hint(estimated: Array, true: Array) -> str:
+    """A sentence where the poses hardly resemble the true ones, paired with ours (K,4,4) each; "" otherwise."""
+    off, turned = _misfit(estimated, true)
+    if off < NO_FIT and turned < NO_TURN_DEG:
+        return ""
+    return (
+        f"the paths hardly resemble each other: rotation median {turned:.3g} deg, centres off by {100 * off:.2g} % of "
+        "their spread; either this is the truth of another film, or the run is wrong"
+    )
 
 
 def _misfit(estimated: Array, true: Array) -> tuple[float, float]:

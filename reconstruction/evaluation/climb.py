@@ -57,6 +57,8 @@ class ClimbErrors:
         return asdict(self)
 
     def __str__(self) -> str:
+        if not self.submaps:
+            return self._nothing_counts()
         lines = [
             f"CLiMB       ATE mean {self.ate_mean_mm:.3f}, median {self.ate_median_mm:.3f} mm (one Sim(3) a submap; "
             f"{counted(self.submaps, 'submap')}, {self.matched} of {self.reference} frames = "
@@ -65,6 +67,8 @@ class ClimbErrors:
         lines += [
             f"RPE @{r.frames:<6} translation {r.translation_mm:.3f} mm, rotation {r.rotation_deg:.3f} deg "
             f"(means of {r.count} pairs)"
+            if r.count
+            else f"RPE @{r.frames:<6} no two poses of a submap are so many frames apart"
             for r in self.relative
         ]
         if self.score is None:
@@ -74,13 +78,21 @@ class ClimbErrors:
                 "" if self.tracked_fraction > MIN_TRACKED else "; FAILED: no more than half of the frames are tracked"
             )
             lines.append(
-                f"score       {self.score:.3f} (time factor {self.time_factor:.3f} at "
+                f"score       {self.score:.3f}, lower is better (time factor {self.time_factor:.3f} at "
                 f"{self.seconds_per_frame:.4f} s a frame{failed})"
             )
         if self.submaps_left_out:
             left_out = counted(self.submaps_left_out, "submap")
             lines.append(f"            not counted: {left_out} with too few frames of the reference")
         return "\n".join(lines)
+
+    def _nothing_counts(self) -> str:
+        score = "" if self.score is None else f", score {FAILED_SCORE:g} (lower is better)"
+        return (
+            f"CLiMB       none of {counted(self.submaps_left_out, 'submap')} has enough poses (--min-common) at frames "
+            f"of the reference, which has {self.reference} frames; by the protocol the clip has FAILED: ATE "
+            f"{FAILED_ATE_MM:g} mm{score}"
+        )
 
 
 def climb_errors(

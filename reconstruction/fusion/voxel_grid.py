@@ -20,6 +20,7 @@ BLOCK = 8  # voxels along a block's edge; 16 touches twice the voxels for the sa
 VOXELS_PER_BLOCK = BLOCK**3
 FIRST_CAPACITY = 1024  # blocks allocated at first
 GROWTH = 1.5  # factor on the capacity when it is exceeded
+COPIED = 1024  # blocks copied at once
 MAX_BLOCK_INDEX = 2**19  # along an axis, so that a block's three indices pack into 64 bits
 
 CHANNELS = {"tsdf": 1, "colour": 3, "evidence": 1, "confidence": 1, "observations": 1}  # values per voxel
@@ -98,7 +99,8 @@ class VoxelGrid:
             ("color", self.channel("colour")),
         ):
             memory = grid.attribute(name).numpy().reshape(-1, *values.shape[1:])
-            memory[theirs] = values[ours]
+            for first in range(0, len(ours), COPIED):  # all at once would be held twice
+                memory[theirs[first : first + COPIED]] = values[ours[first : first + COPIED]]
         mesh = grid.extract_triangle_mesh(weight_threshold=0.5)
         return _in_order(
             mesh.vertex.positions.numpy().astype(np.float64),

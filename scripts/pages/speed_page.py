@@ -38,6 +38,8 @@ READ = """
   Features of loop closing and the preparation of keyframes for fusion are made in threads. Files are written and the
   report's pictures drawn while the coverage is measured; the features that the points are triangulated from are found
   while the maps are judged; descriptors of submaps' look-alikes are compared while the last ones are verified.
+- **Two threads** follow the corners of a picture, half each, refine points, and count the votes of depth maps on the
+  mesh. The bytes of a result stay.
 - **Features found once.** SIFT features of the front end's keyframes are kept for the stage that triangulates points
   anew ([points.md](points.md)), which came after `before`. It needs those of some more frames, as the film moves on.
 - **Bundle adjustment by vector instructions**: the blocks of the reduced camera system are summed by compiled code
@@ -57,7 +59,6 @@ READ = """
 
 - The stage that triangulates points anew takes time that `before` does not need; `reconstruct --profile` says how much.
   The F-score is higher for it.
-- Tracking was not made faster.
 {peer}- Completion does not begin while tracking goes on: depth is completed from points that the adjusted poses
   triangulate, and these are known last.
 - Films of 1,000 and 1,500 frames are measured without a peer ([long_videos.md](long_videos.md)). The peer's accuracy is

@@ -79,7 +79,7 @@ def test_sound_without_pictures(run, tmp_path):
 
 def test_one_frame_video(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(1))
-    assert_one_sentence(run("a.mp4"), "only 1 of 1 frames can be tracked")
+    assert_one_sentence(run("a.mp4"), "the input has 1 frame to look at; at least 3 are needed")
 
 
 def test_all_black_video(run, tmp_path):
@@ -104,7 +104,7 @@ def test_a_film_that_was_refused_does_not_block_the_corrected_command(run, tmp_p
     """Refused for want of frames, or of structure once they were read: the next command needs no --overwrite."""
     count = seed % 2 * 4 + 2
     write_video(tmp_path / "a.mp4", [textured_frames(1, seed=10 * seed + i)[0] for i in range(count)])
-    told = "only 2 of 2 frames" if count == 2 else "no two frames could be related"
+    told = "the input has 2 frames to look at" if count == 2 else "no two frames could be related"
     assert_one_sentence(run("a.mp4", "-o", "out", "-q"), told)
     assert_one_sentence(run("a.mp4", "-o", "out", "-q", "--seed", str(seed)), told)
     assert_one_sentence(run("a.mp4", "-o", "out", "-q", "--seed", str(seed), "--resume"), told)
@@ -155,12 +155,12 @@ def test_output_holds_a_run(run, tmp_path):
     assert run("a.mp4", "-o", "out")[0] == 1
     assert (tmp_path / "out" / "run.yaml").exists()
     # It finished nothing, so the corrected command need not be told to overwrite it.
-    assert_one_sentence(run("a.mp4", "-o", "out"), "only 1 of 1 frames")
+    assert_one_sentence(run("a.mp4", "-o", "out"), "the input has 1 frame to look at")
     record = yaml.safe_load((tmp_path / "out" / "run.yaml").read_text())
-    assert record.pop("refused").startswith("only 1 of 1 frames")
+    assert record.pop("refused").startswith("the input has 1 frame to look at")
     (tmp_path / "out" / "run.yaml").write_text(yaml.safe_dump(record | {"stages": {"frames": {}}}))
     assert_one_sentence(run("a.mp4", "-o", "out"), "already holds a run; add --resume")
-    assert_one_sentence(run("a.mp4", "-o", "out", "--overwrite"), "only 1 of 1 frames")
+    assert_one_sentence(run("a.mp4", "-o", "out", "--overwrite"), "the input has 1 frame to look at")
 
 
 def test_resume_of_another_video(run, tmp_path):

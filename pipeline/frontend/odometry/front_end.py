@@ -37,6 +37,7 @@ from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_merging import merge_and_adjust
 from pipeline.mapping.submap_of_map import submaps_of
 from pipeline.matching.sift_cache import SiftCache
+from pipeline.run_folder.malloc import give_back_freed_memory
 from pipeline.run_folder.workspace import Workspace
 
 NAME = "odometry"
@@ -99,6 +100,7 @@ def track_frames(
         started = time.perf_counter()
         maps, stitching = _tracked(frames, features, settings, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
+        give_back_freed_memory()  # the adjustment asks for other arrays
         sensor = open_sensor(workspace, frames.camera.width)
         if sensor is not None and sensor.settings.adjust:
             make_all_metric(maps, sensor.for_adjustment, progress)
@@ -108,6 +110,7 @@ def track_frames(
             camera, sigma, held = refine_intrinsics(maps, camera, settings.seed, features, workspace, progress, changed)
         else:
             held = adjust_maps(maps, features, progress, changed)
+        give_back_freed_memory()
         merged, joins = merge_and_adjust(maps, held, features, settings.seed, progress)
         bridged = 0
         if sensor is not None and len(merged) > 1:

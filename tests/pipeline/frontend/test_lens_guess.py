@@ -51,6 +51,18 @@ def test_the_guess_that_is_nearer_fits_better(tmp_path, lens, right):
         assert scores_of_guesses(frames, SETTINGS, workspace, SilentProgress()) == scores
 
 
+@pytest.mark.parametrize(
+    ("scores", "taken", "close"),
+    [((100, 104), MEAN, True), ((100, 106), NARROW, False), ((104, 100), MEAN, True), ((0, 5), NARROW, False)],
+)
+def test_of_two_guesses_that_are_close_the_mean_is_taken_and_that_is_said(tmp_path, monkeypatch, scores, taken, close):
+    workspace, frames = guessed(tmp_path, [np.zeros((SIZE, SIZE, 3), np.uint8)] * 3)
+    monkeypatch.setattr(lens_guess, "scores_of_guesses", lambda *_: dict(zip(GUESSES, scores, strict=True)))
+    found = guess_lens(frames, SETTINGS, workspace, SilentProgress())
+    assert found.camera == GUESSES[taken](SIZE, SIZE, (0, 0, SIZE, SIZE))
+    assert ("that is close" in camera_origin(workspace)) == close
+
+
 def test_a_run_that_was_stopped_after_it_does_not_ask_again(tmp_path, monkeypatch):
     def stop(frames, *_):
         raise KeyboardInterrupt(frames.camera.params)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.se3 import inverse
-from pipeline.truth.hints import MIRROR, Y_UP, Timed, clock_hint, pose_hint, unit_hint
+from pipeline.truth.hints import MIRROR, Y_UP, Timed, clock_hint, misfit_hint, pose_hint, unit_hint
 
 RATE, FRAMES = 30, 300
 
@@ -111,3 +111,14 @@ def test_poses_of_another_convention_are_named(seed: int, stored, reading: str) 
     hint = pose_hint(run, stored(posed(seed)))
     assert reading in hint
     assert bool(hint) == bool(reading)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_only_paths_that_hardly_resemble_each_other_are_called_another_film(seed: int) -> None:
+    rng, mine, other = np.random.default_rng(seed), posed(seed), posed(seed + 20)
+    noisy = mine.copy()
+    noisy[:, :3, 3] += rng.normal(0, 1.0, (len(mine), 3))
+    assert misfit_hint(noisy, mine) == ""
+    hint = misfit_hint(other, mine)
+    assert "either this is the truth of another film, or the run is wrong" in hint
+    assert "rotation median" in hint

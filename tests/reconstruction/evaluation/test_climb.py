@@ -102,6 +102,20 @@ def test_a_clip_tracked_for_half_of_its_frames_has_failed() -> None:
     assert climb_errors([], (np.arange(300), truth), FPS, 0.0).score == FAILED_SCORE
 
 
+def test_a_clip_of_which_nothing_counts_says_why_and_prints_no_number_that_is_none() -> None:
+    truth = walk(300, 7)
+    short = climb_errors([(np.arange(53), truth[:53])], (np.arange(300), truth), FPS, 0.0)
+    said = str(short)
+    assert "1 submap" in said
+    assert "--min-common" in said
+    assert "FAILED: ATE 25 mm, score 56.25 (lower is better)" in said
+    for found in (
+        short,
+        climb_errors([(np.arange(0, 300, 20), truth[::20])], (np.arange(300), truth), FPS, min_common=3),
+    ):
+        assert "nan" not in str(found)
+
+
 def test_a_reference_with_a_frame_twice_is_refused() -> None:
     with pytest.raises(ReconstructionError, match="each once"):
         climb_errors([], (np.zeros(5, np.int64), walk(5, 0)), FPS)
