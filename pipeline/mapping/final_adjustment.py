@@ -6,7 +6,6 @@ less, narrow ones least. The map is adjusted to narrow features alone; wide feat
 all features become points of the map.
 """
 
-from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -30,17 +29,11 @@ MAX_FOLLOWING = 0.1  # share of keyframes that may follow: those that see too fe
 
 
 def adjust_maps(
-    maps: list[LocalMap],
-    find: FindFeatures,
-    progress: Progress,
-    changed: bool = False,
-    before: Sequence[float | None] | None = None,
+    maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
 ) -> list[float | None]:
     """The last adjustment of each map: to its features (`adjust_maps_to_features`, which says what is returned); where
-    these do not hold it, to its corners, `changed` or not (see `adjust_all`). before: what was returned for the maps
-    when they were last adjusted with nearly this lens: narrower features did not hold all keyframes
-    then, and are not asked to again."""
-    held = adjust_maps_to_features(maps, find, progress, before=before)
+    these do not hold it, to its corners, `changed` or not (see `adjust_all`)."""
+    held = adjust_maps_to_features(maps, find, progress)
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         with progress.bar("adjusting to corners", None) as advance:
             adjust_all(local_map, changed, advance)
@@ -48,21 +41,16 @@ def adjust_maps(
 
 
 def adjust_maps_to_features(
-    maps: list[LocalMap],
-    find: FindFeatures,
-    progress: Progress,
-    may_part: bool = True,
-    before: Sequence[float | None] | None = None,
+    maps: list[LocalMap], find: FindFeatures, progress: Progress, may_part: bool = True
 ) -> list[float | None]:
     """Every map moved to where its own features have it; of each, how wide the features were at most, pixels. Maps that
-    they do not hold (None) stay as they are, and a sentence says so. may_part: see `adjust_to_features`; before: see
-    `adjust_maps`."""
+    they do not hold (None) stay as they are, and a sentence says so. may_part: see `adjust_to_features`."""
     if not maps:
         return []
     held = []
-    for local_map, least in zip(maps, before or [None] * len(maps), strict=True):
+    for local_map in maps:
         with progress.bar("adjusting to features", None) as advance:
-            held.append(adjust_to_features(local_map, find, advance, may_part, least or 0.0))
+            held.append(adjust_to_features(local_map, find, advance, may_part))
     for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.log(
@@ -72,19 +60,15 @@ def adjust_maps_to_features(
 
 
 def adjust_to_features(
-    local_map: LocalMap,
-    find: FindFeatures,
-    advance: ProgressCallback = no_progress,
-    may_part: bool = True,
-    least: float = 0.0,
+    local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress, may_part: bool = True
 ) -> float | None:
     """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
     None if too few do, which leaves poses and KLT points as they were.
 
     Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
     may_part: where neither hold all keyframes together, a few may hang together alone; they then follow the others. Not
-    for a map that was joined of two: there it would hide that the join is wrong. least: features narrower than so many
-    pixels are not asked to hold all keyframes. The features of an earlier call are forgotten first.
+    for a map that was joined of two: there it would hide that the join is wrong. The features of an earlier call are
+    forgotten first.
     """
     local_map.forget_features()
     views = [local_map.sparse_view(keyframe) for keyframe in local_map.keyframes]
@@ -96,8 +80,6 @@ def adjust_to_features(
     ]
     widths = widest_narrow(local_map.rays.camera.width), float(np.inf)
     for parted, widest in product((False, True) if may_part else (False,), widths):
-        if not parted and widest < least:
-            continue
         if _adjusted(local_map, matched, world, widest, parted, advance):
             return widest
         local_map.forget_features()

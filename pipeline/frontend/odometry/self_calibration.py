@@ -40,8 +40,6 @@ LENS_RESTART, LENS_CONVERGED = 0.01, 0.001
 DOUBT_FRAMES, DOUBT_POINTS, DOUBT_SHIFT = 30, 1500, 0.02
 SIGMAS = 4.0  # by which the focal lengths must differ
 
-Held = dict[int, float | None]  # of maps by their number, what `adjust_maps` returns
-
 
 @dataclass(frozen=True)
 class Lens:
@@ -73,7 +71,7 @@ def refine_intrinsics(
     asked = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))[:MOST_ASKED]
     camera = guess
     sigma: tuple[float, ...] = ()
-    held: Held = {}
+    held: dict[int, float | None] = {}
     for _ in range(ROUNDS):
         lenses: list[Lens] = []
         for number in asked:
@@ -90,12 +88,12 @@ def refine_intrinsics(
         if shift < LENS_CONVERGED:
             break
         camera = lens.camera
-        held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress, held)
+        held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress)
     if camera == guess:
         held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)
     else:
         others = [n for n in range(len(maps)) if n != asked[0]]
-        held |= _with_lens(maps, others, camera, lens_shift(guess, camera) > LENS_RESTART, find, progress, held)
+        held |= _with_lens(maps, others, camera, lens_shift(guess, camera) > LENS_RESTART, find, progress)
     return camera, sigma, [held[number] for number in range(len(maps))]
 
 
@@ -123,31 +121,17 @@ def lens_shift(old: Camera, new: Camera) -> float:
 
 
 def _adjusted(
-    maps: list[LocalMap],
-    numbers: list[int],
-    find: FindFeatures,
-    progress: Progress,
-    changed: bool,
-    before: Held | None = None,
-) -> Held:
-    """Some of the maps after their last adjustment: what holds each, by its number. before: the same by nearly this
-    lens."""
-    asked = [maps[number] for number in numbers], find, progress, changed
-    held = adjust_maps(*asked, None if before is None else [before.get(number) for number in numbers])
+    maps: list[LocalMap], numbers: list[int], find: FindFeatures, progress: Progress, changed: bool
+) -> dict[int, float | None]:
+    """Some of the maps after their last adjustment: what holds each, by its number."""
+    held = adjust_maps([maps[number] for number in numbers], find, progress, changed)
     return dict(zip(numbers, held, strict=True))
 
 
 def _with_lens(
-    maps: list[LocalMap],
-    numbers: list[int],
-    camera: Camera,
-    far: bool,
-    find: FindFeatures,
-    progress: Progress,
-    before: Held,
-) -> Held:
-    """The same with another lens; with one that is far from that of `before`, adjusted first to the followed corners
-    alone."""
+    maps: list[LocalMap], numbers: list[int], camera: Camera, far: bool, find: FindFeatures, progress: Progress
+) -> dict[int, float | None]:
+    """The same with another lens; with one that is far from the last, adjusted first to the followed corners alone."""
     rays = ray_table(camera)
     for local_map in (maps[number] for number in numbers):
         local_map.recalibrate(rays)
@@ -155,7 +139,7 @@ def _with_lens(
             local_map.forget_features()
             with progress.bar("adjusting to corners", None) as advance:
                 adjust_all(local_map, True, advance)
-    return _adjusted(maps, numbers, find, progress, True, None if far else before)
+    return _adjusted(maps, numbers, find, progress, changed=True)
 
 
 def refine_lens(

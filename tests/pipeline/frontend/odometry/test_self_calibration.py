@@ -221,19 +221,6 @@ def test_maps_that_are_not_asked_for_the_lens_are_adjusted_once_and_with_it(monk
     assert (found[0].params[0], found[1], found[2]) == (150.0, (0.1,), [150.0] * 4)
 
 
-@pytest.mark.parametrize("far", [False, True])
-def test_only_a_lens_near_the_last_one_lets_what_held_the_maps_then_be_asked_first(far, monkeypatch):
-    told = {}
-    monkeypatch.setattr(self_calibration, "adjust_all", lambda *_: None)
-    monkeypatch.setattr(
-        self_calibration, "adjust_maps", lambda maps, *a: told.update(before=a[-1]) or [8.0] * len(maps)
-    )
-    maps = [SimpleNamespace(recalibrate=lambda _: None, forget_features=lambda: None) for _ in range(3)]
-    held = self_calibration._with_lens(maps, [0, 2], TRUE, far, None, SilentProgress(), {0: np.inf})
-    assert held == {0: 8.0, 2: 8.0}
-    assert told["before"] == (None if far else [np.inf, None])
-
-
 @pytest.mark.parametrize(
     "camera",
     [
