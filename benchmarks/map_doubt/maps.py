@@ -115,7 +115,7 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
             found = track_frames(frames, features, settings, workspace, SilentProgress()).submaps
     except HaustraError:
         return []
-    candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], frames.camera, workspace)
+    candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], workspace)
     kept = {id(one) for one in accepted(candidates, [None] * len(candidates))[0]}
     return [
         JudgedMap(

@@ -106,7 +106,7 @@ def _timed(
     shutil.copyfile(workspace.features, copied)
     begin = np.array([time.perf_counter(), processor_seconds()])
     found = map_by_colmap(method, job | {"seed": seed, "database": str(copied)}, workspace, SilentProgress())
-    models = candidates_of(method, found, frames.camera, workspace)
+    models = candidates_of(method, found, workspace)
     return models, np.array([time.perf_counter(), processor_seconds()]) - begin
 
 

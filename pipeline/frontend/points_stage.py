@@ -21,6 +21,7 @@ from pipeline.mapping.feature_triangulation import triangulate_again
 from pipeline.mapping.local_map import DepthAt
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
+from pipeline.run_folder.malloc import give_back_freed_memory
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption
 
@@ -68,6 +69,7 @@ def _find_all(
     for folder in (workspace.depth, workspace.confidence, workspace.first_depth):
         shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
     found = triangulated(frames, features, submaps, motion_px, workspace, progress)
+    give_back_freed_memory()  # patches ask for other arrays
     with single_threaded(), progress.bar("refining points", None) as advance:
         if _adjusting_depth(frames, workspace) is None:  # what a sensor measured holds points better than patches do
             found = [refine_points(one, frames.camera, frame_reader(workspace), advance) for one in found]

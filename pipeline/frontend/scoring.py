@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.camera import Camera
 from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
-from pipeline.mapping.colmap_io import write_model
+from pipeline.mapping.colmap_io import write_arrays
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
 from pipeline.mapping.map_doubt import MapDoubt, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
@@ -44,7 +43,7 @@ class Candidate:
     mapper: str
 
 
-def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspace: Workspace) -> list[Candidate]:
+def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -> list[Candidate]:
     """The submaps of one mapper without frames in common, most frames first, each checked and written.
 
     Of a submap that the light contradicts, ends that mostly contradict it are cut off, if more is left than that.
@@ -66,7 +65,7 @@ def candidates_of(mapper: str, found: list[FoundSubmap], camera: Camera, workspa
         # COLMAP's own models, which are numbered too, stay as they are.
         folder = model or workspace.log / mapper / f"{number}_written"
         if model is None:
-            write_model(submap, camera, folder)
+            write_arrays(submap, folder)
         candidates.append(Candidate(submap, check, folder, mapper))
     return candidates
 

@@ -202,7 +202,7 @@ def _run(
 
     def run(name: str, some: Frames, told: FrontEndSettings) -> _Result:
         result = FRONT_ENDS[name].run(some, features, told, workspace, progress)
-        found = {m: candidates_of(m, of, some.camera, workspace) for m, of in result.found.items()}
+        found = {m: candidates_of(m, of, workspace) for m, of in result.found.items()}
         return _Result(found, result.stats)
 
     if front_end != AUTO:

@@ -19,18 +19,29 @@ CAMERA_ID = 1
 
 
 def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[np.uint8] | None = None) -> None:
-    """cameras.txt, images.txt, points3D.txt, model.npz and, of a refined lens, camera_sigma.txt.
+    """What `write_arrays` writes, and for COLMAP cameras.txt, images.txt and points3D.txt.
 
     colours (P,3): of the points; grey if there are none. Image and point numbers are rows plus one. A lens that COLMAP
     lacks is a pinhole in the text files, and pixels are where that pinhole sees them; model.npz has the lens itself.
     """
+    write_arrays(submap, folder)
+    seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
+    params = " ".join(repr(float(p)) for p in lens.params)
+    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
+    with (folder / "images.txt").open("w") as file:
+        file.writelines(_image_lines(seen))
+    with (folder / "points3D.txt").open("w") as file:
+        file.writelines(_point_lines(submap, colours))
+
+
+def write_arrays(submap: Submap, folder: Path) -> None:
+    """model.npz and, of a refined lens, camera_sigma.txt: all that `read_submap` reads."""
     folder.mkdir(parents=True, exist_ok=True)
-    names = [f"{index:06d}.jpg" for index in submap.frames]
     optional = {"followed": submap.klt, "depth_error": submap.depth_error}
     np.savez(
         folder / "model.npz",
         allow_pickle=False,
-        names=np.array(names),
+        names=np.array(_names(submap)),
         world_from_camera=submap.world_from_camera,
         points=submap.points,
         error_px=submap.error_px,
@@ -40,13 +51,10 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
         **{name: values for name, values in optional.items() if values is not None},
     )
     write_camera_sigma(folder, submap.camera_sigma)
-    seen, lens = (submap, refined_camera(camera, submap)) if camera.lens.in_colmap else _by_pinhole(submap, camera)
-    params = " ".join(repr(float(p)) for p in lens.params)
-    (folder / "cameras.txt").write_text(f"{CAMERA_ID} {lens.model} {lens.width} {lens.height} {params}\n")
-    with (folder / "images.txt").open("w") as file:
-        file.writelines(_image_lines(seen, names))
-    with (folder / "points3D.txt").open("w") as file:
-        file.writelines(_point_lines(submap, colours))
+
+
+def _names(submap: Submap) -> list[str]:
+    return [f"{index:06d}.jpg" for index in submap.frames]
 
 
 def write_camera_sigma(folder: Path, sigma: tuple[float, ...]) -> None:
@@ -63,11 +71,11 @@ def _by_pinhole(submap: Submap, camera: Camera) -> tuple[Submap, Camera]:
     return replace(submap, pixels=plane * np.array(lens.focal) + np.array(lens.centre)), pinhole
 
 
-def _image_lines(submap: Submap, names: list[str]) -> Iterator[str]:
+def _image_lines(submap: Submap) -> Iterator[str]:
     order, starts = submap.by_frame()
     rotations = np.swapaxes(submap.world_from_camera[:, :3, :3], 1, 2)
     quaternions = Rotation.from_matrix(rotations).as_quat(canonical=True)
-    for row, name in enumerate(names):
+    for row, name in enumerate(_names(submap)):
         shift = -rotations[row] @ submap.centres[row]
         x, y, z, w = quaternions[row]
         yield f"{row + 1} {w:.17g} {x:.17g} {y:.17g} {z:.17g} {shift[0]:.17g} {shift[1]:.17g} {shift[2]:.17g} "

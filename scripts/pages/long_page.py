@@ -38,6 +38,17 @@ end of a stretch whose first quarter is fitted, over its length.
 |---|---|---|---|---|
 """
 
+BEND = """
+**What bounds the scale of the longest film.** Within 100 mm a path's end is off by {end:.1f} % of the way (median),
+but the scale is off the film's own median by {off:.1f} % (median; {most:.1f} % at most): it bends slowly. Neighbouring
+stretches share wall, distant ones nothing, so that what each leaves adds up. The path is {ate:.1f} mm off (RMSE) all
+the same. A second visit, which loop closing finds, or a known size (a sensor, the lumen's diameter) would tie distant
+stretches; this film has neither.
+
+**What takes the memory.** The map itself: tracked corners and features, and where every frame saw them; then the voxels
+of the wall along {length:.1f} m of path. Pictures, and features of all but 256 frames, wait in files.
+"""
+
 STAGES = """
 Seconds of each stage, and the peak of memory by its end (MiB):
 
@@ -73,6 +84,11 @@ def page(record: dict[str, Any]) -> str:
     names = list(runs[0]["stages"])
     lines = [HEAD.format(commit=commits, **about) + "\n".join(map(run_line, runs))]
     lines.append(DRIFT.format(stretch=runs[0]["stretch_mm"]) + "\n".join(map(drift_line, runs)))
+    longest = max(runs, key=lambda row: int(row["frames"]))
+    if longest["frames"] >= LONGEST:
+        (off, most), (end, _) = longest["scale_off_percent"], longest["end_error_percent"]
+        length = longest["path_mm"] / 1000
+        lines.append(BEND.format(end=end, off=off, most=most, ate=longest["ate_mm"], length=length).rstrip())
     stages = STAGES.format(names=" | ".join(names), rule="|".join("---" for _ in names))
     for row in runs:
         cells = (f"{seconds:.0f} s, {peak:.0f}" for seconds, peak in row["stages"].values())

@@ -44,7 +44,7 @@ class ColmapFrontEnd:
         end, log = settings.deadline, workspace.log / "match.log"
         run_isolated(COLMAP_WORKER, "match", job, log, "features and matches", progress, end)
         found = {"global": map_by_colmap("global", job, workspace, progress, end)}
-        judged = candidates_of("global", found["global"], frames.camera, workspace)
+        judged = candidates_of("global", found["global"], workspace)
         if needs_second_opinion(judged, len(frames.index)) and (end is None or time.monotonic() < end):
             found["incremental"] = map_by_colmap("incremental", job, workspace, progress, end)
         if not any(found.values()) and all((workspace.log / f"{mapper}.failed").exists() for mapper in found):
