@@ -15,9 +15,9 @@ HEAD = """# Long videos
 
 - **Question:** How do time, memory and the error of the path grow with the number of frames?
 - **Command:** `python -m benchmarks.long_video WITHDRAWAL --json J`, then with `LONG --frames 1000 10000`,
-  on commit {commit}. {processor}, {cores} cores, Python {python}; one run each, with nothing
-  beside it. Rendered from `benchmarks/results/long_video.json` by
-  `python scripts/pages/long_page.py > docs/lab/long_videos.md`.
+  on commit {commit}.
+  {processor}, {cores} cores, Python {python}; one run each, with nothing beside it. Rendered from
+  `benchmarks/results/long_video.json` by `python scripts/pages/long_page.py > docs/lab/long_videos.md`.
 - **Films:** rendered, 320x320 px, lossless, lens given: a withdrawal over 450 mm (`benchmarks/withdrawal.yaml`), and
   one through 1.5 m of colon (`benchmarks/long_video.yaml`), from its beginning. The damping of the bundle
   adjustment was chosen with both in view ([front_end.md](front_end.md)), nothing else.
@@ -79,7 +79,8 @@ def drift_line(row: dict[str, Any]) -> str:
 def page(record: dict[str, Any]) -> str:
     """All of it."""
     runs, environment = record["runs"], record["environment"]
-    commits = ", ".join(sorted({row["commit"][:7] for row in runs}))
+    of = {row["commit"][:7]: [f"{r['frames']:,}" for r in runs if r["commit"] == row["commit"]] for row in runs}
+    commits = ", ".join(f"{commit} ({' and '.join(frames)} frames)" for commit, frames in of.items())
     about = {name: environment[name] for name in ("processor", "cores", "python")}
     names = list(runs[0]["stages"])
     lines = [HEAD.format(commit=commits, **about) + "\n".join(map(run_line, runs))]
