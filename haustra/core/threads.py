@@ -5,7 +5,7 @@ import functools
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 import cv2
@@ -41,7 +41,10 @@ def side_by_side(make: Callable[[Item], Made], items: Sequence[Item]) -> list[Ma
     """What `make` gives of each of a few items, the first made by the calling thread. For work of milliseconds: the
     other threads stay from call to call. `make` must not call this function."""
     others = [_kept_threads().submit(make, item) for item in items[1:]]
-    first = [make(item) for item in items[:1]]
+    try:
+        first = [make(item) for item in items[:1]]
+    finally:
+        wait(others)  # whatever happens: they may write where the caller goes on
     return first + [other.result() for other in others]
 
 

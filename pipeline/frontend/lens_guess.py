@@ -30,7 +30,7 @@ GUESSES: dict[str, Callable[..., Camera]] = {
     "the mean of 18 colonoscopes": colonoscope_across,
     "100 degrees across": guess_camera,
 }
-CLOSE = 1.05  # of one score over the other
+CLOSE = 1.05  # of one score over the other; by judgement, since no film that was measured is so close
 MOST_FRAMES = 120
 LOOK_EVERY = 20  # frames, after which the two are held against each other
 CLEAR_LEAD, LOWEST_SCORE = 2.0, 1500.0  # of the better over the other, at which no more frames are asked

@@ -73,7 +73,7 @@ def refine_points(
     points, (error, unsure) = submap.points.copy(), np.full((2, len(submap.points)), np.nan)
     order = np.argsort(reference, kind="stable")
     order = order[reference[order] >= 0]
-    chunks = np.split(order, range(CHUNK, len(order), CHUNK))
+    chunks = [order[first : first + CHUNK] for first in range(0, len(order), CHUNK)]
 
     def aligned_of(mine: Rows) -> Alignment:
         return scene.aligned(mine, reference[mine], others[mine])

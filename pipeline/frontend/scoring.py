@@ -4,6 +4,7 @@ A lighting check speaks for or against each submap (`mapping.lighting_check`): t
 reprojection error do not tell a false two-view start.
 """
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +36,7 @@ MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance
 
 @dataclass(frozen=True)
 class Candidate:
-    """A submap that a mapper found, its lighting check, and the folder of its COLMAP model."""
+    """A submap that a mapper found, its lighting check, and the folder of its model."""
 
     submap: Submap
     check: LightingCheck
@@ -65,6 +66,7 @@ def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -
         # COLMAP's own models, which are numbered too, stay as they are.
         folder = model or workspace.log / mapper / f"{number}_written"
         if model is None:
+            shutil.rmtree(folder, ignore_errors=True)  # of an earlier version, which wrote text beside the arrays
             write_arrays(submap, folder)
         candidates.append(Candidate(submap, check, folder, mapper))
     return candidates

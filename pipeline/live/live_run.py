@@ -84,7 +84,7 @@ def live(
                 write_record(folder, replace(read_record(folder), figures=state.figures()))
         if state.counts.came == 0:
             raise HaustraError(f"the session ended before {film.name} gave a picture")
-        for sentence in (*state.sentences, state.summary, f"the run is made of {film.recording}"):
+        for sentence in (*state.sentences, state.summary, f"the film: {film.recording}"):
             progress.log(sentence)
         if not finish:
             state.phase = "recorded"

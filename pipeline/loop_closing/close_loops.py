@@ -103,7 +103,7 @@ def load_refined(submaps: list[CompletedSubmap], workspace: Workspace) -> list[C
 
 
 def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:
-    """For each submap as refined: the folder of its COLMAP model, and one scene unit in the model's unit."""
+    """For each submap as refined: the folder of its model, and one scene unit in the model's unit."""
     before = [(workspace.models / str(k), unit) for k, unit in enumerate(workspace.result("structure")["units"])]
     if workspace.is_done(POINTS):
         before = [(points_folder(workspace) / str(number), 1.0) for number in range(len(before))]

@@ -31,7 +31,7 @@ class SiftCache:
     One thread finds what was begun, so that tracking keeps a processor for itself; who asks for what that thread has
     not come to yet finds it himself, as many at once as ask.
 
-    folder: where the features of all but the `held` frames that were asked for last are written; it belongs to the
+    folder: where the features of all but the `held` frames that were named last are written; it belongs to the
     cache, and is removed with it. None: all stay in memory.
     """
 
@@ -51,7 +51,8 @@ class SiftCache:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._thread.shutdown(cancel_futures=True)
         with self._guard:
-            self._found.clear()
+            for forgotten in (self._found, self._used, self._written):
+                forgotten.clear()
             self._remove_folder()
 
     def _remove_folder(self) -> None:
@@ -75,6 +76,8 @@ class SiftCache:
     def begin(self, frame: int) -> None:
         """Find them in the background."""
         with self._guard:
+            if frame in self._used:
+                self._used.move_to_end(frame)
             if frame not in self._found and frame not in self._written:
                 self._found[frame] = self._thread.submit(self._find, frame)
 
@@ -95,6 +98,7 @@ class SiftCache:
             with np.load(self._folder / f"{frame}.npz", allow_pickle=False) as arrays:
                 return SiftFeatures(arrays["pixels"], arrays["descriptors"], arrays["sizes"])
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):  # somebody tidied up: they are found again
+            self._written.discard(frame)
             return None
 
     def _write_older(self, folder: Path) -> None:

@@ -48,7 +48,7 @@ class Workspace:
         self.frames = root / "frames.json"
         self.camera = root / "camera.json"
         self.features = root / "features.db"
-        self.models = root / "log" / "models"  # COLMAP's models as they came, in their own units
+        self.models = root / "log" / "models"  # the chosen submaps, in their own units
         self.sparse = root / "sparse"
         self.depth = root / "depth"
         self.confidence = root / "confidence"

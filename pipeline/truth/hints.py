@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.sim3 import umeyama
 from pipeline.frontend.known_poses.pose_check import MIRROR, Y_UP, inverted, scalar_first
+from pipeline.mapping.readjustment import path_difference
 from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
 Array = NDArray[np.float64]
@@ -22,7 +23,7 @@ MOST_SHIFTS = 400
 RATES = (1 / 2, 2.0, 24 / 25, 25 / 24, 24 / 30, 30 / 24, 25 / 30, 30 / 25)  # of a film's frames/s and those assumed
 UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the number that stands for it / 1000
 BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
-NO_FIT, NO_TURN_DEG = 0.5, 45.0  # from which on a path is none of this film, or wrong
+NO_FIT, NO_TURN_DEG = 0.25, 45.0  # from which on a path is none of this film, or wrong
 SHORTEST_MM = 1.0  # a path over which nothing could be triangulated: its numbers are of another unit
 
 
@@ -79,13 +80,18 @@ def pose_hint(estimated: Array, true: Array) -> str:
 
 
 def misfit_hint(estimated: Array, true: Array) -> str:
-    """A sentence where the poses hardly resemble the true ones, paired with ours (K,4,4) each; "" otherwise."""
-    off, turned = _misfit(estimated, true)
+    """A sentence where the poses hardly resemble the true ones, paired with ours (K,4,4) each; "" otherwise.
+
+    The rotation is that after a fit in which the axes have a say: by the centres alone a straight path may be turned
+    about itself.
+    """
+    off, turned = _misfit(estimated, true)[0], path_difference(estimated, true).angle_deg
     if off < NO_FIT and turned < NO_TURN_DEG:
         return ""
     return (
-        f"the paths hardly resemble each other: rotation median {turned:.3g} deg, centres off by {100 * off:.2g} % of "
-        "their spread; either this is the truth of another film, or the run is wrong"
+        f"the paths hardly resemble each other: rotation median {turned:.3g} deg after a fit of centres and axes, "
+        f"centres off by {100 * off:.2g} % of their spread; either this is the truth of another film, or the "
+        "run is wrong"
     )
 
 

@@ -68,7 +68,7 @@ class ClimbErrors:
             f"RPE @{r.frames:<6} translation {r.translation_mm:.3f} mm, rotation {r.rotation_deg:.3f} deg "
             f"(means of {r.count} pairs)"
             if r.count
-            else f"RPE @{r.frames:<6} no two poses of a submap are so many frames apart"
+            else f"RPE @{r.frames:<6} no two frames of the reference that one submap poses are so far apart"
             for r in self.relative
         ]
         if self.score is None:
@@ -88,10 +88,12 @@ class ClimbErrors:
 
     def _nothing_counts(self) -> str:
         score = "" if self.score is None else f", score {FAILED_SCORE:g} (lower is better)"
+        none = "there is no submap with poses at frames"
+        if self.submaps_left_out:
+            none = f"none of {counted(self.submaps_left_out, 'submap')} has enough poses (--min-common) at frames"
         return (
-            f"CLiMB       none of {counted(self.submaps_left_out, 'submap')} has enough poses (--min-common) at frames "
-            f"of the reference, which has {self.reference} frames; by the protocol the clip has FAILED: ATE "
-            f"{FAILED_ATE_MM:g} mm{score}"
+            f"CLiMB       {none} of the reference, which has {self.reference} frames; by the protocol the clip has "
+            f"FAILED: ATE {FAILED_ATE_MM:g} mm{score}"
         )
 
 

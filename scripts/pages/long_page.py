@@ -16,7 +16,7 @@ HEAD = """# Long videos
 - **Question:** How do time, memory and the error of the path grow with the number of frames?
 - **Command:** `python -m benchmarks.long_video WITHDRAWAL --json J`, then with `LONG --frames 1000 10000`,
   on commit {commit}.
-  {processor}, {cores} cores, Python {python}; one run each, with nothing beside it. Rendered from
+  {processor}, {cores} cores, Python {python}; one run each, with no other job beside it. Rendered from
   `benchmarks/results/long_video.json` by `python scripts/pages/long_page.py > docs/lab/long_videos.md`.
 - **Films:** rendered, 320x320 px, lossless, lens given: a withdrawal over 450 mm (`benchmarks/withdrawal.yaml`), and
   one through 1.5 m of colon (`benchmarks/long_video.yaml`), from its beginning. The damping of the bundle

@@ -100,6 +100,20 @@ def test_what_one_of_a_few_raises_is_raised(bad):
     assert side_by_side(str, [0, 1]) == ["0", "1"], "and the threads are still there"
 
 
+def test_what_was_begun_has_ended_when_the_call_does():
+    ended = threading.Event()
+
+    def make(k):
+        if k == 0:
+            raise KeyboardInterrupt
+        time.sleep(0.2)
+        ended.set()
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side(make, [0, 1])
+    assert ended.is_set()
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_forked_process_has_threads_of_its_own():
     assert side_by_side(str, [0, 1]) == ["0", "1"]

@@ -132,6 +132,15 @@ def test_what_the_pictures_do_not_confirm_stays_as_it_was():
     np.testing.assert_array_equal(found.points, submap.points)
 
 
+def test_points_that_two_frames_see_stay_as_they_are(pictures):
+    few = true_submap().without_frames(set(range(2, COUNT)))
+    few = few.without_points(few.track_lengths() < 2)
+    assert len(few.points) > 50
+    found = refined(few, pictures)
+    np.testing.assert_array_equal(found.points, few.points)
+    assert np.isnan(found.depth_error).all()
+
+
 def test_patches_that_touch_what_is_masked_are_not_compared(pictures):
     """The left half of every frame is left out: what is seen there by more than half of its frames is not confirmed."""
     submap, _ = displaced(true_submap(), np.random.default_rng(1))

@@ -122,3 +122,13 @@ def test_only_paths_that_hardly_resemble_each_other_are_called_another_film(seed
     hint = misfit_hint(other, mine)
     assert "either this is the truth of another film, or the run is wrong" in hint
     assert "rotation median" in hint
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_straight_path_that_is_right_is_not_called_another_film(seed: int) -> None:
+    """By its centres alone it may be turned about itself."""
+    rng, true = np.random.default_rng(seed), posed(seed)
+    true[:, :3, 3] = np.linspace(0, 100, len(true))[:, None] * [0, 0, 1.0] + rng.normal(0, 0.05, (len(true), 3))
+    run = true.copy()
+    run[:, :3, 3] += rng.normal(0, 2.0, (len(true), 3))
+    assert misfit_hint(run, true) == ""

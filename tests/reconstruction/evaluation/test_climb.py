@@ -114,6 +114,7 @@ def test_a_clip_of_which_nothing_counts_says_why_and_prints_no_number_that_is_no
         climb_errors([(np.arange(0, 300, 20), truth[::20])], (np.arange(300), truth), FPS, min_common=3),
     ):
         assert "nan" not in str(found)
+    assert "there is no submap with poses" in str(climb_errors([], (np.arange(300), truth), FPS, 0.0))
 
 
 def test_a_reference_with_a_frame_twice_is_refused() -> None:
