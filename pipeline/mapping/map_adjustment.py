@@ -17,7 +17,7 @@ MIN_SHARED = 10  # points that such a one must share; fewer do not hold a scene
 WINDOW_ITERATIONS = 2  # each keyframe is in several windows; six iterations gave no better a path in the end
 LOSS_PX = 0.8  # Cauchy; tracking errs by 0.2 to 0.5 px
 MAX_ERROR_PX = 2.0  # of an observation that is kept
-CHUNK = 20_000  # points fitted at once: up to two hundred megabytes
+CHUNK = 50_000  # points fitted at once: a few hundred megabytes
 
 LONG = 300  # keyframes over which the scale may have drifted too far for one adjustment of all
 PIECE = 60  # keyframes that are adjusted at once of a long map
