@@ -38,8 +38,10 @@ def prefetched(make: Callable[[Item], Made], items: Iterable[Item], count: int =
 
 
 def side_by_side(make: Callable[[Item], Made], items: Sequence[Item]) -> list[Made]:
-    """What `make` gives of each of a few items, the first made by the calling thread. For work of milliseconds: the
-    other threads stay from call to call. `make` must not call this function."""
+    """What `make` gives of each of a few items, the first made by the calling thread, on a single processor all.
+    For work of milliseconds: the other threads stay from call to call. `make` must not call this function."""
+    if processors() == 1:
+        return [make(item) for item in items]
     others = [_kept_threads().submit(make, item) for item in items[1:]]
     try:
         first = [make(item) for item in items[:1]]

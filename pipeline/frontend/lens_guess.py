@@ -3,8 +3,8 @@
 Both are tried on the film's beginning. Tracking drops what does not fit the lens, and what it keeps fits less well: the
 score of a guess is the number of observations that its maps keep, each weighted by 1 - e^2, at least 0, where e px is
 the mean reprojection error of its point. Where the scores are close, the mean is taken. The refinement after tracking
-then starts near the truth (measured: docs/lab/unknown_lens.md). Where no map begins, the guess by the
-picture's shape stays (`calibrate`).
+then starts near the truth (measured: docs/lab/unknown_lens.md). Where no map begins, the guess by the picture's shape
+stays (`calibrate`).
 """
 
 from collections.abc import Callable
@@ -53,11 +53,11 @@ def _choose(frames: Frames, settings: FrontEndSettings, workspace: Workspace, pr
     # Of two that are close the first: endoscopes are more like the mean of those that were measured.
     best = next((name for name in others if scores[name] > CLOSE * scores[first]), first)
     if scores[best] > 0:
-        others = [f"{score:.0f} with {name}" for name, score in scores.items() if name != best]
+        beaten = " and ".join(f"{score:.0f} with {name}" for name, score in scores.items() if name != best)
         kept = f"the maps of the first frames keep {scores[best]:.0f} observations, weighted by their fit"
         close = min(scores.values()) * CLOSE >= max(scores.values())
         doubt = "; that is close, and does not tell the lens" if close else ""
-        told["origin"] = f"guessed: {best}, with which {kept}; {' and '.join(others)}{doubt}"
+        told["origin"] = f"guessed: {best}, with which {kept}; {beaten}{doubt}"
         told["camera"] = GUESSES[best](*_size_and_content(frames)).to_dict()
     progress.log(f"camera: {told.get('origin', guessed_by(workspace))}")
     workspace.finish(LENS_STAGE, **told)

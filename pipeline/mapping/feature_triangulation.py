@@ -29,8 +29,8 @@ MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that stand err less than
 OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/points.md)
 MIN_ERROR_PX = 0.4  # that is always forgiven: pictures without noise have errors of a few hundredths
 MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leaves points in all of them
-CHUNK = 5_000  # points triangulated in one go: some fifty megabytes,
-AT_ONCE = 2  # by as many threads
+CHUNK = 5_000  # points triangulated in one go: some fifty megabytes
+AT_ONCE = 2  # chunks, each by a thread of its own
 ROUNDS = 4  # of dropping what a track's other observations contradict
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
 

@@ -85,8 +85,9 @@ def match_features(
             mine = features[number]
             return rootsift(find(views[number].frame).descriptors[mine.rows]) if len(mine) else mine.rootsift
 
-        lifted = threads.map(lift, range(len(views)), views)
-        features, elsewhere = _apart(_counted(lifted, len(views), "finding features", advance))
+        found = threads.map(lift, range(len(views)), views)
+        lifted = list(_counted(found, len(views), "finding features", advance))
+        features, elsewhere = [of for of, _ in lifted], [similarity for _, similarity in lifted]
         pairs = covisible_pairs(seen)
         # Each is asked for a dozen times in a row; those of all keyframes would be gigabytes.
         roots = lru_cache(CACHED)(described)
@@ -138,14 +139,6 @@ def _match_with(
         way, foreseen = np.linalg.norm(now - before, axis=1), np.linalg.norm(expected[rows[:, 0]] - before, axis=1)
         found.append(rows[~((way < STATIC_PX) & (foreseen > MOVING_PX))].astype(np.int32))  # millions are held
     return found
-
-
-def _apart(lifted: Iterable[tuple[KeyframeFeatures, Array]]) -> tuple[list[KeyframeFeatures], list[Array]]:
-    features, elsewhere = [], []
-    for one, similarity in lifted:
-        features.append(one)
-        elsewhere.append(similarity)
-    return features, elsewhere
 
 
 def _counted(results: Iterable[T], total: int, note: str, advance: ProgressCallback) -> Iterator[T]:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.threads import processors, side_by_side
+from haustra.core.threads import side_by_side
 
 Pixels = NDArray[np.float32]  # (N,2), COLMAP's convention unless named otherwise
 
@@ -66,7 +66,7 @@ def track_klt(
     which of them came back to where they started, within the mask."""
     if len(places) == 0:
         return places.copy(), np.zeros(0, dtype=bool)
-    if len(places) < MANY or processors() == 1:
+    if len(places) < MANY:
         return _track(reference, current, places, guess, near)
     halves = zip(np.array_split(places, HALVES), np.array_split(guess, HALVES), strict=True)
     found = side_by_side(lambda half: _track(reference, current, *half, near), list(halves))

@@ -10,6 +10,7 @@ from itertools import islice
 
 import pytest
 
+from haustra.core import threads
 from haustra.core.threads import prefetched, side_by_side
 
 
@@ -78,8 +79,9 @@ def test_what_fails_fails_in_its_turn():
         next(stream)
 
 
-def test_a_few_items_are_made_at_once_and_come_in_their_order():
+def test_a_few_items_are_made_at_once_and_come_in_their_order(monkeypatch):
     """Each waits for the other: one after the other they would never end."""
+    monkeypatch.setattr(threads, "processors", lambda: 2)
     both = threading.Barrier(2, timeout=20)
 
     def make(k):
@@ -93,6 +95,11 @@ def test_a_few_items_are_made_at_once_and_come_in_their_order():
     assert side_by_side(make, []) == []
 
 
+def test_a_single_processor_makes_them_in_turn(monkeypatch):
+    monkeypatch.setattr(threads, "processors", lambda: 1)
+    assert side_by_side(lambda k: (k, threading.get_ident()), [0, 1]) == [(k, threading.get_ident()) for k in (0, 1)]
+
+
 @pytest.mark.parametrize("bad", [0, 1])
 def test_what_one_of_a_few_raises_is_raised(bad):
     with pytest.raises(ZeroDivisionError):
@@ -100,7 +107,8 @@ def test_what_one_of_a_few_raises_is_raised(bad):
     assert side_by_side(str, [0, 1]) == ["0", "1"], "and the threads are still there"
 
 
-def test_what_was_begun_has_ended_when_the_call_does():
+def test_what_was_begun_has_ended_when_the_call_does(monkeypatch):
+    monkeypatch.setattr(threads, "processors", lambda: 2)
     ended = threading.Event()
 
     def make(k):
