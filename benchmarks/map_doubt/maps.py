@@ -116,7 +116,7 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     except HaustraError:
         return []
     candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], workspace)
-    kept = {id(one) for one in accepted(candidates, [None] * len(candidates))[0]}
+    kept = {id(one) for one in accepted(candidates)}
     return [
         JudgedMap(
             one.submap,

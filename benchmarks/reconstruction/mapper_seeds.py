@@ -112,7 +112,7 @@ def _timed(
 
 def _figures(models: list[Candidate], spent: np.ndarray, count: int, truth: np.ndarray) -> dict[str, Any]:
     """Errors of the models that `reconstruct` would keep; spent: wall and processor seconds."""
-    submaps = [candidate.submap for candidate in accepted(models, [None] * len(models))[0]]
+    submaps = [candidate.submap for candidate in accepted(models)]
     posed = sum(len(submap.frames) for submap in submaps) / count
     speed = {"frames_per_s": count / spent[0], "processor_ms_per_frame": 1e3 * spent[1] / count}
     return {"used": count, "posed_share": posed, "submaps": len(submaps)} | speed | path_errors(submaps, truth)

@@ -7,7 +7,6 @@ from pipeline.config import FrontEndSettings
 from pipeline.frontend.odometry.self_calibration import doubt_of_lens
 from pipeline.frontend.registry import FIRST, SECOND
 from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate
-from pipeline.mapping.map_doubt import MapDoubt
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 
@@ -34,15 +33,16 @@ def carried_by_depth(bridged: float) -> list[str]:
     return [f"{places} without usable pictures is carried over by the sensor's depth alone; check the wall there first"]
 
 
-def doubts_of_submaps(candidates: list[Candidate], doubts: list[MapDoubt | None], advice: str) -> list[str]:
+def doubts_of_submaps(candidates: list[Candidate], advice: str) -> list[str]:
     """Sentences on submaps that are kept although they may be wrong, or the lighting check does not speak for them
     where nothing else does."""
     found = []
-    for number, (check, doubt) in enumerate(zip((c.check for c in candidates), doubts, strict=True)):
+    for number, one in enumerate(candidates):
+        check = one.check
         if check.n_checked == 0:
             found.append(f"submap {number} has too few points in each frame for the lighting check")
-        if doubt is not None:
-            found += [sentence] if (sentence := doubt.sentence(number, advice)) else []
+        if one.doubt is not None:
+            found += [sentence] if (sentence := one.doubt.sentence(number, advice)) else []
         elif check.inconsistent_share > MAX_INCONSISTENT:
             share = 100 * check.inconsistent_share
             found.append(

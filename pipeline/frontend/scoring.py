@@ -6,7 +6,7 @@ reprojection error do not tell a false two-view start.
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_arrays
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
-from pipeline.mapping.map_doubt import MapDoubt, coefficients, gather_evidence, judge
+from pipeline.mapping.map_doubt import PROBABLE, MapDoubt, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN
 from pipeline.run_folder.workspace import Workspace
@@ -36,12 +36,20 @@ MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance
 
 @dataclass(frozen=True)
 class Candidate:
-    """A submap that a mapper found, its lighting check, and the folder of its model."""
+    """A submap that a mapper found, its lighting check, the folder of its model, and how far it is to be doubted.
+
+    doubt: None of a mapper of which the probability is not known (`with_doubts`)."""
 
     submap: Submap
     check: LightingCheck
     folder: Path
     mapper: str
+    doubt: MapDoubt | None = None
+
+    @property
+    def wrong(self) -> float:
+        """Probability that it is wrong, as far as it is known; else 0."""
+        return 0.0 if self.doubt is None else self.doubt.probability
 
 
 def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -> list[Candidate]:
@@ -89,44 +97,43 @@ def _sees_enough(submap: Submap) -> NDArray[np.bool_]:
 
 
 def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
-    """Whether few of the `total` frames are posed, most of them in pieces, no frame has enough points for the lighting
-    check, or too many frames fail it."""
-    if max((c.check.frames for c in candidates), default=0) < MIN_LARGEST * total:
+    """Whether submaps that are not probably wrong pose few of the `total` frames, or most of them in pieces; no frame
+    has enough points for the lighting check, or too many frames fail it."""
+    likely = [c for c in candidates if c.wrong < PROBABLE]
+    if max((c.check.frames for c in likely), default=0) < MIN_LARGEST * total:
         return True
     unchecked = not any(c.check.n_checked for c in candidates)
-    posed = sum(c.check.frames for c in candidates)
+    posed = sum(c.check.frames for c in likely)
     return posed < MIN_POSED * total or unchecked or inconsistent_share(candidates) > MAX_INCONSISTENT
 
 
 def sure_of(candidates: list[Candidate], total: int) -> list[Candidate]:
-    """Submaps that need no second opinion: long enough, and the lighting check speaks for them."""
+    """Submaps that need no second opinion: long enough, not probably wrong, and the lighting check speaks for them."""
     return [
         c
         for c in candidates
-        if c.check.frames >= MIN_SURE * total and c.check.n_checked and c.check.inconsistent_share <= MAX_INCONSISTENT
+        if c.check.frames >= MIN_SURE * total
+        and c.wrong < PROBABLE
+        and c.check.n_checked
+        and c.check.inconsistent_share <= MAX_INCONSISTENT
     ]
 
 
-def accepted(
-    candidates: list[Candidate], doubts: list[MapDoubt | None]
-) -> tuple[list[Candidate], list[MapDoubt | None]]:
-    """The largest submap, and of the others all but those that the light contradicts, and nothing else speaks for; each
-    with its doubt."""
-    kept = [
-        (one, doubt)
-        for number, (one, doubt) in enumerate(zip(candidates, doubts, strict=True))
+def accepted(candidates: list[Candidate]) -> list[Candidate]:
+    """The largest submap, and of the others all but those that the light contradicts, and nothing else speaks for."""
+    return [
+        one
+        for number, one in enumerate(candidates)
         if number == 0
         or one.check.inconsistent_share <= MAX_INCONSISTENT
-        or (doubt is not None and doubt.probability < MOST_DOUBT)
+        or (one.doubt is not None and one.wrong < MOST_DOUBT)
     ]
-    return [one for one, _ in kept], [doubt for _, doubt in kept]
 
 
-def uncovered(kept: list[Candidate], doubts: list[MapDoubt | None]) -> tuple[list[Candidate], list[MapDoubt | None]]:
-    """Those with frames that none before them has, and their doubts: a frame belongs to the first."""
+def uncovered(kept: list[Candidate]) -> list[Candidate]:
+    """Those with frames that none before them has: a frame belongs to the first."""
     parts = disjoint(one.submap for one in kept)
-    left = [number for number, part in enumerate(parts) if len(part.frames) >= MIN_FRAMES]
-    return [kept[number] for number in left], [doubts[number] for number in left]
+    return [one for one, part in zip(kept, parts, strict=True) if len(part.frames) >= MIN_FRAMES]
 
 
 def frames_posed(candidates: list[Candidate]) -> int:
@@ -134,9 +141,9 @@ def frames_posed(candidates: list[Candidate]) -> int:
     return len({int(frame) for one in candidates for frame in one.submap.frames})
 
 
-def doubts_of(found: list[Candidate], frames: Frames) -> list[MapDoubt | None]:
-    """Of each submap; None of those of another mapper than odometry, of which the probability is not known, and of
-    those that are too short for it."""
+def with_doubts(found: list[Candidate], frames: Frames) -> list[Candidate]:
+    """Each submap with its doubt; without those of another mapper than odometry, of which the probability is not known,
+    and those that are too short for it."""
     total, asked = len(frames.index), coefficients()["weights"]
 
     def doubt(one: Candidate) -> MapDoubt:
@@ -144,7 +151,7 @@ def doubts_of(found: list[Candidate], frames: Frames) -> list[MapDoubt | None]:
         return judge(gather_evidence(one.submap, camera, one.check, total, len(found), asked=asked))
 
     judged = [one.mapper == MAPPER_IN_DOUBT and len(one.submap.frames) >= MIN_JUDGED for one in found]
-    return [doubt(one) if is_judged else None for one, is_judged in zip(found, judged, strict=True)]
+    return [replace(one, doubt=doubt(one)) if is_judged else one for one, is_judged in zip(found, judged, strict=True)]
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:
@@ -156,13 +163,14 @@ def score(candidates: list[Candidate], total: int) -> float:
     """Higher is better: how much of the video hangs together, less what fails the lighting check, which weighs five
     times.
 
-    Pieces count by the square of their share, so that one whole map beats two halves. Between mappers that pose the
-    same frames, the lighting's rank correlation and the reprojection error of the largest submap decide.
+    Pieces count by the square of their share, so that one whole map beats two halves, and by the probability that they
+    are right, where it is known. Between mappers that pose the same frames, the lighting's rank correlation and the
+    reprojection error of the largest submap decide.
     """
     if not candidates:
         return -np.inf
     first = candidates[0].check
-    whole = sum((c.check.frames / total) ** 2 for c in candidates)
+    whole = sum((1 - c.wrong) * (c.check.frames / total) ** 2 for c in candidates)
     return whole - 5 * inconsistent_share(candidates) - 0.2 * (1 + first.spearman) - 0.02 * first.reprojection_px
 
 

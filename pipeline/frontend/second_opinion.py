@@ -1,9 +1,9 @@
 """The second front end, asked of the stretches of a film that the first one leaves in doubt, within a budget of time.
 
-A stretch of at most 100 frames always gets one; stretches that are too long for the time are not begun. Each is mapped
-by itself, the shortest first: what is finished when the time is over counts, and the pace of the finished ones tells
-for which of the others too little is left. Where nobody knows the lens, all are mapped at once, since one film has one
-lens.
+Stretches that are too long for the time are mapped by every n-th of their frames, up to a limit beyond which the
+longest are not begun. Each is mapped by itself, the shortest first: what is finished when the time is over counts, and
+the pace of the finished ones tells for which of the others too little is left. Where nobody knows the lens, all are
+mapped at once, since one film has one lens.
 """
 
 import shutil
@@ -20,6 +20,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.text import counted
 from pipeline.frontend.base import is_determined
+from pipeline.frontend.frames_between import every_nth
 from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
 from pipeline.input.frames import Frames
 from pipeline.mapping.colmap_io import write_camera_sigma
@@ -27,9 +28,11 @@ from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
 MARGIN = 10  # and frames on either side of them that go with them
-SLOWER = 2.0  # times odometry's time a frame that COLMAP takes; usually 3 to 12 (docs/lab/front_end.md, mapper seeds)
-FEW_FRAMES, FEW_SECONDS = 100, 90.0  # that COLMAP may always map, and the time for them, however quick odometry was
-MOST_FRAMES = 1000  # of all stretches
+SLOWER = 8.0  # times odometry's time a frame that COLMAP takes; usually 3 to 12 (docs/lab/front_end.md, mapper seeds)
+FEW_FRAMES, FEW_SECONDS = 120, 90.0  # that COLMAP may always map, and the time for them, however quick odometry was
+MOST_FRAMES = 1000  # of all stretches that are mapped
+MOST_EVERY = 6  # frames of a stretch of which one is mapped; on two films with moving walls as good as all of them
+BETWEEN_S = 0.02  # for each frame between those that are mapped, set aside of the time
 
 ByMapper = dict[str, list[Candidate]]
 
@@ -50,9 +53,9 @@ class Opinion:
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames, most: float = MOST_FRAMES) -> list[Stretch]:
+def stretches_in_doubt(candidates: list[Candidate], frames: Frames) -> list[Stretch]:
     """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
-    out, and the longest, where all have more than `most` frames."""
+    out."""
     sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
     edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
@@ -63,12 +66,21 @@ def stretches_in_doubt(candidates: list[Candidate], frames: Frames, most: float 
             wide = spans.pop()[0], wide[1]
         spans.append(wide)
     spans.sort(key=lambda span: span[1] - span[0])
-    few = np.cumsum([end - begin for begin, end in spans]) <= most
-    rows = [np.arange(*span) for span, is_few in zip(spans, few, strict=True) if is_few]
+    rows = [np.arange(*span) for span in spans]
     return [
         Stretch(replace(frames, index=frames.index[r], seconds=frames.seconds[r]), frames.index[r[doubtful[r]]])
         for r in rows
     ]
+
+
+def within(stretches: list[Stretch], most: float) -> tuple[list[Stretch], int]:
+    """The stretches, the shortest first, that can be mapped by at most `most` frames, and of how many frames one is
+    mapped for that: 1, if all of all can be."""
+    for every in range(1, MOST_EVERY + 1):
+        mapped = np.cumsum([len(every_nth(one.frames, every).index) for one in stretches])
+        if every == MOST_EVERY or (mapped <= most).all():
+            break
+    return [one for one, few in zip(stretches, mapped <= most, strict=True) if few], every
 
 
 def most_frames(total: int, share: float) -> float:

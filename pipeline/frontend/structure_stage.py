@@ -1,11 +1,9 @@
 """Stage 2: working frames to submaps of poses and points, by one front end or by the better of two.
 
-`auto` runs odometry, and COLMAP where that leaves frames out or the endoscope's own light contradicts it.
+What `auto` runs, `automatic.py` says.
 """
 
 import shutil
-import time
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
+from pipeline.frontend.automatic import run_front_ends
 from pipeline.frontend.base import disjoint, is_determined
 from pipeline.frontend.map_cautions import (
     advice_after,
@@ -24,29 +23,8 @@ from pipeline.frontend.map_cautions import (
     doubts_of_submaps,
     few_posed,
 )
-from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND, chosen
-from pipeline.frontend.scoring import (
-    Candidate,
-    accepted,
-    best_mapper,
-    candidates_of,
-    doubts_of,
-    frames_posed,
-    needs_second_opinion,
-    uncovered,
-)
-from pipeline.frontend.second_opinion import (
-    MOST_FRAMES,
-    ByMapper,
-    ask_of_each,
-    at_once,
-    joined,
-    known_lens,
-    most_frames,
-    stretches_in_doubt,
-    time_allowed,
-    with_sigma,
-)
+from pipeline.frontend.registry import FIRST, FRONT_ENDS, SECOND, chosen
+from pipeline.frontend.scoring import Candidate, accepted, best_mapper, frames_posed, uncovered
 from pipeline.input.frames import Frames
 from pipeline.mapping.feature_triangulation import frames_of_features
 from pipeline.mapping.submap import Submap, read_submap
@@ -132,7 +110,7 @@ def _solve(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    results, failure = _run(frames, features, front_end, settings, workspace, progress)
+    results, failure = run_front_ends(frames, features, front_end, settings, workspace, progress)
     by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
     total = len(frames.index)
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
@@ -144,12 +122,12 @@ def _solve(
         )
     with single_threaded():
         _begin_features(found, frames, features, settings)
-        kept, doubts = uncovered(*accepted(found, doubts_of(found, frames)))
+        kept = uncovered(accepted(found))
         _keep(kept, workspace)
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
     advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
     warnings += few_posed(frames_posed(kept), total, advice)
-    warnings += doubts_of_submaps(kept, doubts, advice)
+    warnings += doubts_of_submaps(kept, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     warnings += carried_by_depth(results[name].stats.get("bridged", 0))
     if results[name].in_parts:  # loops between the submaps of two front ends are still open
@@ -159,7 +137,7 @@ def _solve(
         front_end=name,
         mapper=mapper,
         evidence={of: [c.check.to_dict() for c in found] for of, found in (by_mapper | {mapper: kept}).items()},
-        doubts=[None if one is None else one.to_dict() for one in doubts],
+        doubts=[None if one.doubt is None else one.doubt.to_dict() for one in kept],
         units=[_unit(c.submap) for c in kept],
         stats=results[name].stats,
         warnings=warnings,
@@ -178,84 +156,6 @@ def _begin_features(
     for candidate in candidates:
         for frame in frames_of_features(candidate.submap, frames.camera, motion_px):
             features.begin(frame)
-
-
-@dataclass(frozen=True)
-class _Result:
-    """What a front end found, checked and written."""
-
-    candidates: dict[str, list[Candidate]]  # of each mapper, in the order in which they were run
-    stats: dict[str, float]
-    in_parts: bool = False  # of stretches of the film, with the first front end's submaps of the rest
-
-
-def _run(
-    frames: Frames,
-    features: SiftCache,
-    front_end: str,
-    settings: FrontEndSettings,
-    workspace: Workspace,
-    progress: Progress,
-) -> tuple[dict[str, _Result], str | None]:
-    """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
-    failed."""
-
-    def run(name: str, some: Frames, told: FrontEndSettings) -> _Result:
-        result = FRONT_ENDS[name].run(some, features, told, workspace, progress)
-        found = {m: candidates_of(m, of, workspace) for m, of in result.found.items()}
-        return _Result(found, result.stats)
-
-    if front_end != AUTO:
-        return {front_end: run(front_end, frames, settings)}, None
-    started, total = time.monotonic(), len(frames.index)
-    results = {FIRST: run(FIRST, frames, settings)}
-    found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
-    if not needs_second_opinion(found, total):
-        return results, None
-    budget = time_allowed(time.monotonic() - started, settings.second_opinion) if found else None
-    most = MOST_FRAMES if budget is None else most_frames(total, settings.second_opinion)
-    stretches, lens = stretches_in_doubt(found, frames, most), known_lens(found, frames)
-    if not stretches:
-        if most and (shortest := [len(one.frames.index) for one in stretches_in_doubt(found, frames)[:1]]):
-            progress.log(
-                f"{_why(found, total)}; {SECOND} (COLMAP) is not run for comparison: the shortest stretch in doubt has "
-                f"{shortest[0]} frames, and it could map {most:.0f} in its time (second_opinion "
-                f"{settings.second_opinion:g}); --front-end sfm runs it on the whole film"
-            )
-        return results, None
-    if lens is None:
-        stretches = at_once(stretches)
-    camera, sigma = lens or (frames.camera, ())
-    count = sum(len(one.frames.index) for one in stretches)
-    limit = "" if budget is None else f", for {max(budget, 1):.0f} s at most"
-    progress.log(
-        f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {count} of {total} frames, in "
-        f"{counted(len(stretches), 'stretch', 'stretches')}{limit} (Ctrl-C goes on without it)"
-    )
-    deadline = None if budget is None else time.monotonic() + budget
-    told = settings.model_copy(update={"deadline": deadline})
-
-    def second(some: Frames) -> ByMapper:
-        if len(stretches) > 1 or camera != frames.camera:  # features of other frames, or with another lens
-            workspace.forget_features()
-        by_mapper = run(SECOND, replace(some, camera=camera), told).candidates
-        return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}
-
-    opinions, failure = ask_of_each(stretches, second, deadline, workspace.log, progress)
-    if by_mapper := joined(found, total, opinions):
-        results[SECOND] = _Result(by_mapper, {}, in_parts=count < total)
-    return results, None if opinions else failure
-
-
-def _why(candidates: list[Candidate], total: int) -> str:
-    """Why the first front end's result is not taken as it is."""
-    posed = sum(c.check.frames for c in candidates)
-    checked = sum(c.check.n_checked for c in candidates)
-    failed = sum(c.check.inconsistent_share * c.check.n_checked for c in candidates)
-    light = f"in {failed:.0f} of {checked} checked frames brightness grows with distance"
-    if checked == 0:
-        light = "no frame has enough points for the lighting check"
-    return f"{FIRST} posed {posed} of {total} frames in {counted(len(candidates), 'submap')}, and {light}"
 
 
 def _keep(candidates: list[Candidate], workspace: Workspace) -> None:

@@ -1,12 +1,12 @@
 """What a user is told of a doubtful map."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from pipeline.frontend.map_cautions import advice_after, carried_by_depth, doubts_of_submaps, few_posed
-
-DARK = SimpleNamespace(check=SimpleNamespace(n_checked=90, inconsistent_share=0.4))
+from tests.helpers.candidates import DARK
 
 
 def with_camera(camera):
@@ -27,14 +27,14 @@ def test_what_was_not_tried_is_advised(front_ends, camera, advice):
 
 
 def test_light_that_contradicts_a_submap_is_told():
-    (sentence,) = doubts_of_submaps([DARK], [None], "use other frames")
+    (sentence,) = doubts_of_submaps([DARK], "use other frames")
     assert sentence.endswith("in 40 % of 90 frames nearer points are darker; use other frames")
 
 
 def test_where_there_is_a_probability_light_alone_says_nothing():
     sure, likely = (SimpleNamespace(sentence=lambda *_, told=told: told) for told in (None, "is probably wrong"))
-    assert doubts_of_submaps([DARK], [sure], "") == []
-    assert doubts_of_submaps([DARK], [likely], "") == ["is probably wrong"]
+    assert doubts_of_submaps([replace(DARK, doubt=sure)], "") == []
+    assert doubts_of_submaps([replace(DARK, doubt=likely)], "") == ["is probably wrong"]
 
 
 def test_a_film_of_which_little_is_posed_is_told():

@@ -1,6 +1,7 @@
 """The second front end: of which stretches it is asked, for how long, and what is kept of both."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pipeline.frontend.second_opinion import (
     ask_of_each,
     joined,
     stretches_in_doubt,
+    within,
 )
 from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.candidates import GOOD, Given, many_frames, map_of
@@ -41,10 +43,32 @@ def test_only_stretches_without_a_sure_map_are_in_doubt():
     )
 
 
-def test_the_longest_stretches_are_left_out_where_all_are_too_many():
-    frames = many_frames(2400)
+@pytest.mark.parametrize(
+    ("most", "asked", "every"),
+    [
+        (1240, [310, 320, 610], 1),
+        (1239, [310, 320, 610], 2),
+        (211, [310, 320, 610], 6),
+        (210, [310, 320], 6),
+        (50, [], 6),
+    ],
+)
+def test_too_many_frames_are_thinned_and_then_the_longest_stretches_are_left_out(most, asked, every):
     found = [map_of(range(300, 1200)), map_of(range(1500, 1800))]  # in doubt: 0 to 300, 1200 to 1500, 1800 to 2400
-    assert [len(one.frames.index) for one in stretches_in_doubt(found, frames)] == [310, 320]
+    stretches, found_every = within(stretches_in_doubt(found, many_frames(2400)), most)
+    assert [len(one.frames.index) for one in stretches] == asked
+    assert found_every == every
+    assert within([], most) == ([], 1)
+
+
+def test_maps_that_are_probably_wrong_are_in_doubt_however_clear_their_light():
+    def doubted(probability):
+        return replace(map_of(range(100)), doubt=SimpleNamespace(probability=probability))
+
+    frames = many_frames(300)
+    (asked,) = stretches_in_doubt([doubted(0.6), map_of(range(100, 300))], frames)
+    assert asked.doubtful.tolist() == list(range(100))
+    assert stretches_in_doubt([doubted(0.4), map_of(range(100, 300))], frames) == []
 
 
 def stretch_of(begin, end, margin=MARGIN):
@@ -126,9 +150,7 @@ def test_a_map_that_only_has_frames_of_others_goes():
         ("odometry", 130, 399),
     ]
     covered = [replace(GOOD, submap=Given(np.arange(*span))) for span in ((0, 100), (80, 97), (95, 140))]
-    kept, doubts = uncovered(covered, [1, 2, 3])
-    assert kept == [covered[0], covered[2]]
-    assert doubts == [1, 3]
+    assert uncovered(covered) == [covered[0], covered[2]]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), HaustraError("features and matches failed")])

@@ -1,4 +1,4 @@
-"""The second front end within `_run`: its time, its lens, and where its models lie."""
+"""The second front end under `auto`: its time, its lens, and where its models lie."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
-from pipeline.frontend import second_opinion, structure_stage
+from pipeline.frontend import automatic, second_opinion
 from pipeline.frontend.base import FrontEndResult
 from pipeline.frontend.registry import FRONT_ENDS
 from pipeline.frontend.second_opinion import (
@@ -27,9 +27,10 @@ class Clockwork:
 
     def __init__(self, monkeypatch, first_s, found, second, second_s_a_frame=0.0):
         self.now, self.told, self.lines = 100.0, [], []
-        monkeypatch.setattr(structure_stage.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(automatic.time, "monotonic", lambda: self.now)
         self.root, self.forgotten = Path("/nowhere"), 0
-        monkeypatch.setattr(structure_stage, "candidates_of", lambda mapper, *_: found[mapper])
+        monkeypatch.setattr(automatic, "candidates_of", lambda mapper, *_: found[mapper])
+        monkeypatch.setattr(automatic, "with_doubts", lambda maps, _: maps)
 
         def run_first(*_):
             self.now += first_s
@@ -48,7 +49,7 @@ class Clockwork:
         progress.log = self.lines.append
         workspace = SimpleNamespace(log=self.root, forget_features=self._forget)
         frames = replace(many_frames(count), camera=camera)
-        return structure_stage._run(frames, NO_FEATURES, "auto", settings, workspace, progress)
+        return automatic.run_front_ends(frames, NO_FEATURES, "auto", settings, workspace, progress)
 
     def _forget(self):
         self.forgotten += 1
@@ -72,7 +73,9 @@ def test_the_second_opinion_gets_its_share_of_the_time_that_the_first_took(monke
 
 
 def in_two_stretches(monkeypatch, tmp_path, second, first_s, s_a_frame):
-    """A film of 400 frames, of which the first front end leaves 100 to 150 and 200 to 300 in doubt."""
+    """A film of 400 frames, of which the first front end leaves 100 to 150 and 200 to 300 in doubt; COLMAP can map 200
+    of them in its time."""
+    monkeypatch.setattr(second_opinion, "FEW_FRAMES", 200)
     found = {"odometry": [map_of(range(100)), map_of(range(150, 200)), map_of(range(300, 400))]}
     found["odometry"].append(map_of(range(210, 240), 0.5))
     clock = Clockwork(monkeypatch, first_s, found, second, s_a_frame)
@@ -120,9 +123,9 @@ def test_a_stretch_for_which_the_time_left_is_too_short_is_not_begun(monkeypatch
     assert sorted(len(one.submap.frames) for one in maps) == [30, 50, 70, 100, 100], "the other stretch's map stays"
 
 
-@pytest.mark.parametrize(("share", "asked"), [(0.34, []), (0.36, [70]), (0.94, [70]), (0.96, [70, 120])])
-def test_stretches_that_colmap_cannot_map_in_its_time_are_not_begun(monkeypatch, tmp_path, share, asked):
-    """Of 70 and 120 frames of 400, where it takes twice as long a frame; whatever the clock says."""
+@pytest.mark.parametrize(("share", "asked"), [(0.06, []), (0.07, [13]), (0.18, [13, 21]), (0.94, [36, 61])])
+def test_stretches_that_colmap_cannot_map_in_its_time_are_thinned_or_not_begun(monkeypatch, tmp_path, share, asked):
+    """Of 70 and 120 frames, by every second or sixth of them; whatever the clock says."""
     clock, _ = in_two_stretches(monkeypatch, tmp_path, lambda: FrontEndResult({}), 40.0, 0.0)
     results, failure = clock.run(400, SETTINGS.model_copy(update={"second_opinion": share}))
     assert [len(index) for index, _ in clock.told] == asked
@@ -130,17 +133,24 @@ def test_stretches_that_colmap_cannot_map_in_its_time_are_not_begun(monkeypatch,
     if not asked:
         assert list(results) == ["odometry"]
         assert clock.lines[-1].endswith(
-            "is not run for comparison: the shortest stretch in doubt has 70 frames, and it could map 68 in its time "
-            "(second_opinion 0.34); --front-end sfm runs it on the whole film"
+            "is not run for comparison: the shortest stretch in doubt has 70 frames, and of as many as every 6th of "
+            "them it could not map more than 12 in its time (second_opinion 0.06); --front-end sfm runs it on the "
+            "whole film"
         )
 
 
-@pytest.mark.parametrize(("count", "asked"), [(30, True), (100, True), (199, False)])
-def test_a_short_film_that_is_in_doubt_as_a_whole_gets_a_second_opinion(monkeypatch, count, asked):
+@pytest.mark.parametrize(("count", "every"), [(30, 1), (120, 1), (199, 2), (700, 6), (730, None)])
+def test_a_short_film_that_is_in_doubt_as_a_whole_gets_a_second_opinion(monkeypatch, count, every):
     """However quick odometry was: as it does where odometry finds nothing at all."""
     clock = Clockwork(monkeypatch, 2.0, {"odometry": [DARK]}, lambda: FrontEndResult({}))
     clock.run(count)
-    assert clock.told == ([(list(range(count)), pytest.approx(100.0 + 2.0 + 90.0))] if asked else [])
+    if every is None:
+        assert clock.told == []
+        return
+    ((index, deadline),) = clock.told
+    assert index == sorted({*range(0, count, every), count - 1})
+    aside = second_opinion.BETWEEN_S * (count - count // every)
+    assert deadline == pytest.approx(100.0 + 2.0 + 90.0 - aside)
 
 
 def test_a_stretch_that_the_second_front_end_maps_worse_keeps_the_first_ones_map(monkeypatch, tmp_path):

@@ -10,7 +10,8 @@ import pytest
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, OdometrySettings
-from pipeline.frontend import scoring, second_opinion, structure_stage
+from pipeline.frontend import automatic, scoring, second_opinion, structure_stage
+from pipeline.frontend.automatic import run_front_ends
 from pipeline.frontend.base import FrontEndResult
 from pipeline.frontend.colmap import front_end as colmap
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
@@ -37,13 +38,14 @@ def asked(monkeypatch, tmp_path):
         monkeypatch.setattr(colmap, "run_isolated", lambda *_: None)
         monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
         monkeypatch.setattr(colmap, "map_by_colmap", lambda mapper, *_: [look_up(mapper)])
-        for module in (colmap, structure_stage):
+        monkeypatch.setattr(automatic, "with_doubts", lambda found, _: found)
+        for module in (colmap, automatic):
             monkeypatch.setattr(module, "candidates_of", lambda mapper, *_: found[mapper])
         odometry = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": [look_up("odometry")]}))
         monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
         many = many_frames(frames)
         workspace = SimpleNamespace(log=tmp_path, record={})
-        results, failure = structure_stage._run(many, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
+        results, failure = run_front_ends(many, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
         assert failure is None
         mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
         assert list(mapped) == ran
@@ -62,8 +64,20 @@ def test_colmap_is_asked_where_odometry_is_doubtful(asked):
     assert asked("auto", 100, found) == (["odometry", "global", "incremental"], "incremental")
 
 
+def test_colmap_is_asked_where_odometrys_map_is_probably_wrong_and_its_own_wins_by_the_probability(asked):
+    def doubted(probability):
+        return replace(GOOD, doubt=SimpleNamespace(probability=probability))
+
+    assert asked("auto", 100, {"odometry": [doubted(0.49)]}) == (["odometry"], "odometry")
+    assert asked("auto", 100, {"odometry": [doubted(0.51)], "global": [GOOD]}) == (["odometry", "global"], "global")
+    found = {"odometry": [doubted(0.51)], "global": [map_of(range(60), mapper="global")], "incremental": []}
+    assert asked("auto", 100, found)[1] == "odometry", "0.49 of a whole map is worth more than 60 % of one"
+    found["odometry"] = [doubted(0.8)]
+    assert asked("auto", 100, found)[1] == "global"
+
+
 def test_colmap_is_not_asked_of_a_long_video(asked):
-    long = second_opinion.MOST_FRAMES + 1
+    long = second_opinion.MOST_EVERY * second_opinion.MOST_FRAMES + 10
     assert asked("auto", long, {"odometry": [DARK]}) == (["odometry"], "odometry")
 
 
@@ -78,7 +92,7 @@ def test_sfm_and_odometry_ask_nobody_else(asked):
 
 def test_who_asks_for_sfm_gets_sfm(asked):
     assert asked("sfm", 100, {"global": [], "incremental": [DARK]})[0] == ["global", "incremental"]
-    long = second_opinion.MOST_FRAMES + 1
+    long = second_opinion.MOST_EVERY * second_opinion.MOST_FRAMES + 10
     assert asked("sfm", long, {"global": [], "incremental": []})[0][0] == "global"
 
 
@@ -89,12 +103,13 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
     def call(front_end):
         monkeypatch.setattr(colmap, "run_isolated", fail)
         monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
-        monkeypatch.setattr(structure_stage, "candidates_of", lambda *_: [DARK])
+        monkeypatch.setattr(automatic, "candidates_of", lambda *_: [DARK])
+        monkeypatch.setattr(automatic, "with_doubts", lambda found, _: found)
         found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))
         monkeypatch.setitem(FRONT_ENDS, "odometry", found)
         few = many_frames(100)
         workspace = SimpleNamespace(log=tmp_path, record={})
-        return structure_stage._run(few, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
+        return run_front_ends(few, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
 
     results, failure = call("auto")
     assert list(results) == ["odometry"]
@@ -127,10 +142,9 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
 )
 def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_nothing_speaks_for_it(light, probability, stays):
     other, doubt = map_of(range(30), light), None if probability is None else SimpleNamespace(probability=probability)
-    assert scoring.accepted([GOOD, other], [None, doubt]) == (
-        ([GOOD, other], [None, doubt]) if stays else ([GOOD], [None])
-    )
-    assert scoring.accepted([other], [doubt]) == ([other], [doubt]), "the largest always stays"
+    other = replace(other, doubt=doubt)
+    assert scoring.accepted([GOOD, other]) == ([GOOD, other] if stays else [GOOD])
+    assert scoring.accepted([other]) == [other], "the largest always stays"
 
 
 def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
@@ -139,7 +153,8 @@ def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "judge", lambda evidence: f"judged by {evidence}")
     short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path(), "odometry")
     kept, frames = [GOOD, short], many_frames(100)
-    assert scoring.doubts_of([*kept, replace(GOOD, mapper="global")], frames) == ["judged by evidence", None, None]
+    found = scoring.with_doubts([*kept, replace(GOOD, mapper="global")], frames)
+    assert [one.doubt for one in found] == ["judged by evidence", None, None]
 
 
 def test_choices_that_cannot_work_are_refused_at_once():

@@ -1,0 +1,161 @@
+"""Which front ends are run: the chosen one, or by `auto` odometry, and COLMAP on what odometry leaves in doubt.
+
+In doubt are frames without a pose, submaps that the endoscope's own light contradicts, and those that are probably
+wrong by all that is known of them (`mapping/map_doubt.py`).
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+from haustra.core.progress import Progress
+from haustra.core.text import counted
+from haustra.core.threads import single_threaded
+from pipeline.config import FrontEndSettings
+from pipeline.frontend.base import FoundSubmap
+from pipeline.frontend.frames_between import every_nth, with_frames_between
+from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
+from pipeline.frontend.scoring import Candidate, candidates_of, needs_second_opinion, with_doubts
+from pipeline.frontend.second_opinion import (
+    BETWEEN_S,
+    MOST_EVERY,
+    MOST_FRAMES,
+    ByMapper,
+    ask_of_each,
+    at_once,
+    joined,
+    known_lens,
+    most_frames,
+    stretches_in_doubt,
+    time_allowed,
+    with_sigma,
+    within,
+)
+from pipeline.input.frames import Frames
+from pipeline.mapping.map_doubt import PROBABLE
+from pipeline.matching.sift_cache import SiftCache
+from pipeline.run_folder.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a front end found, checked and written."""
+
+    candidates: ByMapper  # of each mapper, in the order in which they were run
+    stats: dict[str, float]
+    in_parts: bool = False  # of stretches of the film, with the first front end's submaps of the rest
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What every front end is given beside the frames."""
+
+    features: SiftCache
+    settings: FrontEndSettings
+    workspace: Workspace
+    progress: Progress
+
+    def run(self, name: str, frames: Frames, every: int = 1) -> Result:
+        """One front end; every: n, of which frames one is mapped, and the others are posed in its submaps."""
+        mapped = every_nth(frames, every)
+        result = FRONT_ENDS[name].run(mapped, self.features, self.settings, self.workspace, self.progress)
+        found = result.found if every == 1 else {m: self._between(of, frames, every) for m, of in result.found.items()}
+        return Result({m: candidates_of(m, of, self.workspace) for m, of in found.items()}, result.stats)
+
+    def _between(self, found: list[FoundSubmap], frames: Frames, every: int) -> list[FoundSubmap]:
+        read = frame_reader(self.workspace)
+        with single_threaded(), self.progress.bar("frames between", None) as advance:
+            submaps = [with_frames_between(one.submap, frames, every, read, advance) for one in found]
+        return [FoundSubmap(submap) for submap in submaps]
+
+
+def run_front_ends(
+    frames: Frames,
+    features: SiftCache,
+    front_end: str,
+    settings: FrontEndSettings,
+    workspace: Workspace,
+    progress: Progress,
+) -> tuple[dict[str, Result], str | None]:
+    """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
+    failed."""
+    job = _Job(features, settings, workspace, progress)
+    if front_end != AUTO:
+        return {front_end: _doubted(job.run(front_end, frames), frames)}, None
+    started = time.monotonic()
+    results = {FIRST: _doubted(job.run(FIRST, frames), frames)}
+    found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
+    if not needs_second_opinion(found, len(frames.index)):
+        return results, None
+    second, failure = _second_opinion(job, frames, found, time.monotonic() - started)
+    return results if second is None else results | {SECOND: second}, failure
+
+
+def _doubted(result: Result, frames: Frames) -> Result:
+    with single_threaded():
+        return replace(result, candidates={m: with_doubts(of, frames) for m, of in result.candidates.items()})
+
+
+def _second_opinion(
+    job: _Job, frames: Frames, found: list[Candidate], first_s: float
+) -> tuple[Result | None, str | None]:
+    """Of the stretches that the first front end, which took `first_s` seconds, leaves in doubt; none where it cannot be
+    had, and what failed."""
+    total, share, progress = len(frames.index), job.settings.second_opinion, job.progress
+    budget = time_allowed(first_s, share) if found else None
+    most = MOST_FRAMES if budget is None else most_frames(total, share)
+    in_doubt = stretches_in_doubt(found, frames)
+    stretches, every = within(in_doubt, most)
+    if not stretches:
+        if most and in_doubt:
+            progress.log(
+                f"{_why(found, total)}; {SECOND} (COLMAP) is not run for comparison: the shortest stretch in doubt has "
+                f"{len(in_doubt[0].frames.index)} frames, and of as many as every {MOST_EVERY}th of them it could not "
+                f"map more than {most:.0f} in its time (second_opinion {share:g}); --front-end sfm runs it on the "
+                "whole film"
+            )
+        return None, None
+    lens = known_lens(found, frames)
+    if lens is None:
+        stretches = at_once(stretches)
+    camera, sigma = lens or (frames.camera, ())
+    count = sum(len(one.frames.index) for one in stretches)
+    progress.log(
+        f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {_some(every, count)} of {total} "
+        f"frames, in {counted(len(stretches), 'stretch', 'stretches')}"
+        + ("" if budget is None else f", for {max(budget, 1):.0f} s at most")
+        + " (Ctrl-C goes on without it)"
+    )
+    deadline = None if budget is None else time.monotonic() + budget
+    aside = BETWEEN_S * (count - count // every)
+    told = replace(
+        job, settings=job.settings.model_copy(update={"deadline": None if deadline is None else deadline - aside})
+    )
+
+    def ask(some: Frames) -> ByMapper:
+        if len(stretches) > 1 or camera != frames.camera:  # features of other frames, or with another lens
+            job.workspace.forget_features()
+        by_mapper = told.run(SECOND, replace(some, camera=camera), every).candidates
+        return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}
+
+    opinions, failure = ask_of_each(stretches, ask, deadline, job.workspace.log, progress)
+    by_mapper = joined(found, total, opinions)
+    result = Result(by_mapper, {}, in_parts=count < total) if by_mapper else None
+    return result, None if opinions else failure
+
+
+def _some(every: int, count: int) -> str:
+    return str(count) if every == 1 else f"every {every}{ {2: 'nd', 3: 'rd'}.get(every, 'th') } of {count}"
+
+
+def _why(candidates: list[Candidate], total: int) -> str:
+    """Why the first front end's result is not taken as it is."""
+    posed = sum(c.check.frames for c in candidates)
+    checked = sum(c.check.n_checked for c in candidates)
+    failed = sum(c.check.inconsistent_share * c.check.n_checked for c in candidates)
+    light = f"in {failed:.0f} of {checked} checked frames brightness grows with distance"
+    if checked == 0:
+        light = "no frame has enough points for the lighting check"
+    wrong = sum(c.check.frames for c in candidates if c.wrong >= PROBABLE)
+    doubt = f", {wrong} of them in submaps that are probably wrong" if wrong else ""
+    return f"{FIRST} posed {posed} of {total} frames in {counted(len(candidates), 'submap')}{doubt}, and {light}"

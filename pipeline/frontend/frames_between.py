@@ -1,0 +1,138 @@
+"""Poses of the frames between those that were mapped: points of the map are tracked into them from the nearest mapped
+frame, and pose them.
+
+A mapper that takes many times as long for a frame as tracking does maps every n-th frame of a long stretch. The others
+have their pose from the same map, and see its points.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haustra.core.camera import Camera
+from haustra.core.progress import ProgressCallback, no_progress
+from haustra.core.ray_table import RayTable
+from haustra.core.se3 import Array, in_camera, interpolated, inverse
+from pipeline.frontend.odometry.klt import TrackerImage, track_klt, tracker_image
+from pipeline.frontend.odometry.tracking import INLIER_PX, MIN_INLIER_SHARE, MIN_INLIERS
+from pipeline.input.frames import Frames
+from pipeline.mapping.map_adjustment import LOSS_PX
+from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.matching.sift_cache import ReadFrame
+from pipeline.optimization.resection import refine_pose, reprojection_errors
+
+KEPT_VIEWS = 4  # mapped frames before and after, and the one that is posed
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """A frame between, the rows of the points that it sees, and their pixels and reprojection errors."""
+
+    frame: int
+    world_from_camera: Array
+    points: NDArray[np.int64]
+    pixels: Array
+    errors: Array
+
+
+def every_nth(frames: Frames, every: int) -> Frames:
+    """Every n-th of the frames, and the last one."""
+    rows = np.unique([*range(0, len(frames.index), every), len(frames.index) - 1])
+    return replace(frames, index=frames.index[rows], seconds=frames.seconds[rows])
+
+
+def with_frames_between(
+    submap: Submap, frames: Frames, every: int, read: ReadFrame, advance: ProgressCallback = no_progress
+) -> Submap:
+    """The submap of every n-th of `frames`, with those of the others that see enough of its points, at most `every`
+    frames away from one that it has. Points and mapped poses stay."""
+    rows = np.searchsorted(frames.index, submap.frames)
+    missing = np.setdiff1d(np.arange(len(frames.index)), rows)
+    away = np.abs(missing[:, None] - rows[None]).min(axis=1, initial=len(frames.index))
+    missing = missing[away <= every]
+    resection = _Resection(submap, frames.camera, read)
+    found = []
+    for number, row in enumerate(missing):
+        advance(number, len(missing))
+        found += resection.pose(int(frames.index[row]))
+    advance(len(missing), len(missing))
+    return _with(submap, found)
+
+
+class _Resection:
+    """Frames posed by the points of a submap."""
+
+    def __init__(self, submap: Submap, camera: Camera, read: ReadFrame) -> None:
+        self.submap, self.rays = submap, RayTable(refined_camera(camera, submap))
+        self.order, self.begins = submap.by_frame()
+        self.view = lru_cache(KEPT_VIEWS)(lambda frame: self._view(read, frame))
+
+    def _view(self, read: ReadFrame, frame: int) -> TrackerImage:
+        rgb, mask = read(frame)
+        return tracker_image(rgb, self.rays.masked(mask))
+
+    def pose(self, frame: int) -> list[_Posed]:
+        """The frame by the points of the nearest mapped one, or of the one on its other side; none where neither does.
+        A pose between those of the two is where the points are sought."""
+        mapped = self.submap.frames
+        after = int(np.searchsorted(mapped, frame))
+        sides = [row for row in (after - 1, after) if 0 <= row < len(mapped)]
+        guess = self.submap.world_from_camera[sides[0]]
+        if len(sides) == 2:
+            poses = self.submap.world_from_camera[sides]
+            guess = interpolated(mapped[sides].astype(np.float64), poses, np.array([float(frame)]))[0]
+        for row in sorted(sides, key=lambda row: abs(int(mapped[row]) - frame)):
+            found = self._by_points_of(row, frame, inverse(guess))
+            if found is not None:
+                return [found]
+        return []
+
+    def _by_points_of(self, row: int, frame: int, camera_from_world: Array) -> _Posed | None:
+        seen = self.order[self.begins[row] : self.begins[row + 1]]
+        rows, places = self.submap.observations[seen, 1], self.submap.pixels[seen].astype(np.float32)
+        expected = self.rays.project(in_camera(camera_from_world, self.submap.points[rows])).astype(np.float32)
+        inside = np.isfinite(expected).all(axis=1)
+        rows, places, expected = rows[inside], places[inside], expected[inside]
+        if len(rows) < MIN_INLIERS:
+            return None
+        pixels, tracked = track_klt(self.view(int(self.submap.frames[row])), self.view(frame), places, expected)
+        rows, pixels = rows[tracked], pixels[tracked]
+        if len(rows) < MIN_INLIERS:
+            return None
+        points = self.submap.points[rows]
+        xy, jacobian = self.rays.unproject(pixels)
+        for loss_px in (2 * LOSS_PX, LOSS_PX):
+            camera_from_world = refine_pose(camera_from_world, points, xy, jacobian, loss_px)
+        errors = reprojection_errors(camera_from_world, points, xy, jacobian)
+        inlier = errors < INLIER_PX
+        if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
+            return None
+        return _Posed(frame, inverse(camera_from_world), rows[inlier], pixels[inlier], errors[inlier])
+
+
+def _with(submap: Submap, found: list[_Posed]) -> Submap:
+    """Frames ascend, and observations follow them."""
+    if not found:
+        return submap
+    frames = np.concatenate([submap.frames, [one.frame for one in found]]).astype(np.int64)
+    order = np.argsort(frames)
+    place = np.argsort(order)  # of each frame among all
+    mapped = len(submap.frames)
+    points = np.concatenate([submap.observations[:, 1], *(one.points for one in found)])
+    new_rows = (np.full(len(one.points), place[mapped + k]) for k, one in enumerate(found))
+    row = np.concatenate([place[submap.observations[:, 0]], *new_rows])
+    pixels = np.concatenate([submap.pixels, *(one.pixels for one in found)])
+    by_frame = np.argsort(row, kind="stable")
+    count, new = submap.track_lengths(), np.concatenate([one.points for one in found])
+    more = np.bincount(new, minlength=len(count))
+    total = submap.error_px * count + np.bincount(new, np.concatenate([o.errors for o in found]), len(count))
+    return replace(
+        submap,
+        frames=frames[order],
+        world_from_camera=np.concatenate([submap.world_from_camera, [o.world_from_camera for o in found]])[order],
+        error_px=total / np.maximum(count + more, 1),
+        observations=np.stack([row, points], axis=1)[by_frame],
+        pixels=pixels[by_frame],
+    )

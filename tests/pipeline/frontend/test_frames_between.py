@@ -1,0 +1,112 @@
+"""Frames between those that were mapped: posed by the points of a map of known places on a rendered tube."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from haustra.core.se3 import angle_between, inverse
+from pipeline.frontend.frames_between import every_nth, with_frames_between
+from pipeline.frontend.odometry.klt import detect, tracker_image
+from pipeline.mapping.submap import Submap
+from tests.helpers.candidates import many_frames
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, camera_at, render
+
+COUNT, EVERY = 9, 4
+POSES = np.array([camera_at(k) for k in range(COUNT)])
+IMAGES = [render(pose) for pose in POSES]
+
+
+def on_the_wall(pose, pixels):
+    """(N,3) where the rays of pixels meet the tube."""
+    plane, _ = CAMERA.unproject(pixels)
+    rays = np.column_stack([plane, np.ones(len(plane))]) @ pose[:3, :3].T
+    centre = pose[:3, 3]
+    a, b = (rays[:, :2] ** 2).sum(1), (rays[:, :2] * centre[:2]).sum(1)
+    length = (-b + np.sqrt(b * b - a * ((centre[:2] ** 2).sum() - RADIUS**2))) / a
+    return centre + length[:, None] * rays
+
+
+def true_map(frames):
+    """A map with the true poses of these frames and, of each, its corners' true places on the wall."""
+    points, observations, pixels = [], [], []
+    for row, frame in enumerate(frames):
+        corners = detect(tracker_image(IMAGES[frame], MASK), np.zeros((0, 2), np.float32), 12)
+        places = on_the_wall(POSES[frame], corners.astype(float))
+        near = places[:, 2] - POSES[frame][2, 3] < 60.0
+        first = sum(len(some) for some in points)
+        points.append(places[near])
+        pixels.append(corners[near])
+        observations.append(np.column_stack([np.full(near.sum(), row), first + np.arange(near.sum())]))
+    count = sum(len(some) for some in points)
+    return Submap(
+        np.array(frames),
+        POSES[frames],
+        np.concatenate(points),
+        np.full(count, 0.5),
+        np.concatenate(observations),
+        np.concatenate(pixels).astype(float),
+        CAMERA.params,
+    )
+
+
+def read(frame):
+    return IMAGES[frame], MASK
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return with_frames_between(true_map([0, 4, 8]), many_frames(COUNT), EVERY, read)
+
+
+def test_the_frames_between_have_their_true_poses(whole):
+    assert whole.frames.tolist() == list(range(COUNT))
+    for found, true in zip(whole.world_from_camera, POSES, strict=True):
+        assert np.linalg.norm(found[:3, 3] - true[:3, 3]) < 0.1, "mm, of steps of 0.8 in a tube of 20 mm radius"
+        assert np.degrees(angle_between(inverse(found), inverse(true))) < 0.2
+
+
+def test_mapped_poses_and_points_stay_and_observations_lie_where_points_project(whole):
+    seed = true_map([0, 4, 8])
+    assert np.array_equal(whole.world_from_camera[[0, 4, 8]], seed.world_from_camera)
+    assert np.array_equal(whole.points, seed.points)
+    assert (np.diff(whole.observations[:, 0]) >= 0).all()
+    assert np.bincount(whole.observations[:, 0]).min() >= 20
+    for row in range(COUNT):
+        mine = whole.observations[:, 0] == row
+        local = whole.points_in_camera(row, whole.points[whole.observations[mine, 1]])
+        errors = np.linalg.norm(CAMERA.project(local) - whole.pixels[mine], axis=1)
+        assert np.median(errors) < 0.5
+        assert errors.max() < 2.5
+
+
+def test_the_mean_reprojection_error_is_of_all_observations(whole):
+    seed = true_map([0, 4, 8])
+    point = int(np.argmax(whole.track_lengths()))
+    row, of = whole.observations.T
+    added = (of == point) & ~np.isin(row, [0, 4, 8])
+    errors = [
+        np.linalg.norm(CAMERA.project(whole.points_in_camera(r, whole.points[[point]]))[0] - pixel)
+        for r, pixel in zip(row[added], whole.pixels[added], strict=True)
+    ]
+    expected = np.mean([*np.full(seed.track_lengths()[point], 0.5), *errors])
+    assert whole.error_px[point] == pytest.approx(expected, abs=0.02)  # residuals are linear about the pixel
+
+
+def test_frames_that_show_something_else_or_are_too_far_from_mapped_ones_get_no_pose():
+    other = [render(POSES[0]) if k != 2 else np.full_like(IMAGES[0], 90) for k in range(COUNT)]
+    grey = with_frames_between(
+        true_map([0, 4]), many_frames(5), EVERY, lambda k: ((other if k == 2 else IMAGES)[k], MASK)
+    )
+    assert grey.frames.tolist() == [0, 1, 3, 4]
+    far = with_frames_between(true_map([0, 1]), many_frames(COUNT), 2, read)
+    assert far.frames.tolist() == [0, 1, 2, 3]
+    blind = replace(true_map([0, 4]), observations=np.zeros((0, 2), int), pixels=np.zeros((0, 2)))
+    assert with_frames_between(blind, many_frames(5), EVERY, read) is blind
+
+
+@pytest.mark.parametrize(
+    ("count", "every", "kept"), [(9, 4, [0, 4, 8]), (8, 3, [0, 3, 6, 7]), (1, 2, [0]), (5, 1, [0, 1, 2, 3, 4])]
+)
+def test_every_nth_frame_and_the_last(count, every, kept):
+    assert every_nth(many_frames(count), every).index.tolist() == kept
