@@ -20,6 +20,7 @@ from pipeline.frontend.second_opinion import (
     BETWEEN_S,
     MOST_EVERY,
     MOST_FRAMES,
+    WHATEVER,
     ByMapper,
     ask_of_each,
     at_once,
@@ -104,8 +105,11 @@ def _second_opinion(
     total, share, progress = len(frames.index), job.settings.second_opinion, job.progress
     budget = time_allowed(first_s, share) if found else None
     most = MOST_FRAMES if budget is None else most_frames(total, share)
-    in_doubt = stretches_in_doubt(found, frames)
-    stretches, every = within(in_doubt, most)
+    for wrong in (PROBABLE, WHATEVER):  # where all is too much, what is posed and may be right after all has to wait
+        in_doubt = stretches_in_doubt(found, frames, wrong)
+        stretches, every = within(in_doubt, most)
+        if stretches and len(stretches) == len(in_doubt):
+            break
     if not stretches:
         if most and in_doubt:
             progress.log(
@@ -115,7 +119,7 @@ def _second_opinion(
                 "whole film"
             )
         return None, None
-    lens = known_lens(found, frames)
+    lens = known_lens(found, frames, wrong)
     if lens is None:
         stretches = at_once(stretches)
     camera, sigma = lens or (frames.camera, ())

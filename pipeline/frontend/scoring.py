@@ -107,13 +107,14 @@ def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
     return posed < MIN_POSED * total or unchecked or inconsistent_share(candidates) > MAX_INCONSISTENT
 
 
-def sure_of(candidates: list[Candidate], total: int) -> list[Candidate]:
-    """Submaps that need no second opinion: long enough, not probably wrong, and the lighting check speaks for them."""
+def sure_of(candidates: list[Candidate], total: int, wrong: float = PROBABLE) -> list[Candidate]:
+    """Submaps that need no second opinion: long enough, less than `wrong` is the probability that they are, and the
+    lighting check speaks for them."""
     return [
         c
         for c in candidates
         if c.check.frames >= MIN_SURE * total
-        and c.wrong < PROBABLE
+        and c.wrong < wrong
         and c.check.n_checked
         and c.check.inconsistent_share <= MAX_INCONSISTENT
     ]

@@ -24,6 +24,7 @@ from pipeline.frontend.frames_between import every_nth
 from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
 from pipeline.input.frames import Frames
 from pipeline.mapping.colmap_io import write_camera_sigma
+from pipeline.mapping.map_doubt import PROBABLE
 from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
@@ -31,6 +32,7 @@ MARGIN = 10  # and frames on either side of them that go with them
 SLOWER = 8.0  # times odometry's time a frame that COLMAP takes; usually 3 to 12 (docs/lab/front_end.md, mapper seeds)
 FEW_FRAMES, FEW_SECONDS = 120, 90.0  # that COLMAP may always map, and the time for them, however quick odometry was
 MOST_FRAMES = 1000  # of all stretches that are mapped
+WHATEVER = 2.0  # no probability: submaps are in doubt by their light alone
 MOST_EVERY = 6  # frames of a stretch of which one is mapped; on two films with moving walls as good as all of them
 BETWEEN_S = 0.02  # for each frame between those that are mapped, set aside of the time
 
@@ -53,10 +55,10 @@ class Opinion:
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames) -> list[Stretch]:
+def stretches_in_doubt(candidates: list[Candidate], frames: Frames, wrong: float = PROBABLE) -> list[Stretch]:
     """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
-    out."""
-    sure = {int(frame) for c in sure_of(candidates, len(frames.index)) for frame in c.submap.frames}
+    out. wrong: probability from which a submap is not sure."""
+    sure = {int(frame) for c in sure_of(candidates, len(frames.index), wrong) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
     edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     spans: list[tuple[int, int]] = []
@@ -103,11 +105,14 @@ def at_once(stretches: list[Stretch]) -> list[Stretch]:
     return [Stretch(replace(stretches[0].frames, index=index[order], seconds=seconds[order]), doubtful)]
 
 
-def known_lens(found: list[Candidate], frames: Frames) -> tuple[Camera, tuple[float, ...]] | None:
-    """The lens, and its sigmas where it was a guess that the sure maps determine; None where nobody knows it."""
+def known_lens(
+    found: list[Candidate], frames: Frames, wrong: float = PROBABLE
+) -> tuple[Camera, tuple[float, ...]] | None:
+    """The lens, and its sigmas where it was a guess that the sure maps determine; None where nobody knows it. wrong:
+    probability from which a map is not sure."""
     if frames.camera.trusted:
         return frames.camera, ()
-    for submap in (one.submap for one in sure_of(found, len(frames.index))):
+    for submap in (one.submap for one in sure_of(found, len(frames.index), wrong)):
         if is_determined(submap.camera_params[0], submap.camera_sigma):
             return replace(refined_camera(frames.camera, submap), trusted=True), submap.camera_sigma
     return None

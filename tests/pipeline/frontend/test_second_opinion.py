@@ -13,6 +13,7 @@ from pipeline.frontend import structure_stage
 from pipeline.frontend.scoring import uncovered
 from pipeline.frontend.second_opinion import (
     MARGIN,
+    WHATEVER,
     Opinion,
     Stretch,
     ask_of_each,
@@ -69,6 +70,7 @@ def test_maps_that_are_probably_wrong_are_in_doubt_however_clear_their_light():
     (asked,) = stretches_in_doubt([doubted(0.6), map_of(range(100, 300))], frames)
     assert asked.doubtful.tolist() == list(range(100))
     assert stretches_in_doubt([doubted(0.4), map_of(range(100, 300))], frames) == []
+    assert stretches_in_doubt([doubted(0.6), map_of(range(100, 300))], frames, WHATEVER) == []
 
 
 def stretch_of(begin, end, margin=MARGIN):

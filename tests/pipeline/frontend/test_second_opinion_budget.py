@@ -153,6 +153,15 @@ def test_a_short_film_that_is_in_doubt_as_a_whole_gets_a_second_opinion(monkeypa
     assert deadline == pytest.approx(100.0 + 2.0 + 90.0 - aside)
 
 
+def test_where_maps_that_are_probably_wrong_are_too_long_only_the_rest_is_asked(monkeypatch):
+    doubtful = replace(map_of(range(800)), doubt=SimpleNamespace(probability=0.6))
+    clock = Clockwork(monkeypatch, 2.0, {"odometry": [doubtful]}, lambda: FrontEndResult({}))
+    results, _ = clock.run(1000)
+    ((index, _),) = clock.told
+    assert index == [*range(790, 1000, 2), 999]
+    assert results["odometry"].candidates["odometry"] == [doubtful]
+
+
 def test_a_stretch_that_the_second_front_end_maps_worse_keeps_the_first_ones_map(monkeypatch, tmp_path):
     parts = iter([range(90, 160), range(190, 195)])
 
