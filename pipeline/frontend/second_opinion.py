@@ -167,21 +167,26 @@ def joined(first: list[Candidate], total: int, opinions: list[Opinion]) -> ByMap
 
     Maps of the first one that are sure, or in no stretch, stay. Of one stretch, each mapper's maps take the place of
     the other ones. Of several, those of a mapper or the first front end's, whichever are better on the frames in doubt;
-    stretches that a map of the first one spans are decided together. Nothing where the first front end's are better
-    everywhere.
+    stretches that a map of the first one spans are decided together. None takes the place of others that are expected
+    to pose more frames rightly: a large map in doubt is worth more than a few frames. Nothing where the first front
+    end's are better everywhere.
     """
     sure = [id(one) for one in sure_of(first, total)]
     groups = _groups([one for one in first if id(one) not in sure], opinions)
     in_doubt = [id(one) for maps, _ in groups for one in maps]
     kept = [one for one in first if id(one) not in in_doubt]
     if len(opinions) == 1:
-        (opinion,) = opinions
-        return {mapper: _distinct(kept, _usable(opinion, mapper, kept)) for mapper in opinion.candidates}
+        ((maps, (opinion,)),) = groups
+        usable = {mapper: _usable(opinion, mapper, kept) for mapper in opinion.candidates}
+        return {
+            mapper: _distinct(kept, of) if _poses_enough(of, maps, opinion.stretch.doubtful) else []
+            for mapper, of in usable.items()
+        }
     second: list[Candidate] = []
     for maps, about in groups:
         doubtful = np.concatenate([opinion.stretch.doubtful for opinion in about])
         theirs = [one for opinion in about for one in _best(opinion, kept)]
-        if _worth(theirs, doubtful) > _worth(maps, doubtful):
+        if _worth(theirs, doubtful) > _worth(maps, doubtful) and _poses_enough(theirs, maps, doubtful):
             second += theirs
         else:
             kept = kept + maps
@@ -223,6 +228,17 @@ def _worth(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
     """Score by these frames alone."""
     inside = [int(np.isin(one.submap.frames, frames).sum()) for one in maps]
     return score([replace(m, check=replace(m.check, frames=n)) for m, n in zip(maps, inside, strict=True)], len(frames))
+
+
+def _poses_enough(theirs: list[Candidate], maps: list[Candidate], frames: NDArray[np.int64]) -> bool:
+    """Whether they pose as many of these frames as the others are expected to pose rightly. One of unknown probability
+    that the light contradicts is expected to pose none."""
+
+    def posed(one: Candidate) -> float:
+        dark = one.doubt is None and one.check.inconsistent_share > MAX_INCONSISTENT
+        return 0.0 if dark else (1 - one.wrong) * float(np.isin(one.submap.frames, frames).sum())
+
+    return sum(map(posed, theirs)) >= sum(map(posed, maps))
 
 
 def _distinct(kept: list[Candidate], second: Iterable[Candidate]) -> list[Candidate]:

@@ -119,6 +119,18 @@ def test_stretches_that_one_map_spans_are_decided_together(good):
     assert joined([right, *sure], 380, poor) == {}, "the first one's is better, and nothing of the second's is kept"
 
 
+@pytest.mark.parametrize(("probability", "frames", "taken"), [(0.8, 45, True), (0.8, 35, False), (0.5, 95, False)])
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_map_that_the_light_contradicts_is_not_given_up_for_fewer_frames_than_it_may_pose_rightly(
+    probability, frames, taken, alone
+):
+    dark = replace(map_of(range(200), 0.4), doubt=SimpleNamespace(probability=probability))
+    opinions = [Opinion(stretch_of(0, 200), {"global": [global_(range(frames))]})]
+    opinions += [] if alone else [Opinion(stretch_of(300, 320), {"global": []})]
+    found = joined([dark, map_of(range(200, 300))], 320, opinions)
+    assert ("global", 0, frames - 1) in shown(found.get("global", [])) if taken else not found.get("global")
+
+
 def test_a_clean_map_is_not_given_up_for_margins_nor_for_one_that_would_be_dropped():
     first = [map_of(range(100)), map_of(range(120, 250)), map_of(range(100, 120)), map_of(range(270, 400))]
     far, near = Opinion(stretch_of(250, 270), {"global": []}), stretch_of(100, 120)
