@@ -219,26 +219,28 @@ def _usable(opinion: Opinion, mapper: str, kept: list[Candidate]) -> list[Candid
     return [
         one
         for one in opinion.candidates[mapper]
-        if np.isin(one.submap.frames, opinion.stretch.doubtful).sum() >= MIN_FRAMES
+        if _inside([one], opinion.stretch.doubtful)[0] >= MIN_FRAMES
         and not (kept and one.check.inconsistent_share > MAX_INCONSISTENT)
     ]
 
 
 def _worth(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
     """Score by these frames alone."""
-    inside = [int(np.isin(one.submap.frames, frames).sum()) for one in maps]
-    return score([replace(m, check=replace(m.check, frames=n)) for m, n in zip(maps, inside, strict=True)], len(frames))
+    inside = zip(maps, _inside(maps, frames), strict=True)
+    return score([replace(one, check=replace(one.check, frames=count)) for one, count in inside], len(frames))
 
 
 def _poses_enough(theirs: list[Candidate], maps: list[Candidate], frames: NDArray[np.int64]) -> bool:
-    """Whether they pose as many of these frames as the others are expected to pose rightly. One of unknown probability
-    that the light contradicts is expected to pose none."""
+    """Whether they pose as many of these frames as the first front end's are expected to pose rightly; one of these
+    that the light contradicts, and of which no probability is known, is expected to pose none."""
+    dark = [one.doubt is None and one.check.inconsistent_share > MAX_INCONSISTENT for one in maps]
+    right = [0.0 if is_dark else 1 - one.wrong for one, is_dark in zip(maps, dark, strict=True)]
+    return sum(_inside(theirs, frames)) >= float(np.dot(right, _inside(maps, frames)))
 
-    def posed(one: Candidate) -> float:
-        dark = one.doubt is None and one.check.inconsistent_share > MAX_INCONSISTENT
-        return 0.0 if dark else (1 - one.wrong) * float(np.isin(one.submap.frames, frames).sum())
 
-    return sum(map(posed, theirs)) >= sum(map(posed, maps))
+def _inside(maps: list[Candidate], frames: NDArray[np.int64]) -> list[int]:
+    """How many of these frames each of them poses."""
+    return [int(np.isin(one.submap.frames, frames).sum()) for one in maps]
 
 
 def _distinct(kept: list[Candidate], second: Iterable[Candidate]) -> list[Candidate]:

@@ -131,6 +131,12 @@ def test_a_map_that_the_light_contradicts_is_not_given_up_for_fewer_frames_than_
     assert ("global", 0, frames - 1) in shown(found.get("global", [])) if taken else not found.get("global")
 
 
+def test_of_two_maps_that_the_light_contradicts_the_one_that_hangs_together_wins():
+    dark = replace(map_of(range(140), 0.06), doubt=SimpleNamespace(probability=0.7))
+    opinion = Opinion(stretch_of(0, 200), {"global": [global_(range(200), 0.08)]})
+    assert shown(joined([dark], 200, [opinion])["global"]) == [("global", 0, 199)]
+
+
 def test_a_clean_map_is_not_given_up_for_margins_nor_for_one_that_would_be_dropped():
     first = [map_of(range(100)), map_of(range(120, 250)), map_of(range(100, 120)), map_of(range(270, 400))]
     far, near = Opinion(stretch_of(250, 270), {"global": []}), stretch_of(100, 120)
