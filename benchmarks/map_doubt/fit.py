@@ -1,11 +1,12 @@
 """The probability that a submap is wrong: coefficients from films for choosing, and how it does on others.
 
     python -m benchmarks.map_doubt fit --choosing FILMS --reported FILMS --maps FOLDER --json map_doubt.json --ship
+    python -m benchmarks.map_doubt fit --family colmap ... --json map_doubt_colmap.json --ship
 
-Odometry alone tracks each film in several ways (`WAYS` of `maps.py`: seeds, keyframe motion, wrong lenses, parts), as
-does the structure stage before COLMAP is asked; submaps of `MIN_FRAMES` frames count, also those that its lighting
-check drops. Wrong: `pipeline.mapping.map_doubt`. Figures are chosen, and weights fitted, on the films for choosing
-alone, by the loss on paths that had no part in the fit.
+Odometry alone, or COLMAP alone, maps each film in several ways (`FAMILIES` of `maps.py`: seeds, keyframe motion, wrong
+lenses, parts), as the structure stage has them run; submaps of `MIN_FRAMES` frames count, also those that its lighting
+check drops. Each family of maps has coefficients of its own. Wrong: `pipeline.mapping.map_doubt`. Figures are chosen,
+and weights fitted, on the films for choosing alone, by the loss on paths that had no part in the fit.
 `FOLDER` keeps the submaps: a stopped call goes on
 where it was, and `--made` takes those that are there. `--ship` writes the coefficients that the pipeline reads.
 """
@@ -20,7 +21,7 @@ from scipy.special import expit
 
 from benchmarks.common.record import environment
 from benchmarks.map_doubt.fitting import chosen_figures, fitted, log_loss, probabilities_left_out
-from benchmarks.map_doubt.maps import WAYS, is_made, load_maps, make_maps
+from benchmarks.map_doubt.maps import FAMILIES, is_made, load_maps, make_maps
 from benchmarks.map_doubt.rows import figures_of, path_of, row_of
 from pipeline.mapping.map_doubt import COEFFICIENTS, FIGURES
 
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--choosing", type=Path, nargs="+", required=True, help="RGB-D folders")
     parser.add_argument("--reported", type=Path, nargs="+", required=True, help="RGB-D folders")
     parser.add_argument("--maps", type=Path, required=True, help="folder for the submaps")
-    parser.add_argument("--ways", nargs="+", default=list(WAYS), choices=WAYS, help="in which films are tracked")
+    parser.add_argument("--family", choices=FAMILIES, default="odometry", help="whose maps")
     parser.add_argument("--made", action="store_true", help="track nothing")
     parser.add_argument("--ship", action="store_true", help=f"write {COEFFICIENTS.name}")
 
@@ -54,16 +55,17 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
             row["probability"] = probability(row, found["coefficients"])
     if arguments.ship:
         about = {"commit": here["commit"], "maps": len(choosing), "wrong": sum(r["wrong"] for r in choosing)}
-        COEFFICIENTS.write_text(json.dumps(found["coefficients"] | about, indent=2) + "\n")
+        shipped = json.loads(COEFFICIENTS.read_text()) | {arguments.family: found["coefficients"] | about}
+        COEFFICIENTS.write_text(json.dumps(shipped, indent=2) + "\n")
     return {"environment": here} | found | {"maps": rows}
 
 
 def _rows_of(film: Path, role: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    folder = arguments.maps / role
+    folder, ways = arguments.maps / role, list(FAMILIES[arguments.family])
     if not arguments.made:
-        make_maps(film, arguments.ways, folder)
+        make_maps(film, ways, folder)
     rows = []
-    for way in arguments.ways:
+    for way in ways:
         if is_made(film, way, folder):
             about = {"film": film.name, "role": role, "way": way}
             kept = folder / f"{film.name}, {way}.json"

@@ -1,4 +1,5 @@
-"""Submaps of odometry on films with truth, under the right lens and wrong ones, kept in a folder between calls."""
+"""Submaps of odometry and of COLMAP on films with truth, under the right lens and wrong ones, kept in a folder between
+calls."""
 
 import pickle
 import tempfile
@@ -14,10 +15,13 @@ from haustra.core.camera import Camera, guess_camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import FAST_KEYFRAME_MOTION, Config, OdometrySettings
+from pipeline.frontend.automatic import FrontEndJob
 from pipeline.frontend.base import FoundSubmap
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
-from pipeline.frontend.scoring import accepted, candidates_of
+from pipeline.frontend.registry import SECOND
+from pipeline.frontend.scoring import Candidate, accepted, candidates_of
+from pipeline.frontend.second_opinion import most_frames, stretches_in_doubt, within
 from pipeline.input.frames import Frames, read_frames, read_image
 from pipeline.input.video import Source
 from pipeline.mapping.lighting_check import LightingCheck, brightness_of
@@ -32,13 +36,15 @@ USUAL = OdometrySettings().keyframe_motion
 @dataclass(frozen=True)
 class Way:
     """How a film is tracked. lens: what the true focal length is multiplied by; None: lens unknown, 100 degrees.
-    part: of the film, from and to. every: n-th working frame."""
+    part: of the film, from and to. every: n-th working frame. by_colmap: by COLMAP, on as many of the frames as it may
+    map in its time, and the others posed in its map."""
 
     seed: int = 0
     motion: float = FAST_KEYFRAME_MOTION
     lens: float | None = 1.0
     part: tuple[float, float] = (0.0, 1.0)
     every: int = 1
+    by_colmap: bool = False
 
 
 USED = {"usual": Way(motion=USUAL), "fast": Way(), "fast, seed 1": Way(1)}
@@ -52,7 +58,15 @@ PARTS = {
     "half 0, every third": Way(5, part=(0.0, 0.6), every=3),
     "half 1, -20 %": Way(6, lens=0.8, part=(0.45, 1.0)),
 }
-WAYS = {**USED, **WRONG_LENS, **PARTS}
+COLMAP = {
+    "COLMAP": Way(by_colmap=True),
+    "COLMAP, focal length -15 %": Way(1, lens=0.85, by_colmap=True),
+    "COLMAP, focal length +15 %": Way(2, lens=1.15, by_colmap=True),
+    "COLMAP, half 0": Way(3, part=(0.0, 0.55), by_colmap=True),
+    "COLMAP, half 1, -20 %": Way(4, lens=0.8, part=(0.45, 1.0), by_colmap=True),
+}
+FAMILIES = {"odometry": {**USED, **WRONG_LENS, **PARTS}, "colmap": COLMAP}
+WAYS = FAMILIES["odometry"] | FAMILIES["colmap"]
 
 
 @dataclass(frozen=True)
@@ -109,13 +123,10 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     begin, end = (round(share * len(frames.index)) for share in way.part)
     mine = slice(begin, end, way.every)
     frames = replace(frames, index=frames.index[mine], seconds=frames.seconds[mine], camera=_lens(frames.camera, way))
-    settings = Config(seed=way.seed, odometry=OdometrySettings(keyframe_motion=way.motion)).front_end_settings
     try:
-        with frame_features(workspace) as features:
-            found = track_frames(frames, features, settings, workspace, SilentProgress()).submaps
+        candidates = _mapped(frames, way, workspace)
     except HaustraError:
         return []
-    candidates = candidates_of("odometry", [FoundSubmap(one) for one in found], workspace)
     kept = {id(one) for one in accepted(candidates)}
     return [
         JudgedMap(
@@ -131,6 +142,19 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
         )
         for one in candidates
     ]
+
+
+def _mapped(frames: Frames, way: Way, workspace: Workspace) -> list[Candidate]:
+    keyframes = OdometrySettings() if way.by_colmap else OdometrySettings(keyframe_motion=way.motion)
+    settings = Config(seed=way.seed, odometry=keyframes).front_end_settings
+    with frame_features(workspace) as features:
+        if way.by_colmap:
+            workspace.forget_features()
+            _, every = within(stretches_in_doubt([], frames), most_frames(len(frames.index), 1.0))
+            job = FrontEndJob(features, settings, workspace, SilentProgress())
+            return [one for of in job.run(SECOND, frames, every).candidates.values() for one in of]
+        found = track_frames(frames, features, settings, workspace, SilentProgress()).submaps
+    return candidates_of("odometry", [FoundSubmap(one) for one in found], workspace)
 
 
 def _lens(camera: Camera, way: Way) -> Camera:

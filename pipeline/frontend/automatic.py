@@ -48,8 +48,8 @@ class Result:
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What every front end is given beside the frames."""
+class FrontEndJob:
+    """What every front end is given beside the frames, by which it can be run."""
 
     features: SiftCache
     settings: FrontEndSettings
@@ -80,7 +80,7 @@ def run_front_ends(
 ) -> tuple[dict[str, Result], str | None]:
     """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
     failed."""
-    job = _Job(features, settings, workspace, progress)
+    job = FrontEndJob(features, settings, workspace, progress)
     if front_end != AUTO:
         return {front_end: _doubted(job.run(front_end, frames), frames)}, None
     started = time.monotonic()
@@ -98,7 +98,7 @@ def _doubted(result: Result, frames: Frames) -> Result:
 
 
 def _second_opinion(
-    job: _Job, frames: Frames, found: list[Candidate], first_s: float
+    job: FrontEndJob, frames: Frames, found: list[Candidate], first_s: float
 ) -> tuple[Result | None, str | None]:
     """Of the stretches that the first front end, which took `first_s` seconds, leaves in doubt; none where it cannot be
     had, and what failed."""
@@ -139,7 +139,7 @@ def _second_opinion(
     def ask(some: Frames) -> ByMapper:
         if len(stretches) > 1 or camera != frames.camera:  # features of other frames, or with another lens
             job.workspace.forget_features()
-        by_mapper = told.run(SECOND, replace(some, camera=camera), every).candidates
+        by_mapper = _doubted(told.run(SECOND, replace(some, camera=camera), every), frames).candidates
         return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}
 
     opinions, failure = ask_of_each(stretches, ask, deadline, job.workspace.log, progress)

@@ -16,7 +16,7 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_arrays
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
-from pipeline.mapping.map_doubt import PROBABLE, MapDoubt, coefficients, gather_evidence, judge
+from pipeline.mapping.map_doubt import FAMILY, PROBABLE, MapDoubt, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN
 from pipeline.run_folder.workspace import Workspace
@@ -25,8 +25,7 @@ MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pie
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
 MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for that part of it to be kept
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
-MAPPER_IN_DOUBT = "odometry"  # the one on whose maps `map_doubt` was fitted,
-MIN_JUDGED = 20  # and the fewest frames that they had
+MIN_JUDGED = 20  # frames that the maps had at the fewest on which `map_doubt` was fitted
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
 # Probability that a map is wrong above which one that the light contradicts is dropped. Of 131 maps with truth
 # (docs/lab/map_doubt.md) the light contradicted two that were not the largest: both were wrong, by 92 and 100 %.
@@ -143,16 +142,19 @@ def frames_posed(candidates: list[Candidate]) -> int:
 
 
 def with_doubts(found: list[Candidate], frames: Frames) -> list[Candidate]:
-    """Each submap with its doubt; without those of another mapper than odometry, of which the probability is not known,
-    and those that are too short for it."""
-    total, asked = len(frames.index), coefficients()["weights"]
+    """Each submap with its doubt; without one those of mappers of which the probability is not known, and those that
+    are too short for it."""
+    total, known = len(frames.index), coefficients()
 
-    def doubt(one: Candidate) -> MapDoubt:
-        camera = refined_camera(frames.camera, one.submap)
-        return judge(gather_evidence(one.submap, camera, one.check, total, len(found), asked=asked))
+    def doubted(one: Candidate) -> Candidate:
+        family = FAMILY.get(one.mapper, "")
+        if family not in known or len(one.submap.frames) < MIN_JUDGED:
+            return one
+        camera, asked = refined_camera(frames.camera, one.submap), known[family]["weights"]
+        evidence = gather_evidence(one.submap, camera, one.check, total, len(found), asked=asked)
+        return replace(one, doubt=judge(evidence, family))
 
-    judged = [one.mapper == MAPPER_IN_DOUBT and len(one.submap.frames) >= MIN_JUDGED for one in found]
-    return [replace(one, doubt=doubt(one)) if is_judged else one for one, is_judged in zip(found, judged, strict=True)]
+    return [doubted(one) for one in found]
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:

@@ -1,8 +1,8 @@
-"""The probability that a submap of odometry is wrong, by what it says about itself, and the words that follow it.
+"""The probability that a submap is wrong, by what it says about itself, and the words that follow it.
 
 Wrong is a map whose camera centres are off by more than 5 % of the path (RMS) or whose cameras by more than 5 degrees
 (median), after the Sim(3) to the truth that fits centres and axes together (`readjustment.path_difference`). The
-coefficients are fitted to films of which the truth is known: docs/lab/map_doubt.md.
+coefficients, of odometry's maps and of COLMAP's, are fitted to films with truth: docs/lab/map_doubt.md.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pipeline.mapping.readjustment import PathDifference, by_halves_of_the_wall,
 from pipeline.mapping.submap import Submap
 
 COEFFICIENTS = Path(__file__).with_name("map_doubt.json")
+FAMILY = {"odometry": "odometry", "global": "colmap", "incremental": "colmap"}  # of maps, by mapper
 WRONG_SHARE, WRONG_DEG = 0.05, 5.0  # of the path, RMS; of the cameras, median
 SURE, PROBABLE = 0.05, 0.5
 UNKNOWN = PathDifference(0.05, 5.0)  # of a map too short to be adjusted in parts: nothing speaks for it
@@ -168,9 +169,9 @@ def gather_evidence(
     )
 
 
-def judge(evidence: MapEvidence) -> MapDoubt:
-    """By the coefficients that are shipped."""
-    told = coefficients()
+def judge(evidence: MapEvidence, family: str) -> MapDoubt:
+    """By the coefficients that are shipped for a family of maps."""
+    told = coefficients()[family]
     pull = {
         name: weight * (FIGURES[name].of(evidence) - told["of_right_maps"][name])
         for name, weight in told["weights"].items()
@@ -182,7 +183,7 @@ def judge(evidence: MapEvidence) -> MapDoubt:
 
 @cache
 def coefficients() -> dict[str, Any]:
-    """`offset`, `weights` and the median `of_right_maps` of the figures by their names; written by
+    """Of each family: `offset`, `weights` and the median `of_right_maps` of the figures by their names; written by
     `python -m benchmarks.map_doubt fit`."""
     found: dict[str, Any] = json.loads(COEFFICIENTS.read_text())
     return found

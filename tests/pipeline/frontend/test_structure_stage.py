@@ -147,14 +147,17 @@ def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_nothing_speaks
     assert scoring.accepted([other]) == [other], "the largest always stays"
 
 
-def test_only_long_submaps_of_odometry_are_given_a_probability(monkeypatch):
+def test_only_long_submaps_of_mappers_with_coefficients_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
     monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
-    monkeypatch.setattr(scoring, "judge", lambda evidence: f"judged by {evidence}")
+    monkeypatch.setattr(scoring, "judge", lambda evidence, family: f"{family} judged by {evidence}")
     short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path(), "odometry")
     kept, frames = [GOOD, short], many_frames(100)
-    found = scoring.with_doubts([*kept, replace(GOOD, mapper="global")], frames)
-    assert [one.doubt for one in found] == ["judged by evidence", None, None]
+    monkeypatch.setattr(scoring, "coefficients", lambda: {"odometry": {"weights": {}}})
+    found = scoring.with_doubts([*kept, replace(GOOD, mapper="global"), replace(GOOD, mapper="poses")], frames)
+    assert [one.doubt for one in found] == ["odometry judged by evidence", None, None, None]
+    monkeypatch.setattr(scoring, "coefficients", lambda: {"colmap": {"weights": {}}})
+    assert scoring.with_doubts([replace(GOOD, mapper="global")], frames)[0].doubt == "colmap judged by evidence"
 
 
 def test_choices_that_cannot_work_are_refused_at_once():

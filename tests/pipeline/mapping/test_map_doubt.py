@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from pipeline.mapping.map_doubt import (
+    FAMILY,
     FIGURES,
     PROBABLE,
     SURE,
@@ -12,12 +13,16 @@ from pipeline.mapping.map_doubt import (
     MapDoubt,
     MapEvidence,
     coefficients,
-    judge,
 )
+from pipeline.mapping.map_doubt import judge as judge_of_family
 from pipeline.mapping.readjustment import PathDifference
 
 RIGHT = MapEvidence(0.4, 6.0, 20.0, 2.0, -0.9, 0.0, 1.0, 1, PathDifference(0.001, 0.2), PathDifference(0.007, 0.8))
 WRONG = MapEvidence(0.6, 1.0, 5.0, 0.4, 0.1, 0.5, 0.1, 7, PathDifference(0.03, 4.0), PathDifference(0.06, 12.0))
+
+
+def judge(evidence):
+    return judge_of_family(evidence, "odometry")
 
 
 def test_a_right_map_is_sure_and_a_wrong_one_is_not():
@@ -33,8 +38,10 @@ def test_nothing_against_a_map_makes_it_surer(name):
 
 
 def test_weights_have_the_sign_that_physics_demands():
-    assert set(coefficients()["weights"]) <= set(FIGURES)
-    assert min(coefficients()["weights"].values()) >= 0
+    assert {"odometry"} <= set(coefficients()) <= set(FAMILY.values())
+    for told in coefficients().values():
+        assert set(told["weights"]) <= set(FIGURES)
+        assert min(told["weights"].values()) >= 0
 
 
 def test_a_map_without_parts_has_nothing_to_speak_for_it():
