@@ -10,6 +10,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -177,16 +178,15 @@ def joined(first: list[Candidate], total: int, opinions: list[Opinion]) -> ByMap
     kept = [one for one in first if id(one) not in in_doubt]
     if len(opinions) == 1:
         ((maps, (opinion,)),) = groups
+        expected = partial(_poses_rightly, frames=opinion.stretch.doubtful)
         usable = {mapper: _usable(opinion, mapper, kept) for mapper in opinion.candidates}
-        return {
-            mapper: _distinct(kept, of) if _poses_enough(of, maps, opinion.stretch.doubtful) else []
-            for mapper, of in usable.items()
-        }
+        return {mapper: _distinct(kept, of) if expected(of) >= expected(maps) else [] for mapper, of in usable.items()}
     second: list[Candidate] = []
     for maps, about in groups:
         doubtful = np.concatenate([opinion.stretch.doubtful for opinion in about])
         theirs = [one for opinion in about for one in _best(opinion, kept)]
-        if _worth(theirs, doubtful) > _worth(maps, doubtful) and _poses_enough(theirs, maps, doubtful):
+        better = _worth(theirs, doubtful) > _worth(maps, doubtful)
+        if better and _poses_rightly(theirs, doubtful) >= _poses_rightly(maps, doubtful):
             second += theirs
         else:
             kept = kept + maps
@@ -230,12 +230,12 @@ def _worth(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
     return score([replace(one, check=replace(one.check, frames=count)) for one, count in inside], len(frames))
 
 
-def _poses_enough(theirs: list[Candidate], maps: list[Candidate], frames: NDArray[np.int64]) -> bool:
-    """Whether they pose as many of these frames as the first front end's are expected to pose rightly; one of these
-    that the light contradicts, and of which no probability is known, is expected to pose none."""
+def _poses_rightly(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
+    """How many of these frames they are expected to pose rightly; a map that the light contradicts, and of which no
+    probability is known, none."""
     dark = [one.doubt is None and one.check.inconsistent_share > MAX_INCONSISTENT for one in maps]
     right = [0.0 if is_dark else 1 - one.wrong for one, is_dark in zip(maps, dark, strict=True)]
-    return sum(_inside(theirs, frames)) >= float(np.dot(right, _inside(maps, frames)))
+    return float(np.dot(right, _inside(maps, frames)))
 
 
 def _inside(maps: list[Candidate], frames: NDArray[np.int64]) -> list[int]:

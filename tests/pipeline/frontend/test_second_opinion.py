@@ -133,7 +133,8 @@ def test_a_map_that_the_light_contradicts_is_not_given_up_for_fewer_frames_than_
 
 def test_of_two_maps_that_the_light_contradicts_the_one_that_hangs_together_wins():
     dark = replace(map_of(range(140), 0.06), doubt=SimpleNamespace(probability=0.7))
-    opinion = Opinion(stretch_of(0, 200), {"global": [global_(range(200), 0.08)]})
+    theirs = replace(global_(range(200), 0.08), doubt=SimpleNamespace(probability=0.6))
+    opinion = Opinion(stretch_of(0, 200), {"global": [theirs]})
     assert shown(joined([dark], 200, [opinion])["global"]) == [("global", 0, 199)]
 
 
