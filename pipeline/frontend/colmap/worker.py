@@ -134,10 +134,13 @@ def map_scene(job: dict[str, Any]) -> None:
 
 
 def _write(model: pycolmap.Reconstruction, folder: Path) -> None:
-    """As COLMAP's files and as plain arrays."""
+    """As COLMAP's files and as plain arrays; these last and at once, since who finds them takes the model for whole,
+    and a worker that is late is killed."""
     folder.mkdir(exist_ok=True)
     model.write_binary(folder)
-    np.savez(folder / "model.npz", allow_pickle=False, **model_arrays(model))
+    part = folder / "part.npz"
+    np.savez(part, allow_pickle=False, **model_arrays(model))
+    part.replace(folder / "model.npz")
 
 
 def best_lens(models: list[pycolmap.Reconstruction], sigmas: list[NDArray[np.float64]]) -> int:

@@ -13,11 +13,12 @@ from haustra.core.camera import Camera
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
 from pipeline.frontend.base import disjoint
+from pipeline.frontend.colmap import worker
 from pipeline.frontend.colmap.worker import camera_of, sequential_pairs, share_lens
 from pipeline.frontend.scoring import Candidate, score
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, check_lighting
-from pipeline.mapping.submap import Submap
+from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.place_recognition import loop_pairs
 
 CAMERA = Camera("PINHOLE", 320, 320, (160.0, 160.0, 160.0, 160.0))
@@ -276,3 +277,19 @@ def test_a_submap_without_points_keeps_the_others_observations(tube):
     np.testing.assert_array_equal(left.pixels, tube.pixels[kept])
     np.testing.assert_array_equal(left.points[left.observations[:, 1]], tube.points[tube.observations[kept, 1]])
     np.testing.assert_array_equal(left.observations[:, 0], tube.observations[kept, 0])
+
+
+def test_a_model_that_a_worker_was_killed_over_is_not_taken_for_whole(tube, tmp_path, monkeypatch):
+    def killed(path, **_):
+        path.write_bytes(b"PK")
+        raise KeyboardInterrupt
+
+    write_model(tube, CAMERA, tmp_path / "given")
+    model = pycolmap.Reconstruction(tmp_path / "given")
+    monkeypatch.setattr(worker.np, "savez", killed)
+    with pytest.raises(KeyboardInterrupt):
+        worker._write(model, tmp_path / "found")
+    assert not (tmp_path / "found" / "model.npz").exists()
+    monkeypatch.undo()
+    worker._write(model, tmp_path / "found")
+    assert len(read_submap(tmp_path / "found").points) == len(tube.points)
