@@ -21,7 +21,7 @@ from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.odometry.front_end import track_frames
 from pipeline.frontend.registry import SECOND
 from pipeline.frontend.scoring import Candidate, accepted, candidates_of
-from pipeline.frontend.second_opinion import most_frames, stretches_in_doubt, within
+from pipeline.frontend.second_opinion import ByMapper, most_frames, stretches_in_doubt, thinned_to
 from pipeline.input.frames import Frames, read_frames, read_image
 from pipeline.input.video import Source
 from pipeline.mapping.lighting_check import LightingCheck, brightness_of
@@ -61,7 +61,7 @@ PARTS = {
 COLMAP = {
     "COLMAP": Way(by_colmap=True),
     "COLMAP, focal length -15 %": Way(1, lens=0.85, by_colmap=True),
-    "COLMAP, focal length +15 %": Way(2, lens=1.15, by_colmap=True),
+    "COLMAP, unknown lens": Way(2, lens=None, by_colmap=True),
     "COLMAP, half 0": Way(3, part=(0.0, 0.55), by_colmap=True),
     "COLMAP, half 1, -20 %": Way(4, lens=0.8, part=(0.45, 1.0), by_colmap=True),
 }
@@ -124,9 +124,14 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     mine = slice(begin, end, way.every)
     frames = replace(frames, index=frames.index[mine], seconds=frames.seconds[mine], camera=_lens(frames.camera, way))
     try:
-        candidates = _mapped(frames, way, workspace)
+        by_mapper = _mapped(frames, way, workspace)
     except HaustraError:
         return []
+    return [one for of in by_mapper.values() for one in _maps_of(of, frames, truth, workspace)]
+
+
+def _maps_of(candidates: list[Candidate], frames: Frames, truth: Array, workspace: Workspace) -> list[JudgedMap]:
+    """Of one mapper."""
     kept = {id(one) for one in accepted(candidates)}
     return [
         JudgedMap(
@@ -144,17 +149,17 @@ def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> lis
     ]
 
 
-def _mapped(frames: Frames, way: Way, workspace: Workspace) -> list[Candidate]:
+def _mapped(frames: Frames, way: Way, workspace: Workspace) -> ByMapper:
     keyframes = OdometrySettings() if way.by_colmap else OdometrySettings(keyframe_motion=way.motion)
     settings = Config(seed=way.seed, odometry=keyframes).front_end_settings
     with frame_features(workspace) as features:
         if way.by_colmap:
             workspace.forget_features()
-            _, every = within(stretches_in_doubt([], frames), most_frames(len(frames.index), 1.0))
+            fit, every = thinned_to(stretches_in_doubt([], frames), most_frames(len(frames.index), 1.0))
             job = FrontEndJob(features, settings, workspace, SilentProgress())
-            return [one for of in job.run(SECOND, frames, every).candidates.values() for one in of]
+            return job.run(SECOND, frames, every).candidates if fit else {}
         found = track_frames(frames, features, settings, workspace, SilentProgress()).submaps
-    return candidates_of("odometry", [FoundSubmap(one) for one in found], workspace)
+    return {"odometry": candidates_of("odometry", [FoundSubmap(one) for one in found], workspace)}
 
 
 def _lens(camera: Camera, way: Way) -> Camera:

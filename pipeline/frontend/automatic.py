@@ -11,7 +11,7 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.base import FoundSubmap
+from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.frontend.frames_between import every_nth, with_frames_between
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
@@ -20,20 +20,19 @@ from pipeline.frontend.second_opinion import (
     BETWEEN_S,
     MOST_EVERY,
     MOST_FRAMES,
-    WHATEVER,
     ByMapper,
     ask_of_each,
     at_once,
     joined,
     known_lens,
     most_frames,
-    stretches_in_doubt,
+    stretches_to_ask,
     time_allowed,
     with_sigma,
-    within,
 )
 from pipeline.input.frames import Frames
 from pipeline.mapping.map_doubt import PROBABLE
+from pipeline.mapping.submap import MIN_FRAMES
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
 
@@ -58,16 +57,23 @@ class FrontEndJob:
 
     def run(self, name: str, frames: Frames, every: int = 1) -> Result:
         """One front end; every: n, of which frames one is mapped, and the others are posed in its submaps."""
-        mapped = every_nth(frames, every)
-        result = FRONT_ENDS[name].run(mapped, self.features, self.settings, self.workspace, self.progress)
+        mapped, settings = every_nth(frames, every), self.settings
+        if settings.deadline is not None:
+            aside = BETWEEN_S * (len(frames.index) - len(mapped.index))
+            settings = settings.model_copy(update={"deadline": settings.deadline - aside})
+        result = FRONT_ENDS[name].run(mapped, self.features, settings, self.workspace, self.progress)
         found = result.found if every == 1 else {m: self._between(of, frames, every) for m, of in result.found.items()}
         return Result({m: candidates_of(m, of, self.workspace) for m, of in found.items()}, result.stats)
 
     def _between(self, found: list[FoundSubmap], frames: Frames, every: int) -> list[FoundSubmap]:
-        read = frame_reader(self.workspace)
+        read, deadline = frame_reader(self.workspace), self.settings.deadline
+        mapped = sorted((one.submap for one in found), key=lambda submap: -len(submap.frames))
         with single_threaded(), self.progress.bar("frames between", None) as advance:
-            submaps = [with_frames_between(one.submap, frames, every, read, advance) for one in found]
-        return [FoundSubmap(submap) for submap in submaps]
+            return [
+                FoundSubmap(with_frames_between(submap, frames, every, read, deadline, advance))
+                for submap in disjoint(mapped)
+                if len(submap.frames) >= MIN_FRAMES
+            ]
 
 
 def run_front_ends(
@@ -105,21 +111,17 @@ def _second_opinion(
     total, share, progress = len(frames.index), job.settings.second_opinion, job.progress
     budget = time_allowed(first_s, share) if found else None
     most = MOST_FRAMES if budget is None else most_frames(total, share)
-    for wrong in (PROBABLE, WHATEVER):  # where all is too much, what is posed and may be right after all has to wait
-        in_doubt = stretches_in_doubt(found, frames, wrong)
-        stretches, every = within(in_doubt, most)
-        if stretches and len(stretches) == len(in_doubt):
-            break
+    stretches, every, left_out = stretches_to_ask(found, frames, most)
     if not stretches:
-        if most and in_doubt:
+        if most and left_out:
             progress.log(
-                f"{_why(found, total)}; {SECOND} (COLMAP) is not run for comparison: the shortest stretch in doubt has "
-                f"{len(in_doubt[0].frames.index)} frames, and of as many as every {MOST_EVERY}th of them it could not "
-                f"map more than {most:.0f} in its time (second_opinion {share:g}); --front-end sfm runs it on the "
+                f"{_why(found, total)}; {SECOND} (COLMAP) is not run for comparison: even every {MOST_EVERY}th of the "
+                f"{len(left_out[0].frames.index)} frames of the shortest stretch in doubt is more than the "
+                f"{most:.0f} that it can map in its time (second_opinion {share:g}); --front-end sfm runs it on the "
                 "whole film"
             )
         return None, None
-    lens = known_lens(found, frames, wrong)
+    lens = known_lens(found, frames)
     if lens is None:
         stretches = at_once(stretches)
     camera, sigma = lens or (frames.camera, ())
@@ -127,17 +129,15 @@ def _second_opinion(
     progress.log(
         f"{_why(found, total)}; running {SECOND} (COLMAP) for comparison on {_some(every, count)} of {total} "
         f"frames, in {counted(len(stretches), 'stretch', 'stretches')}"
+        + (f" ({counted(len(left_out), 'longer one is', 'longer ones are')} too long)" if left_out else "")
         + ("" if budget is None else f", for {max(budget, 1):.0f} s at most")
         + " (Ctrl-C goes on without it)"
     )
     deadline = None if budget is None else time.monotonic() + budget
-    aside = BETWEEN_S * (count - count // every)
-    told = replace(
-        job, settings=job.settings.model_copy(update={"deadline": None if deadline is None else deadline - aside})
-    )
+    told = replace(job, settings=job.settings.model_copy(update={"deadline": deadline}))
 
     def ask(some: Frames) -> ByMapper:
-        if len(stretches) > 1 or camera != frames.camera:  # features of other frames, or with another lens
+        if len(stretches) > 1 or every > 1 or camera != frames.camera:  # features of other frames or by another lens
             job.workspace.forget_features()
         by_mapper = _doubted(told.run(SECOND, replace(some, camera=camera), every), frames).candidates
         return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}

@@ -5,6 +5,7 @@ A mapper that takes many times as long for a frame as tracking does maps every n
 have their pose from the same map, and see its points.
 """
 
+import time
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -23,6 +24,7 @@ from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.matching.sift_cache import ReadFrame
 from pipeline.optimization.resection import refine_pose, reprojection_errors
 
+MOST_APART_S = 1.0  # stretches that are mapped at once may lie far apart
 KEPT_VIEWS = 4  # mapped frames before and after, and the one that is posed
 
 
@@ -44,21 +46,38 @@ def every_nth(frames: Frames, every: int) -> Frames:
 
 
 def with_frames_between(
-    submap: Submap, frames: Frames, every: int, read: ReadFrame, advance: ProgressCallback = no_progress
+    submap: Submap,
+    frames: Frames,
+    every: int,
+    read: ReadFrame,
+    deadline: float | None = None,
+    advance: ProgressCallback = no_progress,
 ) -> Submap:
     """The submap of every n-th of `frames`, with those of the others that see enough of its points, at most `every`
-    frames away from one that it has. Points and mapped poses stay."""
-    rows = np.searchsorted(frames.index, submap.frames)
-    missing = np.setdiff1d(np.arange(len(frames.index)), rows)
-    away = np.abs(missing[:, None] - rows[None]).min(axis=1, initial=len(frames.index))
-    missing = missing[away <= every]
+    frames and a second away from one that it has. Points and mapped poses stay. deadline: by `time.monotonic()`, after
+    which no more are posed."""
+    missing = _near(frames, np.searchsorted(frames.index, submap.frames), every)
     resection = _Resection(submap, frames.camera, read)
     found = []
     for number, row in enumerate(missing):
+        if deadline is not None and time.monotonic() >= deadline:
+            break
         advance(number, len(missing))
         found += resection.pose(int(frames.index[row]))
     advance(len(missing), len(missing))
     return _with(submap, found)
+
+
+def _near(frames: Frames, mapped: NDArray[np.int64], every: int) -> NDArray[np.int64]:
+    """Rows (K,) of the frames near those in the rows `mapped` (N,), which ascend, but these."""
+    rows = np.setdiff1d(np.arange(len(frames.index)), mapped)
+    if not len(mapped):
+        return rows[:0]
+    after = np.searchsorted(mapped, rows)
+    sides = mapped[np.stack([after - 1, after]).clip(0, len(mapped) - 1)]
+    is_near = np.abs(sides - rows) <= every
+    is_near &= np.abs(frames.seconds[sides] - frames.seconds[rows]) <= MOST_APART_S
+    return rows[is_near.any(axis=0)]
 
 
 class _Resection:

@@ -25,6 +25,7 @@ MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pie
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
 MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for that part of it to be kept
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
+WRONG_OF_UNKNOWN = 0.25  # of the films on which `map_doubt` was fitted
 MIN_JUDGED = 20  # frames that the maps had at the fewest on which `map_doubt` was fitted
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
 # Probability that a map is wrong above which one that the light contradicts is dropped. Of 131 maps with truth
@@ -47,8 +48,8 @@ class Candidate:
 
     @property
     def wrong(self) -> float:
-        """Probability that it is wrong, as far as it is known; else 0."""
-        return 0.0 if self.doubt is None else self.doubt.probability
+        """Probability that it is wrong; of one that is too short to be judged, the share of wrong ones among others."""
+        return WRONG_OF_UNKNOWN if self.doubt is None else self.doubt.probability
 
 
 def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -> list[Candidate]:
@@ -106,14 +107,14 @@ def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
     return posed < MIN_POSED * total or unchecked or inconsistent_share(candidates) > MAX_INCONSISTENT
 
 
-def sure_of(candidates: list[Candidate], total: int, wrong: float = PROBABLE) -> list[Candidate]:
-    """Submaps that need no second opinion: long enough, less than `wrong` is the probability that they are, and the
-    lighting check speaks for them."""
+def sure_of(candidates: list[Candidate], total: int, doubted_from: float = PROBABLE) -> list[Candidate]:
+    """Submaps that need no second opinion: long enough, wrong with a probability below `doubted_from`, and the lighting
+    check speaks for them."""
     return [
         c
         for c in candidates
         if c.check.frames >= MIN_SURE * total
-        and c.wrong < wrong
+        and c.wrong < doubted_from
         and c.check.n_checked
         and c.check.inconsistent_share <= MAX_INCONSISTENT
     ]
@@ -167,7 +168,7 @@ def score(candidates: list[Candidate], total: int) -> float:
     times.
 
     Pieces count by the square of their share, so that one whole map beats two halves, and by the probability that they
-    are right, where it is known. Between mappers that pose the same frames, the lighting's rank correlation and the
+    are right. Between mappers that pose the same frames, the lighting's rank correlation and the
     reprojection error of the largest submap decide.
     """
     if not candidates:

@@ -33,9 +33,9 @@ MARGIN = 10  # and frames on either side of them that go with them
 SLOWER = 8.0  # times odometry's time a frame that COLMAP takes; usually 3 to 12 (docs/lab/front_end.md, mapper seeds)
 FEW_FRAMES, FEW_SECONDS = 120, 90.0  # that COLMAP may always map, and the time for them, however quick odometry was
 MOST_FRAMES = 1000  # of all stretches that are mapped
-WHATEVER = 2.0  # no probability: submaps are in doubt by their light alone
+BY_LIGHT_ALONE = 2.0  # no probability
 MOST_EVERY = 6  # frames of a stretch of which one is mapped; on two films with moving walls as good as all of them
-BETWEEN_S = 0.02  # for each frame between those that are mapped, set aside of the time
+BETWEEN_S = 0.04  # for each frame between those that are mapped, set aside of the time; 480x480 px on a busy core
 
 ByMapper = dict[str, list[Candidate]]
 
@@ -56,10 +56,10 @@ class Opinion:
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames, wrong: float = PROBABLE) -> list[Stretch]:
+def stretches_in_doubt(candidates: list[Candidate], frames: Frames, doubted_from: float = PROBABLE) -> list[Stretch]:
     """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
-    out. wrong: probability from which a submap is not sure."""
-    sure = {int(frame) for c in sure_of(candidates, len(frames.index), wrong) for frame in c.submap.frames}
+    out. doubted_from: the probability that a submap is wrong from which it is not sure."""
+    sure = {int(frame) for c in sure_of(candidates, len(frames.index), doubted_from) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
     edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     spans: list[tuple[int, int]] = []
@@ -76,14 +76,32 @@ def stretches_in_doubt(candidates: list[Candidate], frames: Frames, wrong: float
     ]
 
 
-def within(stretches: list[Stretch], most: float) -> tuple[list[Stretch], int]:
-    """The stretches, the shortest first, that can be mapped by at most `most` frames, and of how many frames one is
-    mapped for that: 1, if all of all can be."""
+def thinned_to(stretches: list[Stretch], most: float) -> tuple[list[Stretch], int]:
+    """Of the stretches, the shortest first, those that can be mapped by at most `most` frames, and of how many frames
+    one is mapped for that: 1, if all of all can be."""
     for every in range(1, MOST_EVERY + 1):
         mapped = np.cumsum([len(every_nth(one.frames, every).index) for one in stretches])
         if every == MOST_EVERY or (mapped <= most).all():
             break
     return [one for one, few in zip(stretches, mapped <= most, strict=True) if few], every
+
+
+def stretches_to_ask(
+    candidates: list[Candidate], frames: Frames, most: float
+) -> tuple[list[Stretch], int, list[Stretch]]:
+    """Stretches that can be mapped by at most `most` frames, of how many frames one is mapped for that, and those left
+    out. Where not all in doubt fit, submaps that the lighting check does not contradict may have to stay, so that more
+    of the other frames are asked about."""
+    choices = []
+    for doubted_from in (PROBABLE, BY_LIGHT_ALONE):
+        in_doubt = stretches_in_doubt(candidates, frames, doubted_from)
+        fit, every = thinned_to(in_doubt, most)
+        left_out = [one for one in in_doubt if not any(one is other for other in fit)]
+        choices.append((fit, every, left_out))
+        if not left_out:
+            break
+    asked = [sum(len(one.doubtful) for one in fit) for fit, _, _ in choices]
+    return choices[int(np.argmax(asked))]
 
 
 def most_frames(total: int, share: float) -> float:
@@ -106,14 +124,11 @@ def at_once(stretches: list[Stretch]) -> list[Stretch]:
     return [Stretch(replace(stretches[0].frames, index=index[order], seconds=seconds[order]), doubtful)]
 
 
-def known_lens(
-    found: list[Candidate], frames: Frames, wrong: float = PROBABLE
-) -> tuple[Camera, tuple[float, ...]] | None:
-    """The lens, and its sigmas where it was a guess that the sure maps determine; None where nobody knows it. wrong:
-    probability from which a map is not sure."""
+def known_lens(found: list[Candidate], frames: Frames) -> tuple[Camera, tuple[float, ...]] | None:
+    """The lens, and its sigmas where it was a guess that the sure maps determine; None where nobody knows it."""
     if frames.camera.trusted:
         return frames.camera, ()
-    for submap in (one.submap for one in sure_of(found, len(frames.index), wrong)):
+    for submap in (one.submap for one in sure_of(found, len(frames.index))):
         if is_determined(submap.camera_params[0], submap.camera_sigma):
             return replace(refined_camera(frames.camera, submap), trusted=True), submap.camera_sigma
     return None
@@ -232,7 +247,7 @@ def _worth(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
 
 def _poses_rightly(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
     """How many of these frames they are expected to pose rightly; a map that the light contradicts, and of which no
-    probability is known, none."""
+    probability was computed, none."""
     dark = [one.doubt is None and one.check.inconsistent_share > MAX_INCONSISTENT for one in maps]
     right = [0.0 if is_dark else 1 - one.wrong for one, is_dark in zip(maps, dark, strict=True)]
     return float(np.dot(right, _inside(maps, frames)))

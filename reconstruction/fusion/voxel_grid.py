@@ -21,8 +21,10 @@ BLOCK = 8  # voxels along a block's edge; 16 touches twice the voxels for the sa
 VOXELS_PER_BLOCK = BLOCK**3
 FIRST_CAPACITY = 1024  # blocks allocated at first
 GROWTH = 1.5  # factor on the capacity when it is exceeded
-MARCHED = 4096  # blocks of a slab: 74 MiB
+MARCHED = 4096  # blocks of a slab, about: 74 MiB, and those of the layer after it
 MAX_BLOCK_INDEX = 2**19  # along an axis, so that a block's three indices pack into 64 bits
+
+Mesh = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]  # vertices, faces, colours
 
 CHANNELS = {"tsdf": 1, "colour": 3, "evidence": 1, "confidence": 1, "observations": 1}  # values per voxel
 
@@ -82,7 +84,7 @@ class VoxelGrid:
         """The memory of a channel of one value per voxel, (blocks * 512,)."""
         return self.channel(name).reshape(-1)
 
-    def march(self, usable: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
+    def march(self, usable: NDArray[np.bool_]) -> Mesh:
         """Marching cubes: zero level of the tsdf in cells whose eight corners are all `usable` (blocks, 512).
 
         Slab by slab along the longest axis, since Open3D holds 18 KiB beside the 14 of a block while it marches.
@@ -94,12 +96,15 @@ class VoxelGrid:
         keys = self._row_of_block.key_tensor()[slots].numpy()
         rows = self._row_of_block.value_tensor()[slots].numpy()[:, 0]
         axis = int(np.ptp(keys, axis=0).argmax())
-        whole = _Joined(axis, self.voxel_size)
+        count, parts = 0, []
         for first, last in _slabs(keys[:, axis]):
             inside = (keys[:, axis] >= first) & (keys[:, axis] <= last + 1)
             is_next = keys[inside, axis] == last + 1
-            whole.add(*self._march_slab(keys[inside], rows[inside], usable, is_next, axis), BLOCK * first)
-        return _in_order(*whole.arrays())
+            vertices, faces, colours = self._march_slab(keys[inside], rows[inside], usable, is_next, axis)
+            parts.append((vertices, faces + count, colours))
+            count += len(vertices)
+        vertices, faces, colours = (np.concatenate(of) for of in zip(*parts, strict=True))
+        return _in_order(vertices, faces, colours)
 
     def _march_slab(
         self,
@@ -108,7 +113,7 @@ class VoxelGrid:
         usable: NDArray[np.bool_],
         is_next: NDArray[np.bool_],
         axis: int,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
+    ) -> Mesh:
         """Marching cubes over some blocks (B,3), of those that are the next slab's only the cells that end in their
         first layer of voxels."""
         grid = self._empty_open3d_grid(len(keys))
@@ -195,44 +200,7 @@ class VoxelGrid:
         )
 
 
-class _Joined:
-    """One mesh of slabs that follow each other along an axis; vertices in the plane between two are in both."""
-
-    def __init__(self, axis: int, voxel_size: float) -> None:
-        self.axis, self.voxel_size = axis, voxel_size
-        self.count = 0
-        self.parts: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]] = []
-        self.end = np.empty((0, 3)), np.empty(0, np.int64)  # the last slab's vertices, and their numbers in the whole
-
-    def add(
-        self, vertices: NDArray[np.float64], faces: NDArray[np.int64], colours: NDArray[np.float32], first: int
-    ) -> None:
-        """A slab whose first layer of voxels is `first`."""
-        if not len(vertices):
-            return
-        number = np.full(len(vertices), -1)
-        shared = self._near(self.end[0], first)
-        known = dict(zip(map(tuple, self.end[0][shared]), self.end[1][shared], strict=True))
-        for row in np.flatnonzero(self._near(vertices, first)):
-            number[row] = known.get(tuple(vertices[row]), -1)
-        new = number < 0
-        number[new] = self.count + np.arange(new.sum())
-        self.count += int(new.sum())
-        self.parts.append((vertices[new], number[faces], colours[new]))
-        self.end = vertices, number
-
-    def _near(self, vertices: NDArray[np.float64], layer: int) -> NDArray[np.bool_]:
-        return np.asarray(np.abs(vertices[:, self.axis] / self.voxel_size - layer) < 0.5)
-
-    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
-        """Vertices, faces and colours of all."""
-        if not self.parts:
-            return _no_mesh()
-        vertices, faces, colours = zip(*self.parts, strict=True)
-        return np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours)
-
-
-def _no_mesh() -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
+def _no_mesh() -> Mesh:
     return np.empty((0, 3)), np.empty((0, 3), np.int64), np.empty((0, 3), np.float32)
 
 
@@ -246,14 +214,18 @@ def _slabs(layers: NDArray[np.int32]) -> Iterator[tuple[int, int]]:
         yield lowest + int(begin), lowest + int(end) - 1
 
 
-def _in_order(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], colours: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]:
-    """The same mesh with vertices and faces sorted, as Open3D's threads number them differently in every run."""
-    order = np.lexsort(vertices.T)
+def _in_order(vertices: NDArray[np.float64], faces: NDArray[np.int64], colours: NDArray[np.float32]) -> Mesh:
+    """The same mesh with vertices and faces sorted, as Open3D's threads number them differently in every run. Vertices
+    in one place are one: those in the plane between two slabs, and those of several edges that end in a voxel whose
+    tsdf is 0; faces that have two of them are none."""
+    order = np.lexsort((*colours.T, *vertices.T))
+    vertices, colours = vertices[order], colours[order]
+    is_new = np.ones(len(order), dtype=bool)
+    is_new[1:] = (vertices[1:] != vertices[:-1]).any(axis=1)
     rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
+    rank[order] = np.cumsum(is_new) - 1
     faces = rank[faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     turn = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3  # smallest first, winding kept
     faces = np.take_along_axis(faces, turn, axis=1)
-    return vertices[order], faces[np.lexsort(faces.T)], colours[order]
+    return vertices[is_new], faces[np.lexsort(faces.T)], colours[is_new]

@@ -8,6 +8,7 @@ Progress goes to standard output as "done total" lines, COLMAP's own log to stan
 """
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -134,13 +135,15 @@ def map_scene(job: dict[str, Any]) -> None:
 
 
 def _write(model: pycolmap.Reconstruction, folder: Path) -> None:
-    """As COLMAP's files and as plain arrays; these last and at once, since who finds them takes the model for whole,
-    and a worker that is late is killed."""
-    folder.mkdir(exist_ok=True)
-    model.write_binary(folder)
-    part = folder / "part.npz"
-    np.savez(part, allow_pickle=False, **model_arrays(model))
-    part.replace(folder / "model.npz")
+    """As COLMAP's files and as plain arrays. The folder appears at once, since a worker that is late is killed, and
+    what it left is taken for whole."""
+    part = folder.parent.with_name(folder.parent.name + "_part") / folder.name
+    for old in (part, folder):
+        shutil.rmtree(old, ignore_errors=True)
+    part.mkdir(parents=True)
+    model.write_binary(part)
+    np.savez(part / "model.npz", allow_pickle=False, **model_arrays(model))
+    part.replace(folder)
 
 
 def best_lens(models: list[pycolmap.Reconstruction], sigmas: list[NDArray[np.float64]]) -> int:

@@ -1,16 +1,24 @@
 """Frames between those that were mapped: posed by the points of a map of known places on a rendered tube."""
 
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from haustra.core.progress import SilentProgress
 from haustra.core.se3 import angle_between, inverse
+from pipeline.config import Config
+from pipeline.frontend.automatic import FrontEndJob
+from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.frames_between import every_nth, with_frames_between
 from pipeline.frontend.odometry.klt import detect, tracker_image
-from pipeline.mapping.submap import Submap
+from pipeline.frontend.registry import FRONT_ENDS
+from pipeline.mapping.submap import Submap, read_submap
+from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.candidates import many_frames
-from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, camera_at, render
+from tests.helpers.tubes.textured_tube import CAMERA, MASK, RADIUS, camera_at, render, stored
 
 COUNT, EVERY = 9, 4
 POSES = np.array([camera_at(k) for k in range(COUNT)])
@@ -93,7 +101,7 @@ def test_the_mean_reprojection_error_is_of_all_observations(whole):
     assert whole.error_px[point] == pytest.approx(expected, abs=0.02)  # residuals are linear about the pixel
 
 
-def test_frames_that_show_something_else_or_are_too_far_from_mapped_ones_get_no_pose():
+def test_frames_that_show_something_else_or_are_too_far_or_late_get_no_pose():
     other = [render(POSES[0]) if k != 2 else np.full_like(IMAGES[0], 90) for k in range(COUNT)]
     grey = with_frames_between(
         true_map([0, 4]), many_frames(5), EVERY, lambda k: ((other if k == 2 else IMAGES)[k], MASK)
@@ -101,8 +109,30 @@ def test_frames_that_show_something_else_or_are_too_far_from_mapped_ones_get_no_
     assert grey.frames.tolist() == [0, 1, 3, 4]
     far = with_frames_between(true_map([0, 1]), many_frames(COUNT), 2, read)
     assert far.frames.tolist() == [0, 1, 2, 3]
+    late = with_frames_between(true_map([0, 4]), many_frames(5), EVERY, read, deadline=time.monotonic())
+    assert late.frames.tolist() == [0, 4]
+    apart = replace(many_frames(5), seconds=np.array([0.0, 0.1, 2.0, 3.9, 4.0]))
+    assert with_frames_between(true_map([0, 4]), apart, EVERY, read).frames.tolist() == [0, 1, 3, 4]
     blind = replace(true_map([0, 4]), observations=np.zeros((0, 2), int), pixels=np.zeros((0, 2)))
     assert with_frames_between(blind, many_frames(5), EVERY, read) is blind
+
+
+def test_a_front_end_that_is_given_every_fourth_frame_comes_back_with_all(tmp_path, monkeypatch):
+    workspace, frames = stored(tmp_path, IMAGES)
+    seen = []
+
+    def run(some, *_):
+        seen.append(some.index.tolist())
+        return FrontEndResult({"global": [FoundSubmap(true_map([0, 4, 8]), tmp_path)]})
+
+    monkeypatch.setitem(FRONT_ENDS, "sfm", SimpleNamespace(run=run))
+    job = FrontEndJob(SiftCache(None), Config().front_end_settings, workspace, SilentProgress())
+    (found,) = job.run("sfm", frames, EVERY).candidates["global"]
+    assert seen == [[0, 4, 8]]
+    assert found.submap.frames.tolist() == list(range(COUNT))
+    assert found.check.frames == COUNT
+    assert read_submap(found.folder).frames.tolist() == list(range(COUNT)), "COLMAP's own model has not all frames"
+    assert job.run("sfm", frames).candidates["global"][0].folder == tmp_path
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,15 @@ from pipeline.config import Config
 from pipeline.frontend import structure_stage
 from pipeline.frontend.scoring import uncovered
 from pipeline.frontend.second_opinion import (
+    BY_LIGHT_ALONE,
     MARGIN,
-    WHATEVER,
     Opinion,
     Stretch,
     ask_of_each,
     joined,
     stretches_in_doubt,
-    within,
+    stretches_to_ask,
+    thinned_to,
 )
 from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.candidates import GOOD, Given, many_frames, map_of
@@ -56,10 +57,10 @@ def test_only_stretches_without_a_sure_map_are_in_doubt():
 )
 def test_too_many_frames_are_thinned_and_then_the_longest_stretches_are_left_out(most, asked, every):
     found = [map_of(range(300, 1200)), map_of(range(1500, 1800))]  # in doubt: 0 to 300, 1200 to 1500, 1800 to 2400
-    stretches, found_every = within(stretches_in_doubt(found, many_frames(2400)), most)
+    stretches, found_every = thinned_to(stretches_in_doubt(found, many_frames(2400)), most)
     assert [len(one.frames.index) for one in stretches] == asked
     assert found_every == every
-    assert within([], most) == ([], 1)
+    assert thinned_to([], most) == ([], 1)
 
 
 def test_maps_that_are_probably_wrong_are_in_doubt_however_clear_their_light():
@@ -70,7 +71,26 @@ def test_maps_that_are_probably_wrong_are_in_doubt_however_clear_their_light():
     (asked,) = stretches_in_doubt([doubted(0.6), map_of(range(100, 300))], frames)
     assert asked.doubtful.tolist() == list(range(100))
     assert stretches_in_doubt([doubted(0.4), map_of(range(100, 300))], frames) == []
-    assert stretches_in_doubt([doubted(0.6), map_of(range(100, 300))], frames, WHATEVER) == []
+    assert stretches_in_doubt([doubted(0.6), map_of(range(100, 300))], frames, BY_LIGHT_ALONE) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "begin", "asked", "left"),
+    [
+        ((0, 1000), 0, [], [1000]),
+        ((0, 500), 0, [510], []),
+        ((0, 700), 60, [40, 70], []),
+        ((300, 1000), 40, [40, 50], []),
+    ],
+)
+def test_of_what_does_not_fit_the_choice_that_asks_about_more_frames_is_taken(wrong, begin, asked, left):
+    """Frames before `begin` and from 1000 to 1030 are in no map, others in one that is right or probably wrong."""
+    doubtful = replace(map_of(range(max(begin, wrong[0]), wrong[1])), doubt=SimpleNamespace(probability=0.9))
+    maps = [doubtful, map_of([*range(begin, wrong[0]), *range(wrong[1], 1000)])]
+    total = 1000 if begin == 0 else 1030
+    fit, _, left_out = stretches_to_ask(maps, many_frames(total), 120)
+    assert [len(one.frames.index) for one in fit] == asked
+    assert [len(one.frames.index) for one in left_out] == left
 
 
 def stretch_of(begin, end, margin=MARGIN):
@@ -119,7 +139,7 @@ def test_stretches_that_one_map_spans_are_decided_together(good):
     assert joined([right, *sure], 380, poor) == {}, "the first one's is better, and nothing of the second's is kept"
 
 
-@pytest.mark.parametrize(("probability", "frames", "taken"), [(0.8, 45, True), (0.8, 35, False), (0.5, 95, False)])
+@pytest.mark.parametrize(("probability", "frames", "taken"), [(0.8, 55, True), (0.8, 50, False), (0.5, 120, False)])
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_map_that_the_light_contradicts_is_not_given_up_for_fewer_frames_than_it_may_pose_rightly(
     probability, frames, taken, alone

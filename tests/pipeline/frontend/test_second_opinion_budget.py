@@ -133,9 +133,8 @@ def test_stretches_that_colmap_cannot_map_in_its_time_are_thinned_or_not_begun(m
     if not asked:
         assert list(results) == ["odometry"]
         assert clock.lines[-1].endswith(
-            "is not run for comparison: the shortest stretch in doubt has 70 frames, and of as many as every 6th of "
-            "them it could not map more than 12 in its time (second_opinion 0.06); --front-end sfm runs it on the "
-            "whole film"
+            "is not run for comparison: even every 6th of the 70 frames of the shortest stretch in doubt is more than "
+            "the 12 that it can map in its time (second_opinion 0.06); --front-end sfm runs it on the whole film"
         )
 
 
@@ -149,8 +148,7 @@ def test_a_short_film_that_is_in_doubt_as_a_whole_gets_a_second_opinion(monkeypa
         return
     ((index, deadline),) = clock.told
     assert index == sorted({*range(0, count, every), count - 1})
-    aside = second_opinion.BETWEEN_S * (count - count // every)
-    assert deadline == pytest.approx(100.0 + 2.0 + 90.0 - aside)
+    assert deadline == pytest.approx(100.0 + 2.0 + 90.0 - 0.04 * (count - len(index)))
 
 
 def test_where_maps_that_are_probably_wrong_are_too_long_only_the_rest_is_asked(monkeypatch):

@@ -1,5 +1,7 @@
 """Marching over voxel blocks slab by slab gives the mesh of all at once."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,22 +12,24 @@ from reconstruction.fusion.voxel_grid import VOXELS_PER_BLOCK, VoxelGrid
 SIZE = 0.1
 
 
-def bumpy_ball(seed=0, radius=1.4):
-    """A grid with the signed distance to a bumpy ball, in truncations, and colours that vary."""
+def bumpy_ball(steps=0, seed=0, radius=1.4):
+    """A grid with the signed distance to a bumpy ball, in truncations, and colours that vary. steps: that a truncation
+    is rounded to, so that the surface goes through many voxels."""
     rng = np.random.default_rng(seed)
     grid = VoxelGrid(SIZE)
     points = rng.uniform(-1.9, 1.9, (40_000, 3)).astype(np.float32)
     rows, origins = grid.touch(points)
     places = origins[:, None] + grid.offsets_in_block
     distance = np.linalg.norm(places, axis=2) - radius - 0.1 * np.sin(places @ [3.0, 5.0, 4.0])
-    grid.channel("tsdf")[rows, :, 0] = np.clip(distance / 0.4, -1, 1)
+    tsdf = np.clip(distance / 0.4, -1, 1)
+    grid.channel("tsdf")[rows, :, 0] = np.rint(tsdf * steps) / steps if steps else tsdf
     grid.channel("colour")[rows] = 120 + 100 * np.sin(places)
     return grid
 
 
-@pytest.fixture(scope="module")
-def grid():
-    return bumpy_ball()
+@pytest.fixture(scope="module", params=[0, 4])
+def grid(request):
+    return bumpy_ball(request.param)
 
 
 @pytest.mark.parametrize("at_once", [1, 40, 100])
@@ -54,7 +58,7 @@ def test_slabs_hold_every_layer_once():
     slabs = list(voxel_grid._slabs(layers))
     assert slabs[0][0] == -5
     assert slabs[-1][1] == 2
-    assert all(end + 1 == begin for (_, end), (begin, _) in zip(slabs, slabs[1:], strict=False))
+    assert all(end + 1 == begin for (_, end), (begin, _) in pairwise(slabs))
 
 
 def test_nothing_usable_is_no_mesh(grid):
