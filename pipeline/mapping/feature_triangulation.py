@@ -53,13 +53,14 @@ def triangulate_again(
     rows, with_features = _rows(submap, rays.focal_px, motion_px)
     if len(rows) == 0:  # no frame sees enough points to lift its features by
         return None
-    seed = map_of_submap(submap, rays, np.union1d(rows, with_features))
-    scale = None if depth_at is None else make_metric(seed, depth_at)
-    triangulate_features(seed)
-    fit_points(seed)
+    seed = [map_of_submap(submap, rays, np.union1d(rows, with_features))]
+    scale = None if depth_at is None else make_metric(seed[0], depth_at)
+    triangulate_features(seed[0])
+    fit_points(seed[0])
     chosen = set(submap.frames[rows].tolist())
-    seed.keyframes = [keyframe for keyframe in seed.keyframes if keyframe.frame in chosen]
-    found = to_submap(match_again(seed, find, advance), submap.camera_params, refit=False)
+    seed[0].keyframes = [keyframe for keyframe in seed[0].keyframes if keyframe.frame in chosen]
+    # Taken out of the list, the seed is gone before the matches are triangulated: a long film's is large.
+    found = to_submap(match_again(seed.pop(), find, advance), submap.camera_params, refit=False)
     return None if found is None else _with_features_of(submap, found.scaled(1 / (scale or 1.0)))
 
 
@@ -116,6 +117,7 @@ def match_again(seed: LocalMap, find: FindFeatures, advance: ProgressCallback, r
     world = [f.world_points(c) for f, c in zip(matched.features, cameras_from_world, strict=True)]
     result = empty_map([k.frame for k in seed.keyframes], np.stack([inverse(c) for c in cameras_from_world]), seed.rays)
     result.depth_at = seed.depth_at
+    del seed, views
     result.insert_features(matched.tracks(world, False, np.inf), matched.pixels)
     if not rough:
         triangulate_features(result)
@@ -129,7 +131,8 @@ def triangulate_features(local_map: LocalMap) -> None:
     tracks = local_map.tracks
     features = tracks.is_kind(*FEATURES)
     tracks.has_point[features] = False
-    rays, limit = _rays_of(local_map, features).of_several(), None
+    rays, limit = _rays_of(local_map, features), None
+    rays = rays.of_several(np.ones(len(rays.track), bool))
     for number in range(ROUNDS + 1):
         if len(rays.track) == 0:
             break
@@ -144,7 +147,7 @@ def triangulate_features(local_map: LocalMap) -> None:
         bad = error > np.maximum(limit, 0.5 * worst[point])
         if number == ROUNDS or not bad.any():
             break
-        rays = rays.where(~bad).of_several()
+        rays = rays.of_several(~bad)
     _keep(local_map, features, rays)
 
 
@@ -168,27 +171,33 @@ class _Rays:
     xy: Array
     jacobian: Array
 
-    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "_Rays":
-        """By mask or in the order of rows."""
+    def where(self, chosen: NDArray[np.bool_]) -> "_Rays":
         return _Rays(*(array[chosen] for array in vars(self).values()))
 
-    def of_several(self) -> "_Rays":
-        """Those of tracks that two keyframes or more see."""
-        return self.where(np.bincount(self.track)[self.track] >= 2 if len(self.track) else np.zeros(0, bool))
+    def of_several(self, among: NDArray[np.bool_]) -> "_Rays":
+        """Of these observations (M,) those of tracks that two of them or more are of."""
+        seen = np.bincount(self.track[among], minlength=self.track.max(initial=-1) + 1)
+        return self.where(among & (seen[self.track] >= 2))
 
 
 def _rays_of(local_map: LocalMap, among: NDArray[np.bool_]) -> _Rays:
-    keyframes, counts = local_map.keyframes, [len(k.ids) for k in local_map.keyframes]
-    track = np.concatenate([k.ids for k in keyframes])
-    every = _Rays(
-        track,
-        np.repeat(np.arange(len(counts)), counts),
-        np.concatenate([np.arange(count) for count in counts]),
-        np.concatenate([k.xy for k in keyframes]),
-        np.concatenate([k.jacobian for k in keyframes]),
+    """Written to their places one keyframe after the other: of a long film, all in another order would be too much."""
+    keyframes = local_map.keyframes
+    chosen = [np.flatnonzero(among[k.ids]) for k in keyframes]
+    track = np.concatenate([k.ids[mine] for k, mine in zip(keyframes, chosen, strict=True)])
+    order = np.argsort(track, kind="stable")
+    at = np.empty_like(order)
+    at[order] = np.arange(len(order))
+    number = np.repeat(np.arange(len(chosen)), [len(mine) for mine in chosen])
+    count = len(order)
+    rays = _Rays(
+        track[order], number[order], np.concatenate(chosen)[order], np.empty((count, 2)), np.empty((count, 2, 2))
     )
-    chosen = np.flatnonzero(among[track])
-    return every.where(chosen[np.argsort(track[chosen], kind="stable")])
+    end = 0
+    for keyframe, mine in zip(keyframes, chosen, strict=True):
+        begin, end = end, end + len(mine)
+        rays.xy[at[begin:end]], rays.jacobian[at[begin:end]] = keyframe.xy[mine], keyframe.jacobian[mine]
+    return rays
 
 
 def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], count: int) -> tuple[Array, Array, Array]:
