@@ -15,7 +15,7 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.frontend.frames_between import every_nth, with_frames_between
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
-from pipeline.frontend.scoring import Candidate, candidates_of, needs_second_opinion, with_doubts
+from pipeline.frontend.scoring import Candidate, candidates_of, needs_second_opinion, with_doubts, without_wild_points
 from pipeline.frontend.second_opinion import (
     BETWEEN_S,
     MOST_EVERY,
@@ -70,7 +70,7 @@ class FrontEndJob:
         mapped = sorted((one.submap for one in found), key=lambda submap: -len(submap.frames))
         with single_threaded(), self.progress.bar("frames between", None) as advance:
             return [
-                FoundSubmap(with_frames_between(submap, frames, every, read, deadline, advance))
+                FoundSubmap(with_frames_between(without_wild_points(submap), frames, every, read, deadline, advance))
                 for submap in disjoint(mapped)
                 if len(submap.frames) >= MIN_FRAMES
             ]

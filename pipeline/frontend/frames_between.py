@@ -2,11 +2,12 @@
 frame, and pose them.
 
 A mapper that takes many times as long for a frame as tracking does maps every n-th frame of a long stretch. The others
-have their pose from the same map, and see its points.
+have their pose from the same map. They see nothing of it, as frames between given poses: points and depth come of the
+mapped frames, whose poses were adjusted together.
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,17 +29,6 @@ MOST_APART_S = 1.0  # stretches that are mapped at once may lie far apart
 KEPT_VIEWS = 4  # mapped frames before and after, and the one that is posed
 
 
-@dataclass(frozen=True)
-class _Posed:
-    """A frame between, the rows of the points that it sees, and their pixels and reprojection errors."""
-
-    frame: int
-    world_from_camera: Array
-    points: NDArray[np.int64]
-    pixels: Array
-    errors: Array
-
-
 def every_nth(frames: Frames, every: int) -> Frames:
     """Every n-th of the frames, and the last one."""
     rows = np.unique([*range(0, len(frames.index), every), len(frames.index) - 1])
@@ -58,14 +48,26 @@ def with_frames_between(
     which no more are posed."""
     missing = _near(frames, np.searchsorted(frames.index, submap.frames), every)
     resection = _Resection(submap, frames.camera, read)
-    found = []
+    numbers: list[NDArray[np.int64]] = [submap.frames]
+    poses = [submap.world_from_camera]
     for number, row in enumerate(missing):
         if deadline is not None and time.monotonic() >= deadline:
             break
         advance(number, len(missing))
-        found += resection.pose(int(frames.index[row]))
+        camera_from_world = resection.pose(int(frames.index[row]))
+        if camera_from_world is not None:
+            numbers.append(frames.index[[row]])
+            poses.append(np.asarray(inverse(camera_from_world)[None], np.float64))
     advance(len(missing), len(missing))
-    return _with(submap, found)
+    order = np.argsort(np.concatenate(numbers))
+    observations = submap.observations.copy()
+    observations[:, 0] = np.argsort(order)[observations[:, 0]]
+    return replace(
+        submap,
+        frames=np.concatenate(numbers)[order],
+        world_from_camera=np.concatenate(poses)[order],
+        observations=observations,
+    )
 
 
 def _near(frames: Frames, mapped: NDArray[np.int64], every: int) -> NDArray[np.int64]:
@@ -92,9 +94,9 @@ class _Resection:
         rgb, mask = read(frame)
         return tracker_image(rgb, self.rays.masked(mask))
 
-    def pose(self, frame: int) -> list[_Posed]:
-        """The frame by the points of the nearest mapped one, or of the one on its other side; none where neither does.
-        A pose between those of the two is where the points are sought."""
+    def pose(self, frame: int) -> Array | None:
+        """`camera_from_world` by the points of the nearest mapped frame, or of the one on its other side; None where
+        too few of either are found. A pose between those of the two is where they are sought."""
         mapped = self.submap.frames
         after = int(np.searchsorted(mapped, frame))
         sides = [row for row in (after - 1, after) if 0 <= row < len(mapped)]
@@ -105,10 +107,10 @@ class _Resection:
         for row in sorted(sides, key=lambda row: abs(int(mapped[row]) - frame)):
             found = self._by_points_of(row, frame, inverse(guess))
             if found is not None:
-                return [found]
-        return []
+                return found
+        return None
 
-    def _by_points_of(self, row: int, frame: int, camera_from_world: Array) -> _Posed | None:
+    def _by_points_of(self, row: int, frame: int, camera_from_world: Array) -> Array | None:
         seen = self.order[self.begins[row] : self.begins[row + 1]]
         rows, places = self.submap.observations[seen, 1], self.submap.pixels[seen].astype(np.float32)
         expected = self.rays.project(in_camera(camera_from_world, self.submap.points[rows])).astype(np.float32)
@@ -128,30 +130,4 @@ class _Resection:
         inlier = errors < INLIER_PX
         if inlier.sum() < MIN_INLIERS or inlier.mean() < MIN_INLIER_SHARE:
             return None
-        return _Posed(frame, inverse(camera_from_world), rows[inlier], pixels[inlier], errors[inlier])
-
-
-def _with(submap: Submap, found: list[_Posed]) -> Submap:
-    """Frames ascend, and observations follow them."""
-    if not found:
-        return submap
-    frames = np.concatenate([submap.frames, [one.frame for one in found]]).astype(np.int64)
-    order = np.argsort(frames)
-    place = np.argsort(order)  # of each frame among all
-    mapped = len(submap.frames)
-    points = np.concatenate([submap.observations[:, 1], *(one.points for one in found)])
-    new_rows = (np.full(len(one.points), place[mapped + k]) for k, one in enumerate(found))
-    row = np.concatenate([place[submap.observations[:, 0]], *new_rows])
-    pixels = np.concatenate([submap.pixels, *(one.pixels for one in found)])
-    by_frame = np.argsort(row, kind="stable")
-    count, new = submap.track_lengths(), np.concatenate([one.points for one in found])
-    more = np.bincount(new, minlength=len(count))
-    total = submap.error_px * count + np.bincount(new, np.concatenate([o.errors for o in found]), len(count))
-    return replace(
-        submap,
-        frames=frames[order],
-        world_from_camera=np.concatenate([submap.world_from_camera, [o.world_from_camera for o in found]])[order],
-        error_px=total / np.maximum(count + more, 1),
-        observations=np.stack([row, points], axis=1)[by_frame],
-        pixels=pixels[by_frame],
-    )
+        return camera_from_world

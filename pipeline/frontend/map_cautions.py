@@ -57,9 +57,9 @@ def doubt_of_named_lens(submap: Submap, camera: Camera, settings: FrontEndSettin
     if not (camera.trusted and camera.lens.in_colmap and _named_lens(workspace)):
         return []
     advice = "without --camera the lens is found from the film"
-    if settings.poses.file is not None:  # which hold the frames between keyframes, that see nothing, and any lens
+    if settings.poses.file is not None:  # which may be of any lens
         advice = "give by --camera the lens that these poses were found with"
-        submap = submap.without_frames(set(submap.frames) - set(submap.frames[submap.observations[:, 0]]))
+    submap = submap.without_frames(set(submap.frames) - set(submap.frames[submap.observations[:, 0]]))
     sentence = doubt_of_lens(submap, camera, settings.seed, workspace.log)
     return [f"{sentence}; {advice}"] if sentence else []
 

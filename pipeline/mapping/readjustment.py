@@ -56,8 +56,9 @@ def path_difference(poses: Array, others: Array) -> PathDifference:
 
 def by_stretches(submap: Submap, camera: Camera) -> PathDifference | None:
     """The larger difference from the whole map's path of two stretches of it; None where both are too short."""
-    count, every = len(submap.frames), np.ones(len(submap.points), dtype=bool)
-    stretches = [_spread_rows(round(begin * count), round(end * count)) for begin, end in STRETCHES]
+    usable, every = _usable_rows(submap), np.ones(len(submap.points), dtype=bool)
+    count = len(usable)
+    stretches = [usable[_spread_rows(round(begin * count), round(end * count))] for begin, end in STRETCHES]
     paths = _all_readjusted(submap, camera, [(rows, every) for rows in stretches])
     found = [(path, rows) for path, rows in zip(paths, stretches, strict=True) if path is not None]
     return _larger([path_difference(path, submap.world_from_camera[rows]) for path, rows in found])
@@ -66,7 +67,8 @@ def by_stretches(submap: Submap, camera: Camera) -> PathDifference | None:
 def by_halves_of_the_wall(submap: Submap, camera: Camera) -> PathDifference | None:
     """The larger difference of the paths by two halves of the wall, parted across each of its two main axes; None where
     no half has enough points."""
-    rows = _spread_rows(0, len(submap.frames))
+    usable = _usable_rows(submap)
+    rows = usable[_spread_rows(0, len(usable))]
     halves = [points for half in _halves(submap) for points in (half, ~half)]
     paths = _all_readjusted(submap, camera, [(rows, points) for points in halves])
     found = list(zip(paths[::2], paths[1::2], strict=True))
@@ -77,7 +79,15 @@ def _larger(found: list[PathDifference]) -> PathDifference | None:
     return PathDifference(max(f.share for f in found), max(f.angle_deg for f in found)) if found else None
 
 
+def _usable_rows(submap: Submap) -> NDArray[np.int64]:
+    """Of the frames that see anything; frames between given or mapped ones do not."""
+    return np.unique(submap.observations[:, 0])
+
+
 def _spread_rows(begin: int, end: int) -> NDArray[np.int64]:
+    """At most so many of `end - begin` rows; none of none."""
+    if end <= begin:
+        return np.zeros(0, np.int64)
     return np.unique(np.linspace(begin, max(end - 1, begin), MOST_FRAMES).round().astype(np.int64))
 
 

@@ -74,31 +74,12 @@ def test_the_frames_between_have_their_true_poses(whole):
         assert np.degrees(angle_between(inverse(found), inverse(true))) < 0.2
 
 
-def test_mapped_poses_and_points_stay_and_observations_lie_where_points_project(whole):
+def test_what_was_mapped_stays_and_the_others_see_nothing(whole):
     seed = true_map([0, 4, 8])
     assert np.array_equal(whole.world_from_camera[[0, 4, 8]], seed.world_from_camera)
     assert np.array_equal(whole.points, seed.points)
-    assert (np.diff(whole.observations[:, 0]) >= 0).all()
-    assert np.bincount(whole.observations[:, 0]).min() >= 20
-    for row in range(COUNT):
-        mine = whole.observations[:, 0] == row
-        local = whole.points_in_camera(row, whole.points[whole.observations[mine, 1]])
-        errors = np.linalg.norm(CAMERA.project(local) - whole.pixels[mine], axis=1)
-        assert np.median(errors) < 0.5
-        assert errors.max() < 2.5
-
-
-def test_the_mean_reprojection_error_is_of_all_observations(whole):
-    seed = true_map([0, 4, 8])
-    point = int(np.argmax(whole.track_lengths()))
-    row, of = whole.observations.T
-    added = (of == point) & ~np.isin(row, [0, 4, 8])
-    errors = [
-        np.linalg.norm(CAMERA.project(whole.points_in_camera(r, whole.points[[point]]))[0] - pixel)
-        for r, pixel in zip(row[added], whole.pixels[added], strict=True)
-    ]
-    expected = np.mean([*np.full(seed.track_lengths()[point], 0.5), *errors])
-    assert whole.error_px[point] == pytest.approx(expected, abs=0.02)  # residuals are linear about the pixel
+    assert np.array_equal(whole.observations, seed.observations * [4, 1])
+    assert np.array_equal(whole.pixels, seed.pixels)
 
 
 def test_frames_that_show_something_else_or_are_too_far_or_late_get_no_pose():
@@ -114,7 +95,7 @@ def test_frames_that_show_something_else_or_are_too_far_or_late_get_no_pose():
     apart = replace(many_frames(5), seconds=np.array([0.0, 0.1, 2.0, 3.9, 4.0]))
     assert with_frames_between(true_map([0, 4]), apart, EVERY, read).frames.tolist() == [0, 1, 3, 4]
     blind = replace(true_map([0, 4]), observations=np.zeros((0, 2), int), pixels=np.zeros((0, 2)))
-    assert with_frames_between(blind, many_frames(5), EVERY, read) is blind
+    assert with_frames_between(blind, many_frames(5), EVERY, read).frames.tolist() == [0, 4]
 
 
 def test_a_front_end_that_is_given_every_fourth_frame_comes_back_with_all(tmp_path, monkeypatch):
