@@ -1,6 +1,6 @@
 """Which front ends are run: the chosen one, or by `auto` odometry, and COLMAP on what odometry leaves in doubt.
 
-In doubt are frames without a pose, submaps that the endoscope's own light contradicts, and those that are probably
+In doubt are frames without a pose, submaps that the endoscope's own light contradicts, and those that may well be
 wrong by all that is known of them (`mapping/map_doubt.py`).
 """
 
@@ -15,7 +15,14 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.frontend.frames_between import every_nth, with_frames_between
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
-from pipeline.frontend.scoring import Candidate, candidates_of, needs_second_opinion, with_doubts, without_wild_points
+from pipeline.frontend.scoring import (
+    DOUBTED_FROM,
+    Candidate,
+    candidates_of,
+    needs_second_opinion,
+    with_doubts,
+    without_wild_points,
+)
 from pipeline.frontend.second_opinion import (
     BETWEEN_S,
     MOST_EVERY,
@@ -31,7 +38,6 @@ from pipeline.frontend.second_opinion import (
     with_sigma,
 )
 from pipeline.input.frames import Frames
-from pipeline.mapping.map_doubt import PROBABLE
 from pipeline.mapping.submap import MIN_FRAMES
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.workspace import Workspace
@@ -160,6 +166,6 @@ def _why(candidates: list[Candidate], total: int) -> str:
     light = f"in {failed:.0f} of {checked} checked frames brightness grows with distance"
     if checked == 0:
         light = "no frame has enough points for the lighting check"
-    wrong = sum(c.check.frames for c in candidates if c.wrong >= PROBABLE)
-    doubt = f", {wrong} of them in submaps that are probably wrong" if wrong else ""
+    wrong = sum(c.check.frames for c in candidates if c.doubt is not None and c.wrong >= DOUBTED_FROM)
+    doubt = f", {wrong} of them in submaps that are wrong with {100 * DOUBTED_FROM:.0f} % and more" if wrong else ""
     return f"{FIRST} posed {posed} of {total} frames in {counted(len(candidates), 'submap')}{doubt}, and {light}"

@@ -16,7 +16,7 @@ from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_arrays
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
-from pipeline.mapping.map_doubt import FAMILY, PROBABLE, MapDoubt, coefficients, gather_evidence, judge
+from pipeline.mapping.map_doubt import FAMILY, MapDoubt, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN
 from pipeline.run_folder.workspace import Workspace
@@ -25,6 +25,9 @@ MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pie
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
 MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for that part of it to be kept
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
+# Probability that a map of odometry is wrong from which COLMAP is asked: of those with 20 to 50 % a third was wrong, of
+# COLMAP's maps of the same kind of films one in seven (docs/lab/map_doubt.md, films for choosing).
+DOUBTED_FROM = 0.2
 WRONG_OF_UNKNOWN = 0.25  # of the films on which `map_doubt` was fitted
 MIN_JUDGED = 20  # frames that the maps had at the fewest on which `map_doubt` was fitted
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
@@ -97,9 +100,9 @@ def _sees_enough(submap: Submap) -> NDArray[np.bool_]:
 
 
 def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
-    """Whether submaps that are not probably wrong pose few of the `total` frames, or most of them in pieces; no frame
-    has enough points for the lighting check, or too many frames fail it."""
-    likely = [c for c in candidates if c.wrong < PROBABLE]
+    """Whether submaps that are hardly in doubt pose few of the `total` frames, or most of them in pieces; no frame has
+    enough points for the lighting check, or too many frames fail it."""
+    likely = [c for c in candidates if c.doubt is None or c.wrong < DOUBTED_FROM]
     if max((c.check.frames for c in likely), default=0) < MIN_LARGEST * total:
         return True
     unchecked = not any(c.check.n_checked for c in candidates)
@@ -107,14 +110,14 @@ def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
     return posed < MIN_POSED * total or unchecked or inconsistent_share(candidates) > MAX_INCONSISTENT
 
 
-def sure_of(candidates: list[Candidate], total: int, doubted_from: float = PROBABLE) -> list[Candidate]:
+def sure_of(candidates: list[Candidate], total: int, doubted_from: float = DOUBTED_FROM) -> list[Candidate]:
     """Submaps that need no second opinion: long enough, wrong with a probability below `doubted_from`, and the lighting
     check speaks for them."""
     return [
         c
         for c in candidates
         if c.check.frames >= MIN_SURE * total
-        and c.wrong < doubted_from
+        and (c.doubt is None or c.wrong < doubted_from)
         and c.check.n_checked
         and c.check.inconsistent_share <= MAX_INCONSISTENT
     ]

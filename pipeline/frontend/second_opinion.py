@@ -22,10 +22,9 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from pipeline.frontend.base import is_determined
 from pipeline.frontend.frames_between import every_nth
-from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
+from pipeline.frontend.scoring import DOUBTED_FROM, MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
 from pipeline.input.frames import Frames
 from pipeline.mapping.colmap_io import write_camera_sigma
-from pipeline.mapping.map_doubt import PROBABLE
 from pipeline.mapping.submap import MIN_FRAMES, refined_camera
 
 MIN_STRETCH = 20  # frames in doubt, one after the other, that are worth a second opinion,
@@ -56,7 +55,9 @@ class Opinion:
     candidates: ByMapper
 
 
-def stretches_in_doubt(candidates: list[Candidate], frames: Frames, doubted_from: float = PROBABLE) -> list[Stretch]:
+def stretches_in_doubt(
+    candidates: list[Candidate], frames: Frames, doubted_from: float = DOUBTED_FROM
+) -> list[Stretch]:
     """Stretches of frames that no sure submap poses, the shortest first; those that are too short to be mapped are left
     out. doubted_from: the probability that a submap is wrong from which it is not sure."""
     sure = {int(frame) for c in sure_of(candidates, len(frames.index), doubted_from) for frame in c.submap.frames}
@@ -93,7 +94,7 @@ def stretches_to_ask(
     out. Where not all in doubt fit, submaps that the lighting check does not contradict may have to stay, so that more
     of the other frames are asked about."""
     choices = []
-    for doubted_from in (PROBABLE, BY_LIGHT_ALONE):
+    for doubted_from in (DOUBTED_FROM, BY_LIGHT_ALONE):
         in_doubt = stretches_in_doubt(candidates, frames, doubted_from)
         fit, every = thinned_to(in_doubt, most)
         left_out = [one for one in in_doubt if not any(one is other for other in fit)]
