@@ -255,9 +255,9 @@ READ = """
 - **Limits.** Wrong maps for choosing come of two paths alone, with moving walls; one run a way. False starts hardly
   occur: odometry asks for much before it begins. Maps of fewer than 20 frames had no part, and are judged by the light
   alone. Probabilities are those of this mixture of films: where fewer maps are wrong, they are too high.
-- **COLMAP's maps** of walls that move are wrong far less often than odometry's. Of the reported ones a single map is, by
-  a hair, so that the table tells right maps from others, and hardly how sure a wrong one may seem. On still walls
-  through the right lens none is doubted.
+- **COLMAP's maps** of walls that move are wrong far less often than odometry's. Of the reported ones a single map is,
+  by a hair: the table says how often right maps are doubted, and little of wrong ones. On still walls through the right
+  lens none is doubted.
 - **In the product**: below 5 % nothing is said, to 50 % "may be wrong", above it "is probably wrong", each with the
   figure that weighs most. Of a map of odometry with 20 % or more COLMAP is asked, and maps of both front ends count by
   the probability that they are right ([front end](../guide/front_end.md)).
