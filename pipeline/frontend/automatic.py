@@ -150,6 +150,8 @@ def _second_opinion(
 
     opinions, failure = ask_of_each(stretches, ask, deadline, job.workspace.log, progress)
     by_mapper = joined(found, total, opinions)
+    if opinions and not any(by_mapper.values()):
+        progress.log(f"by what is known of them the maps of {SECOND} are no better; those of {FIRST} stay")
     result = Result(by_mapper, {}, in_parts=count < total) if by_mapper else None
     return result, None if opinions else failure
 
