@@ -59,17 +59,18 @@ largest submaps of that commit's runs.
 |---|---|---|---|---|---|
 {rows}
 
-- **Amplitude 0: completed depth.** True depth on the run's poses gives what it gives on true poses; the run's depth on
-  true poses gives no more than on its own.
+- **Amplitude 0: completed depth.** True depth on the run's poses gives nearly what it gives on true poses (of other
+  frames); the run's depth on true poses gives no more than on its own.
 - **2.5 mm: depth again.** Averaging in the fusion hardly minds the motion, and poses that follow the wall are good
   enough: their depth is not. Its points are triangulated while the wall moves as fast as the camera (1 to 2 mm/s), and
   completion follows them; in a keyframe depth is off by 3 % beside 2 % on a still wall, and its unit by 4 and 16 %
   (two choosing films), since the Sim(3) of a path of some millimetres is off where each centre is off by half a
   millimetre.
-- **5 and 10 mm: poses, depth and motion.** True poses and depth need the motion: a perfect model of it is worth 15
-  points at 5 mm, and 53 at 10. At 5 mm the run's poses cost another 36 (95 to 59), its depth all that is left;
-  carrying that depth to rest by the true motion gains nothing at all. So a model of motion before the fusion has
-  nothing to win: first there must be depth that the motion has not spoiled.
+- **5 and 10 mm: depth, then motion.** With true poses and true depth a perfect model of the motion is worth
+  {motion_5:.0f} points at 5 mm, and {motion_10:.0f} at 10. The run's poses then cost {poses_5:.0f} and
+  {poses_10:.0f} points, its depth {depth_5:.0f} and {depth_10:.0f} more. Carrying that depth to rest by the true motion
+  gains {carried_5:.1f} and {carried_10:.1f} points: a model of motion before the fusion has nothing to win, as long as
+  the motion spoils the depth itself.
 """
 
 TOLD = """
@@ -178,6 +179,23 @@ def ceilings(record: dict[str, Any]) -> list[str]:
     return lines
 
 
+def _costs(record: dict[str, Any], mm: str, ending: str) -> dict[str, float]:
+    """Points of F-score that a perfect model of motion is worth, and that a run's poses and depth cost."""
+
+    def mean(fused: str, motion: str) -> float:
+        rows = [r for r in record["runs"] if r["sequence"].endswith("_" + ending)]
+        return statistics.fmean(r["f_score_percent"] for r in rows if r["method"] == f"{fused}, motion {motion}")
+
+    best, poses = (mean(f"{whose} poses, true depth", "carried to rest") for whose in ("true", "run's"))
+    depth, left_in = (mean("run's poses, run's depth", motion) for motion in ("carried to rest", "left in"))
+    return {
+        f"motion_{mm}": best - mean("true poses, true depth", "left in"),
+        f"poses_{mm}": best - poses,
+        f"depth_{mm}": poses - depth,
+        f"carried_{mm}": depth - left_in,
+    }
+
+
 def told(record: dict[str, Any]) -> list[str]:
     """One line a film: how far the wall moved, what the map missed, and what is told."""
     return [
@@ -222,7 +240,8 @@ def _explained(ceiling: dict[str, Any], motion: dict[str, Any]) -> str:
     moving, still = (
         [r["told"] for r in motion["runs"] if r["sequence"].endswith("_0.0") == at_rest] for at_rest in (False, True)
     )
-    return CEILINGS.format(rows="\n".join(ceilings(ceiling)), commit=commits["c"]) + TOLD.format(
+    costs = {k: v for mm, ending in (("5", "5.0"), ("10", "10")) for k, v in _costs(ceiling, mm, ending).items()}
+    return CEILINGS.format(rows="\n".join(ceilings(ceiling)), commit=commits["c"], **costs) + TOLD.format(
         rows="\n".join(told(motion)),
         commit=commits["m"],
         told=sum(moving),
