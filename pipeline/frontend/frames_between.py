@@ -30,8 +30,9 @@ KEPT_VIEWS = 4  # mapped frames before and after, and the one that is posed
 
 
 def every_nth(frames: Frames, every: int) -> Frames:
-    """Every n-th of the frames, and the last one."""
-    rows = np.unique([*range(0, len(frames.index), every), len(frames.index) - 1])
+    """Every n-th of the frames, and the last one, also before a gap between stretches."""
+    ends = np.flatnonzero(np.diff(frames.seconds) > MOST_APART_S)
+    rows = np.unique([*range(0, len(frames.index), every), *ends, len(frames.index) - 1])
     return replace(frames, index=frames.index[rows], seconds=frames.seconds[rows])
 
 

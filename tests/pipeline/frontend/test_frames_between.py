@@ -121,3 +121,9 @@ def test_a_front_end_that_is_given_every_fourth_frame_comes_back_with_all(tmp_pa
 )
 def test_every_nth_frame_and_the_last(count, every, kept):
     assert every_nth(many_frames(count), every).index.tolist() == kept
+
+
+def test_the_last_frame_before_a_gap_is_kept():
+    frames = many_frames(10)
+    apart = replace(frames, seconds=frames.seconds + np.where(frames.index >= 6, 5.0, 0.0))
+    assert every_nth(apart, 4).index.tolist() == [0, 4, 5, 8, 9]
