@@ -121,8 +121,7 @@ def make_maps(film: Path, ways: list[str], folder: Path) -> None:
 
 def _judged(frames: Frames, way: Way, truth: Array, workspace: Workspace) -> list[JudgedMap]:
     begin, end = (round(share * len(frames.index)) for share in way.part)
-    mine = slice(begin, end, way.every)
-    frames = replace(frames, index=frames.index[mine], seconds=frames.seconds[mine], camera=_lens(frames.camera, way))
+    frames = replace(frames.at(slice(begin, end, way.every)), camera=_lens(frames.camera, way))
     try:
         by_mapper = _mapped(frames, way, workspace)
     except HaustraError:

@@ -82,17 +82,9 @@ class FrontEndJob:
             ]
 
 
-def run_front_ends(
-    frames: Frames,
-    features: SiftCache,
-    front_end: str,
-    settings: FrontEndSettings,
-    workspace: Workspace,
-    progress: Progress,
-) -> tuple[dict[str, Result], str | None]:
+def run_front_ends(job: FrontEndJob, front_end: str, frames: Frames) -> tuple[dict[str, Result], str | None]:
     """Results of the chosen front end; under `auto` of a second one where the first one's is doubtful, or why that one
     failed."""
-    job = FrontEndJob(features, settings, workspace, progress)
     if front_end != AUTO:
         return {front_end: _doubted(job.run(front_end, frames), frames)}, None
     started = time.monotonic()
@@ -169,5 +161,6 @@ def _why(candidates: list[Candidate], total: int) -> str:
     if checked == 0:
         light = "no frame has enough points for the lighting check"
     wrong = sum(c.check.frames for c in candidates if c.doubt is not None and c.wrong >= DOUBTED_FROM)
-    doubt = f", {wrong} of them in submaps that are wrong with {100 * DOUBTED_FROM:.0f} % and more" if wrong else ""
+    least = f"with a probability of {100 * DOUBTED_FROM:.0f} % or more"
+    doubt = f", {wrong} of them in submaps that are wrong {least}" if wrong else ""
     return f"{FIRST} posed {posed} of {total} frames in {counted(len(candidates), 'submap')}{doubt}, and {light}"

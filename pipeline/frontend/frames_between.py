@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback, no_progress
-from haustra.core.ray_table import RayTable
+from haustra.core.ray_table import ray_table
 from haustra.core.se3 import Array, in_camera, interpolated, inverse
 from pipeline.frontend.odometry.klt import TrackerImage, track_klt, tracker_image
 from pipeline.frontend.odometry.tracking import INLIER_PX, MIN_INLIER_SHARE, MIN_INLIERS
@@ -33,7 +33,7 @@ def every_nth(frames: Frames, every: int) -> Frames:
     """Every n-th of the frames, and the last one, also before a gap between stretches."""
     ends = np.flatnonzero(np.diff(frames.seconds) > MOST_APART_S)
     rows = np.unique([*range(0, len(frames.index), every), *ends, len(frames.index) - 1])
-    return replace(frames, index=frames.index[rows], seconds=frames.seconds[rows])
+    return frames.at(rows)
 
 
 def with_frames_between(
@@ -87,7 +87,7 @@ class _Resection:
     """Frames posed by the points of a submap."""
 
     def __init__(self, submap: Submap, camera: Camera, read: ReadFrame) -> None:
-        self.submap, self.rays = submap, RayTable(refined_camera(camera, submap))
+        self.submap, self.rays = submap, ray_table(refined_camera(camera, submap))
         self.order, self.begins = submap.by_frame()
         self.view = lru_cache(KEPT_VIEWS)(lambda frame: self._view(read, frame))
 

@@ -71,10 +71,7 @@ def stretches_in_doubt(
         spans.append(wide)
     spans.sort(key=lambda span: span[1] - span[0])
     rows = [np.arange(*span) for span in spans]
-    return [
-        Stretch(replace(frames, index=frames.index[r], seconds=frames.seconds[r]), frames.index[r[doubtful[r]]])
-        for r in rows
-    ]
+    return [Stretch(frames.at(r), frames.index[r[doubtful[r]]]) for r in rows]
 
 
 def thinned_to(stretches: list[Stretch], most: float) -> tuple[list[Stretch], int]:

@@ -14,7 +14,7 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.automatic import run_front_ends
+from pipeline.frontend.automatic import FrontEndJob, run_front_ends
 from pipeline.frontend.base import disjoint, is_determined
 from pipeline.frontend.map_cautions import (
     advice_after,
@@ -110,7 +110,7 @@ def _solve(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    results, failure = run_front_ends(frames, features, front_end, settings, workspace, progress)
+    results, failure = run_front_ends(FrontEndJob(features, settings, workspace, progress), front_end, frames)
     by_mapper = {mapper: found for result in results.values() for mapper, found in result.candidates.items()}
     total = len(frames.index)
     mapper = best_mapper(by_mapper, total) if by_mapper else ""

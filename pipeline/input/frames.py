@@ -4,7 +4,7 @@ import itertools
 import json
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,10 @@ class Frames:
     camera: Camera
     content: NDArray[np.uint8]
     verdicts: dict[str, int]
+
+    def at(self, rows: NDArray[np.int64] | slice) -> "Frames":
+        """Some of the frames."""
+        return replace(self, index=self.index[rows], seconds=self.seconds[rows])
 
     def seconds_of(self, index: int) -> float:
         return float(self.seconds[np.searchsorted(self.index, index)])

@@ -80,7 +80,7 @@ def page(record: dict[str, Any]) -> str:
     """All of it."""
     runs, environment = record["runs"], record["environment"]
     of = {row["commit"][:7]: [f"{r['frames']:,}" for r in runs if r["commit"] == row["commit"]] for row in runs}
-    commits = ", ".join(f"{commit} ({' and '.join(frames)} frames)" for commit, frames in of.items())
+    commits = ", ".join(f"{commit} ({'; '.join(frames)} frames)" for commit, frames in of.items())
     about = {name: environment[name] for name in ("processor", "cores", "python")}
     names = list(runs[0]["stages"])
     lines = [HEAD.format(commit=commits, **about) + "\n".join(map(run_line, runs))]

@@ -49,7 +49,9 @@ class Clockwork:
         progress.log = self.lines.append
         workspace = SimpleNamespace(log=self.root, forget_features=self._forget)
         frames = replace(many_frames(count), camera=camera)
-        return automatic.run_front_ends(frames, NO_FEATURES, "auto", settings, workspace, progress)
+        return automatic.run_front_ends(
+            automatic.FrontEndJob(NO_FEATURES, settings, workspace, progress), "auto", frames
+        )
 
     def _forget(self):
         self.forgotten += 1

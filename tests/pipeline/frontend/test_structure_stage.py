@@ -11,7 +11,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, OdometrySettings
 from pipeline.frontend import automatic, scoring, second_opinion, structure_stage
-from pipeline.frontend.automatic import run_front_ends
+from pipeline.frontend.automatic import FrontEndJob, run_front_ends
 from pipeline.frontend.base import FrontEndResult
 from pipeline.frontend.colmap import front_end as colmap
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
@@ -45,7 +45,9 @@ def asked(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", odometry)
         many = many_frames(frames)
         workspace = SimpleNamespace(log=tmp_path, record={})
-        results, failure = run_front_ends(many, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
+        results, failure = run_front_ends(
+            FrontEndJob(NO_FEATURES, SETTINGS, workspace, SilentProgress()), front_end, many
+        )
         assert failure is None
         mapped = {mapper: of for result in results.values() for mapper, of in result.candidates.items()}
         assert list(mapped) == ran
@@ -109,7 +111,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         monkeypatch.setitem(FRONT_ENDS, "odometry", found)
         few = many_frames(100)
         workspace = SimpleNamespace(log=tmp_path, record={})
-        return run_front_ends(few, NO_FEATURES, front_end, SETTINGS, workspace, SilentProgress())
+        return run_front_ends(FrontEndJob(NO_FEATURES, SETTINGS, workspace, SilentProgress()), front_end, few)
 
     results, failure = call("auto")
     assert list(results) == ["odometry"]
