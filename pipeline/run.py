@@ -28,6 +28,7 @@ from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.page.pictures import draw_pictures
 from pipeline.report.report import add_profile, write_geometry, write_report
+from pipeline.run_folder.malloc import return_freed_memory
 from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import coverage_stage
@@ -64,6 +65,7 @@ def reconstruct(
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
     lamp = lamp_of(config.fusion.lamp, config.camera)
+    return_freed_memory()  # each stage asks for arrays of other sizes; where a network works, it is kept
     timed = StageClock()
     later = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.
@@ -81,6 +83,7 @@ def reconstruct(
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
         completed = complete(frames, retriangulated, later.completer, config.depth, workspace, progress)
         completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
+        later.forget()
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)
         del submaps  # of a long film hundreds of megabytes

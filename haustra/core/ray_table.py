@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import WIDEST, Camera
+from haustra.core.numba_cache import compiled
 
 # Largest error of unprojecting a projected point, relative to 1 + its distance from the axis on the plane z = 1.
 ROUND_TRIP = 0.05
@@ -42,13 +43,7 @@ class RayTable:
 
     def _read(self, table: NDArray[np.float64], pixels: NDArray[np.floating]) -> NDArray[np.float64]:
         """(N,K) of a table (H+1,W+1,K) at pixels (N,2), between its corners."""
-        limit = np.array([self.camera.width, self.camera.height]) - 1e-6
-        inside = np.clip(np.asarray(pixels, np.float64), 0, limit)
-        x, y = np.floor(inside).astype(int).T
-        fx, fy = (inside - np.floor(inside)).T[:, :, None]
-        top = table[y, x] * (1 - fx) + table[y, x + 1] * fx
-        bottom = table[y + 1, x] * (1 - fx) + table[y + 1, x + 1] * fx
-        return np.asarray(top * (1 - fy) + bottom * fy)
+        return _between(table, np.ascontiguousarray(pixels, np.float64))
 
     def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(N,3) camera points -> (N,2) pixels; NaN behind the camera or too far off the axis."""
@@ -75,6 +70,26 @@ class RayTable:
     def focal_px(self) -> float:
         """Geometric mean of the camera's two focal lengths, px."""
         return self.camera.focal_px
+
+
+@compiled
+def _between(table: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,K) of a table (H+1,W+1,K) at pixels (N,2), linear between its corners; beyond its rim what is there. NaN for
+    pixels that are NaN."""
+    last_y, last_x, width = table.shape[0] - 1 - 1e-6, table.shape[1] - 1 - 1e-6, table.shape[2]
+    found = np.empty((len(pixels), width))
+    for n in range(len(pixels)):
+        u, v = min(max(pixels[n, 0], 0.0), last_x), min(max(pixels[n, 1], 0.0), last_y)
+        if not (pixels[n, 0] == pixels[n, 0] and pixels[n, 1] == pixels[n, 1]):
+            found[n] = np.nan
+            continue
+        x, y = int(u), int(v)
+        right, below = u - x, v - y
+        for k in range(width):
+            top = table[y, x, k] * (1 - right) + table[y, x + 1, k] * right
+            bottom = table[y + 1, x, k] * (1 - right) + table[y + 1, x + 1, k] * right
+            found[n, k] = top * (1 - below) + bottom * below
+    return found
 
 
 @lru_cache(KEPT)

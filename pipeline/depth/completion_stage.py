@@ -27,6 +27,7 @@ from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.run_folder.malloc import freed_memory_kept
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, write_json
 
@@ -100,7 +101,7 @@ def _complete_all(
         write_json(camera_path(workspace, number), submap.camera.to_dict())
     total, done, size = sum(len(submap) for submap in planned), 0, completer.batch_size
     kept: list[list[int]] = []
-    with progress.bar("depth completion", total) as advance, completer.working_side_by_side():
+    with progress.bar("depth completion", total) as advance, freed_memory_kept(), completer.working_side_by_side():
         for submap in planned:
             kept.append([])
             points, content = points_of(submap, frames, sensor, progress), submap.rectifier.mask(frames.content)

@@ -1,5 +1,7 @@
 """Selection of the frames whose depth is completed: new parallax, and enough sparse points."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
@@ -20,13 +22,19 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     shares too few points with the last keyframe.
     """
     order, starts = submap.by_frame()
-    point, pixels = submap.observations[order, 1], submap.pixels[order]
     good = _well_seen(np.diff(starts))
+
+    def seen(row: int) -> tuple[NDArray[np.int32], Array]:
+        mine = order[starts[row] : starts[row + 1]]
+        return submap.observations[mine, 1], submap.pixels[mine]
+
     chosen = [int(good[0])]
+    last = seen(chosen[0])
     for row in good[1:].tolist():
-        mine, last = (slice(starts[r], starts[r + 1]) for r in (row, chosen[-1]))
-        if is_new_view(point[mine], pixels[mine], point[last], pixels[last], motion * width):
+        now = seen(row)
+        if is_new_view(*now, *last, motion * width):
             chosen.append(row)
+            last = now
     return np.array(chosen)
 
 
@@ -40,9 +48,9 @@ def _well_seen(count: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def is_new_view(
-    points: NDArray[np.int64],
+    points: NDArray[np.integer[Any]],
     pixels: Array,
-    last_points: NDArray[np.int64],
+    last_points: NDArray[np.integer[Any]],
     last_pixels: Array,
     min_motion_px: float,
 ) -> bool:

@@ -23,6 +23,7 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import REFINED, DiskKeyframes
 from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.run_folder.malloc import freed_memory_kept
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from reconstruction.fusion.depth_transfer import UnsureView, transferred
@@ -61,7 +62,7 @@ def _refine_all(
 ) -> None:
     store = DiskKeyframes(workspace)
     done, total = 0, sum(len(one) for one in completed)
-    with progress.bar("depth from several views", total) as advance:
+    with freed_memory_kept(), progress.bar("depth from several views", total) as advance:
         for one in completed:
             maker, first = SparseDepthMaker(one.submap, one.camera), _first_views(one)
             for place in range(len(one)):

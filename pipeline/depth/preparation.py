@@ -59,6 +59,10 @@ class Preparation:
             self._completer = self._threads.submit(self._load)
         return self._completer.result()
 
+    def forget(self) -> None:
+        """Let the network go, whose memory later stages can use; it is loaded again where it is asked for."""
+        self._completer = None
+
     def __enter__(self) -> Preparation:
         return self
 

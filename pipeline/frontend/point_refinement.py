@@ -123,7 +123,7 @@ def _in_frames_of_features(submap: Submap) -> Rows:
     return np.flatnonzero(frames[submap.observations[:, 0]] | ~feature.any())
 
 
-def sightings(submap: Submap, observations: NDArray[np.int64]) -> tuple[Rows, Rows]:
+def sightings(submap: Submap, observations: NDArray[np.int32]) -> tuple[Rows, Rows]:
     """(P,) row of each point's reference frame, the middle one of those that see it, and (P,VIEWS) rows of others,
     spread evenly; -1 where there is none. Points that fewer than three frames see have no reference."""
     frame, point = observations[np.lexsort(observations.T)].T

@@ -16,12 +16,13 @@ from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.se3 import Array, inverse
 from haustra.core.threads import prefetched
-from pipeline.mapping.local_map import FEATURES, DepthAt, LocalMap
+from pipeline.mapping.local_map import FEATURES, DepthAt, Keyframe, LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.mapping.metric_map import make_metric
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN, map_of_submap, to_submap
 from pipeline.matching.feature_matching import match_features
+from pipeline.matching.patch_alignment import groups
 from pipeline.matching.sift import FindFeatures
 from pipeline.optimization.triangulation import meeting_points
 
@@ -29,7 +30,7 @@ MIN_ANGLE = np.radians(0.6)  # of a point's rays: poses that stand err less than
 OUTLIER = 2.0  # times the median error; chosen on withdrawal_b, low_texture_b and insertion_b (docs/lab/points.md)
 MIN_ERROR_PX = 0.4  # that is always forgiven: pictures without noise have errors of a few hundredths
 MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leaves points in all of them
-CHUNK = 5_000  # points triangulated in one go: some fifty megabytes
+CHUNK = 2_000  # points triangulated in one go: some twenty megabytes
 AT_ONCE = 2  # chunks, each by a thread of its own
 ROUNDS = 4  # of dropping what a track's other observations contradict
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
@@ -162,14 +163,12 @@ def largest_error(error: Array, seen: NDArray[np.int64]) -> float:
 
 @dataclass(frozen=True)
 class _Rays:
-    """(M,) observations, sorted by `track`: number of their keyframe, place among what that keyframe sees, xy (M,2) and
-    jacobian (M,2,2) as a `Keyframe` has them."""
+    """(M,) observations, sorted by `track`: number of their keyframe, and their place among what that keyframe sees. Of
+    a long film there are millions, so that the rays themselves stay with the keyframes."""
 
     track: NDArray[np.int64]
-    keyframe: NDArray[np.int64]
-    place: NDArray[np.int64]
-    xy: Array
-    jacobian: Array
+    keyframe: NDArray[np.int32]
+    place: NDArray[np.int32]
 
     def where(self, chosen: NDArray[np.bool_]) -> "_Rays":
         return _Rays(*(array[chosen] for array in vars(self).values()))
@@ -181,23 +180,12 @@ class _Rays:
 
 
 def _rays_of(local_map: LocalMap, among: NDArray[np.bool_]) -> _Rays:
-    """Written to their places one keyframe after the other: of a long film, all in another order would be too much."""
     keyframes = local_map.keyframes
-    chosen = [np.flatnonzero(among[k.ids]) for k in keyframes]
+    chosen = [np.flatnonzero(among[k.ids]).astype(np.int32) for k in keyframes]
     track = np.concatenate([k.ids[mine] for k, mine in zip(keyframes, chosen, strict=True)])
     order = np.argsort(track, kind="stable")
-    at = np.empty_like(order)
-    at[order] = np.arange(len(order))
-    number = np.repeat(np.arange(len(chosen)), [len(mine) for mine in chosen])
-    count = len(order)
-    rays = _Rays(
-        track[order], number[order], np.concatenate(chosen)[order], np.empty((count, 2)), np.empty((count, 2, 2))
-    )
-    end = 0
-    for keyframe, mine in zip(keyframes, chosen, strict=True):
-        begin, end = end, end + len(mine)
-        rays.xy[at[begin:end]], rays.jacobian[at[begin:end]] = keyframe.xy[mine], keyframe.jacobian[mine]
-    return rays
+    number = np.repeat(np.arange(len(chosen), dtype=np.int32), [len(mine) for mine in chosen])
+    return _Rays(track[order], number[order], np.concatenate(chosen)[order])
 
 
 def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], count: int) -> tuple[Array, Array, Array]:
@@ -208,21 +196,33 @@ def _triangulated(local_map: LocalMap, rays: _Rays, point: NDArray[np.int64], co
         last = min(first + CHUNK, count)
         part = slice(*np.searchsorted(point, [first, last]))
         mine = cameras_from_world[rays.keyframe[part]]
-        rotation, shift, xy, jacobian = mine[:, :3, :3], mine[:, :3, 3], rays.xy[part], rays.jacobian[part]
-        return meeting_points(rotation, shift, point[part] - first, last - first, xy, jacobian)
+        xy, jacobian = _seen_at(local_map.keyframes, rays.keyframe[part], rays.place[part])
+        return meeting_points(mine[:, :3, :3], mine[:, :3, 3], point[part] - first, last - first, xy, jacobian)
 
     found = list(prefetched(meeting, range(0, count, CHUNK), 1, AT_ONCE))
     points, error, angle = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return points, angle, error
 
 
+def _seen_at(keyframes: list[Keyframe], number: NDArray[np.int32], place: NDArray[np.int32]) -> tuple[Array, Array]:
+    """xy (M,2) and jacobian (M,2,2) of observations, by their keyframes' numbers (M,) and places there (M,)."""
+    xy, jacobian = np.empty((len(number), 2)), np.empty((len(number), 2, 2))
+    order = np.argsort(number, kind="stable")
+    for one, part in groups(number[order]):
+        mine = order[part]
+        xy[mine], jacobian[mine] = keyframes[one].xy[place[mine]], keyframes[one].jacobian[place[mine]]
+    return xy, jacobian
+
+
 def _keep(local_map: LocalMap, features: NDArray[np.bool_], rays: _Rays) -> None:
     """Of what keyframes see of features, these rays of tracks that have a point."""
-    rays = rays.where(local_map.tracks.has_point[rays.track])
-    for number, keyframe in enumerate(local_map.keyframes):
-        kept = ~features[keyframe.ids]
-        kept[rays.place[rays.keyframe == number]] = True
-        keyframe.keep(kept)
+    kept = [~features[keyframe.ids] for keyframe in local_map.keyframes]
+    mine = np.flatnonzero(local_map.tracks.has_point[rays.track])
+    order = mine[np.argsort(rays.keyframe[mine], kind="stable")]
+    for number, part in groups(rays.keyframe[order]):
+        kept[number][rays.place[order[part]]] = True
+    for keyframe, mask in zip(local_map.keyframes, kept, strict=True):
+        keyframe.keep(mask)
 
 
 def _with_features_of(submap: Submap, found: Submap) -> Submap:

@@ -27,12 +27,16 @@ class Submap:
     world_from_camera: NDArray[np.float64]
     points: NDArray[np.float64]
     error_px: NDArray[np.float64]
-    observations: NDArray[np.int64]
+    observations: NDArray[np.int32]
     pixels: NDArray[np.float64]
     camera_params: tuple[float, ...]
     camera_sigma: tuple[float, ...] = ()
     klt: NDArray[np.bool_] | None = None
     depth_error: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        # Of a long film there are millions of them: whatever they were made of, they are held in as few bytes as do.
+        object.__setattr__(self, "observations", np.asarray(self.observations, np.int32))
 
     @property
     def is_klt(self) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ derivative is taken from the reference patch alone (inverse compositional: Baker
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -91,7 +92,7 @@ def align_patches(
     return problem.judged(shift)
 
 
-def groups(numbers: NDArray[np.int64]) -> Iterator[tuple[int, slice]]:
+def groups(numbers: NDArray[np.integer[Any]]) -> Iterator[tuple[int, slice]]:
     """Each number of the sorted (N,), none of which is negative, and where it stands."""
     starts = np.flatnonzero(np.diff(numbers, prepend=-1))
     for first, last in pairwise([*starts.tolist(), len(numbers)]):

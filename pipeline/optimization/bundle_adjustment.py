@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from haustra.core.se3 import Array, moved
 from pipeline.optimization.depth_residuals import MeasuredDepth, add_depth_equations, depth_cost
 from pipeline.optimization.kernels import MIN_DEPTH, halved, normal_equations, onto_cameras, onto_points, robust_cost
-from pipeline.optimization.schur import Coupling, gram, solve
+from pipeline.optimization.schur import Coupling, check_sorted, gram, solve
 
 DAMPING, LEAST_DAMPING = 1e-4, 1e-9
 TOLERANCE = 1e-4  # share of the cost: what lowers it by less ends the adjustment
@@ -63,7 +63,9 @@ def adjust(
     Without two fixed cameras and without measured depth the scale is free; the damping then keeps it where it was.
     """
     bundle = _contiguous(bundle)
-    coupling = Coupling.of(bundle.camera, bundle.point, len(bundle.rotation), len(bundle.points))
+    observed = bundle.camera, bundle.point, len(bundle.rotation), len(bundle.points)
+    check_sorted(*observed)
+    coupling = None if bundle.fixed.all() else Coupling.of(*observed)  # points alone share nothing
     cost = _cost(bundle, loss_px)
     system = None
     for _ in range(iterations):
@@ -130,23 +132,23 @@ def _linearise(bundle: Bundle, loss_px: float) -> _System:
     return _System(*blocks)
 
 
-def _solve(bundle: Bundle, coupling: Coupling, system: _System, damping: float) -> tuple[Array, Array] | None:
+def _solve(bundle: Bundle, coupling: Coupling | None, system: _System, damping: float) -> tuple[Array, Array] | None:
     """Steps (C,6) and (P,3), or None if the damped system is not positive definite."""
     cameras, points = len(system.cameras), len(system.points)
-    free = np.flatnonzero(~bundle.fixed)
     root = _inverse_root(_damped(system.points, damping))
-    half = halved(system.cross, root, bundle.point)
     point_side = np.einsum("pji,pj->pi", root, system.point_side)
     camera_step = np.zeros((cameras, 6))
-    if len(free):
+    if coupling is not None:
+        free = np.flatnonzero(~bundle.fixed)
+        half = halved(system.cross, root, bundle.point)
         reduced = gram(half, coupling).subtracted_from(_damped(system.cameras, damping))
         side = system.camera_side - onto_cameras(half, bundle.camera, bundle.point, point_side, cameras)
         step = solve(reduced.among(free), side[free])
         if step is None:
             return None
         camera_step[free] = step
-    rest = point_side - onto_points(half, bundle.camera, bundle.point, camera_step, points)
-    point_step = np.einsum("pij,pj->pi", root, rest)
+        point_side = point_side - onto_points(half, bundle.camera, bundle.point, camera_step, points)
+    point_step = np.einsum("pij,pj->pi", root, point_side)
     return (camera_step, point_step) if np.isfinite(camera_step).all() and np.isfinite(point_step).all() else None
 
 

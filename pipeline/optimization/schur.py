@@ -42,10 +42,6 @@ class Coupling:
 
     @staticmethod
     def of(camera: NDArray[np.int64], point: NDArray[np.int64], cameras: int, points: int) -> "Coupling":
-        # The kernels check no index.
-        inside = (camera >= 0).all() and (camera < cameras).all() and (point >= 0).all() and (point < points).all()
-        if not inside or (np.diff(camera) < 0).any():
-            raise ValueError("observations must be sorted by camera, and name cameras and points that there are")
         starts = np.searchsorted(camera, np.arange(cameras + 1))
         begins = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=points))])
         sees = csr_array((np.ones(len(point), np.int32), point, starts), shape=(cameras, points))
@@ -55,6 +51,13 @@ class Coupling:
             camera, point, starts, np.argsort(point, kind="stable"), begins,
             shared.indices.astype(np.int64), shared.indptr.astype(np.int64),
         )  # fmt: skip
+
+
+def check_sorted(camera: NDArray[np.int64], point: NDArray[np.int64], cameras: int, points: int) -> None:
+    """Of observations (M,) each: raise `ValueError` where the kernels, which check no index, would leave an array."""
+    inside = (camera >= 0).all() and (camera < cameras).all() and (point >= 0).all() and (point < points).all()
+    if not inside or (np.diff(camera) < 0).any():
+        raise ValueError("observations must be sorted by camera, and name cameras and points that there are")
 
 
 @dataclass(frozen=True)

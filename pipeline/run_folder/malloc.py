@@ -1,25 +1,48 @@
-"""Keep the memory that is freed, for what is asked for next; give it back where the next stage asks for other arrays.
+"""What becomes of memory that is freed: it goes back to the system, or is kept for what is asked for next.
 
-Where many large arrays are freed together, glibc gives their memory back to the system and gets the next ones as fresh
-pages, each of which costs a fault when it is first touched. A network asks for and frees the same arrays again and
-again: completing a frame spent a tenth of its time on that, a step of training an eighth.
+glibc gives large arrays pages of their own, which go back at once when they are freed, and smaller ones a place in its
+heap, which can only shrink where its end is free. What counts as large grows, unless told otherwise, with every large
+array that is freed, up to 32 MiB. A run asks for arrays of all sizes, and its heap would soon be mostly holes: of a
+run of 1,000 frames a sixth of its peak.
+
+A network, though, asks for and frees the same arrays again and again, and each page of its own costs a fault when it
+is first touched: completing a frame spent a tenth of its time on that, a step of training an eighth.
 """
 
 import ctypes
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-LARGEST_REUSED = 32 << 20  # bytes of one array; glibc takes no more, larger ones still go back at once
-MOST_KEPT = 256 << 20  # bytes that are free at the heap's end before some go back
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
+LARGEST_IN_HEAP = 1 << 20  # bytes of one array, where memory goes back; pictures and their pyramids are smaller
+MOST_FREE = 16 << 20  # bytes that are free at the heap's end before some go back
+LARGEST_REUSED = 32 << 20  # the same where memory is kept; glibc takes no more, larger ones still go back at once
+MOST_KEPT = 256 << 20
+ARENAS = 2  # heaps that all threads share: each that has one of its own keeps there what it freed
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # glibc's malloc.h
+
+
+def return_freed_memory() -> bool:
+    """From now on arrays over `LARGEST_IN_HEAP` go back when they are freed; False where glibc's allocator is not, and
+    nothing changes."""
+    return _set_limits(LARGEST_IN_HEAP, MOST_FREE)
 
 
 def keep_freed_memory() -> bool:
-    """Tell glibc's allocator so, for this process; False where there is none, and nothing changes."""
-    mallopt = _of_glibc("mallopt")
-    if mallopt is None:
-        return False
-    return bool(mallopt(_M_MMAP_THRESHOLD, LARGEST_REUSED) and mallopt(_M_TRIM_THRESHOLD, MOST_KEPT))
+    """From now on those up to `LARGEST_REUSED` are kept for the next; False as above."""
+    return _set_limits(LARGEST_REUSED, MOST_KEPT)
+
+
+@contextmanager
+def freed_memory_kept() -> Iterator[None]:
+    """Kept while a network works; returned after that, and from then on."""
+    keep_freed_memory()
+    try:
+        yield
+    finally:
+        return_freed_memory()
+        give_back_freed_memory()
 
 
 def give_back_freed_memory() -> bool:
@@ -27,6 +50,12 @@ def give_back_freed_memory() -> bool:
     have ended."""
     malloc_trim = _of_glibc("malloc_trim")
     return malloc_trim is not None and bool(malloc_trim(0))
+
+
+def _set_limits(largest: int, most: int) -> bool:
+    mallopt = _of_glibc("mallopt")
+    limits = {_M_MMAP_THRESHOLD: largest, _M_TRIM_THRESHOLD: most, _M_ARENA_MAX: ARENAS}
+    return mallopt is not None and all(mallopt(which, value) for which, value in limits.items())
 
 
 def _of_glibc(name: str) -> Any:

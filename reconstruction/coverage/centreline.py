@@ -138,7 +138,9 @@ def trace_centreline(mesh: SurfaceMesh, world_from_camera: Array, radius: float)
 
 def _along_view(line: Array, world_from_camera: Array) -> Array:
     """The line (S,3), reversed if most cameras look against it."""
-    row = np.argmin(np.linalg.norm(line[:, None] - world_from_camera[None, :, :3, 3], axis=2), axis=0)
+    from scipy.spatial import cKDTree
+
+    row = cKDTree(line).query(world_from_camera[:, :3, 3])[1]
     looks = np.einsum("ni,ni->n", _tangents(line)[row], world_from_camera[:, :3, 2])
     return line[::-1] if looks.sum() < 0 else line
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ MARGIN = 0.4  # lumen radii shown on either side of the visited stretch
 MAX_OFF_LINE = 3.0  # lumen radii from the centreline beyond which a surface is not drawn
 # Barycentric sample points of a triangle, one for each third of an edge: closer together than the cells are wide.
 SAMPLES = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (3, 3, 0), (3, 0, 3), (0, 3, 3)]) / 6
+CHUNK = 20_000  # faces whose sample points are located in one go: some thirty megabytes
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,20 @@ def _regions(
 
 def _cells_of_faces(coverage: Coverage, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Flat cell (S,) and face (S,) of each sample point of the closed wall that lies on the map."""
-    closed_wall = coverage.closed_wall
-    points = np.einsum("sc,fci->fsi", SAMPLES, closed_wall.vertices[closed_wall.faces]).reshape(-1, 3)
-    face = np.repeat(np.arange(len(closed_wall.faces)), len(SAMPLES))
-    cells, inside = _cells_of(coverage, points, arc_edges)
-    return cells, face[inside]
+    found = list(_samples(coverage, coverage.closed_wall.vertices, coverage.closed_wall.faces, arc_edges))
+    none = np.zeros(0, np.int64)
+    return np.concatenate([none, *(cells for cells, _ in found)]), np.concatenate([none, *(face for _, face in found)])
+
+
+def _samples(
+    coverage: Coverage, vertices: Array, faces: NDArray[np.int64], arc_edges: Array
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """The same of any faces (F,3), in their order, some at a time."""
+    for first in range(0, len(faces), CHUNK):
+        corners = vertices[faces[first : first + CHUNK]]
+        points = np.einsum("sc,fci->fsi", SAMPLES, corners).reshape(-1, 3)
+        cells, inside = _cells_of(coverage, points, arc_edges)
+        yield cells, first + np.repeat(np.arange(len(corners)), len(SAMPLES))[inside]
 
 
 def _cells_of(coverage: Coverage, points: Array, arc_edges: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -125,13 +136,14 @@ def _paint(
     A cell without a sample point takes its nearest neighbour's.
     """
     rows = len(arc_edges) - 1
-    points = np.einsum("sc,fci->fsi", SAMPLES, mesh.vertices[mesh.faces]).reshape(-1, 3)
-    cells, inside = _cells_of(coverage, points, arc_edges)
-    face = np.repeat(np.arange(len(mesh.faces)), len(SAMPLES))[inside]
-    count = np.bincount(cells, minlength=rows * COLUMNS)
-    values = np.column_stack([mesh.colours, mesh.confidence])[mesh.faces].mean(axis=1)[face]
-    sums = np.stack([np.bincount(cells, weights=v, minlength=rows * COLUMNS) for v in values.T], axis=1)
-    mean = (sums / np.maximum(count, 1)[:, None]).reshape(rows, COLUMNS, 4)
+    count, sums = np.zeros(rows * COLUMNS, np.int64), np.zeros((4, rows * COLUMNS))
+    of_vertex = np.column_stack([mesh.colours, mesh.confidence])
+    for cells, face in _samples(coverage, mesh.vertices, mesh.faces, arc_edges):
+        count += np.bincount(cells, minlength=len(count))
+        values = of_vertex[mesh.faces[face]].mean(axis=1).astype(np.float64)
+        for total, value in zip(sums, values.T, strict=True):
+            np.add.at(total, cells, value)
+    mean = (sums / np.maximum(count, 1)).T.reshape(rows, COLUMNS, 4)
     mean = mean[_nearest_known((count > 0).reshape(rows, COLUMNS))]
     colour = np.where(bare[..., None], 0, np.rint(mean[..., :3])).astype(np.uint8)
     return colour, np.where(bare, np.nan, mean[..., 3]).astype(np.float32)

@@ -28,6 +28,7 @@ SPOT_VERTICES = 20, 800  # of a spot; a vertex stands for about one square voxel
 RIM_EDGES = 6  # from a spot to its rim; averages spread a step by some three edges (standard deviation)
 RIM_LOG = 0.03  # least mean of the rim, over the wall around
 LONGEST_HOLE = 100  # edges around a hole that a lid may have already; longer ones are where the mesh ends
+CHUNK = 4000  # samples whose surroundings are held at once: some twenty megabytes
 MOST_DARK = 0.03  # share of the vertices that are dark beyond which the tissue itself is uneven, and no spot is found
 
 
@@ -70,8 +71,11 @@ def _relative_luminance(mesh: SurfaceMesh, links: csr_array, voxel_size: float, 
     samples = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_index=True)[1]
     tree = cKDTree(mesh.vertices[samples])
     neighbours = min(len(samples), round(np.pi * (AROUND / GRID) ** 2))
-    nearest = tree.query(mesh.vertices[samples], k=neighbours, workers=-1)[1].reshape(len(samples), neighbours)
-    around = np.median(smooth[samples][nearest], axis=1)
+    of_samples, around = smooth[samples], np.empty(len(samples))
+    for first in range(0, len(samples), CHUNK):
+        some = samples[first : first + CHUNK]
+        nearest = tree.query(mesh.vertices[some], k=neighbours, workers=-1)[1].reshape(len(some), neighbours)
+        around[first : first + CHUNK] = np.median(of_samples[nearest], axis=1)
     return smooth - around[tree.query(mesh.vertices, workers=-1)[1]]
 
 
@@ -104,8 +108,9 @@ def _ends(mesh: SurfaceMesh) -> NDArray[np.int64]:
 
 def _links(mesh: SurfaceMesh) -> csr_array:
     """Adjacency (V,V) of vertices that share an edge."""
-    start, end = (mesh.faces[:, columns].ravel() for columns in ([0, 1, 2], [1, 2, 0]))
+    faces = mesh.faces.astype(np.int32)  # of a long film there are millions
+    start, end = (faces[:, columns].ravel() for columns in ([0, 1, 2], [1, 2, 0]))
     both = np.concatenate([start, end]), np.concatenate([end, start])
-    links = coo_array((np.ones(len(both[0])), both), shape=(len(mesh.vertices),) * 2).tocsr()
+    links = coo_array((np.ones(len(both[0]), np.int8), both), shape=(len(mesh.vertices),) * 2).tocsr()
     links.data[:] = 1
     return links

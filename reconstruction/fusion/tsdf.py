@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import ReconstructionError
 from reconstruction.fusion.depth_frame import DepthFrame, prepare_frame
 from reconstruction.fusion.voxel_grid import BLOCK, VoxelGrid
-from reconstruction.fusion.voxel_integration import average_frame
+from reconstruction.fusion.voxel_integration import CONFIDENCE_STEPS, average_frame
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 BLOCKS_PER_TASK = 64  # blocks that a thread updates in one call
@@ -83,7 +83,7 @@ class SurfaceFusion:
 
     @property
     def blocks(self) -> int:
-        """Blocks of 8x8x8 voxels in use, 14 KiB each; it grows with the surface seen, not with the frames."""
+        """Blocks of 8x8x8 voxels in use, 9 KiB each; it grows with the surface seen, not with the frames."""
         return self._grid.blocks
 
     def integrate(
@@ -132,7 +132,7 @@ class SurfaceFusion:
             vertices,
             faces,
             colours=np.rint(colours).clip(0, 255),
-            confidence=around.interpolate(self._grid.flat_channel("confidence")),
+            confidence=around.interpolate(self._grid.flat_channel("confidence")) / np.float32(CONFIDENCE_STEPS),
             observations=np.rint(around.interpolate(self._grid.flat_channel("observations"))),
         )
         return mesh.with_faces(np.ones(len(faces), bool))  # without the vertices that are now unused

@@ -3,6 +3,8 @@
 Voxel (i,j,k) lies at (i,j,k) times the voxel size in world axes. A block is 8x8x8 voxels; its row in every channel
 is the same, with x running fastest. The values live outside Open3D's hash map because it copies them one by one
 whenever it grows (0.1-0.2 ms a block).
+
+Means of colour and confidence are kept as integers in small steps: of a long film's voxels they are the larger part.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
+from reconstruction.fusion.voxel_integration import COLOUR_STEPS
 from reconstruction.mesh.open3d_import import import_open3d
 
 BLOCK = 8  # voxels along a block's edge; 16 touches twice the voxels for the same surface
@@ -24,9 +27,18 @@ GROWTH = 1.5  # factor on the capacity when it is exceeded
 MARCHED = 4096  # blocks of a slab, about: 74 MiB, and those of the layer after it
 MAX_BLOCK_INDEX = 2**19  # along an axis, so that a block's three indices pack into 64 bits
 
+Values = NDArray[Any]
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float32]]  # vertices, faces, colours
 
-CHANNELS = {"tsdf": 1, "colour": 3, "evidence": 1, "confidence": 1, "observations": 1}  # values per voxel
+# Type and number of the values of a voxel: 18 bytes.
+CHANNELS = {
+    "tsdf": (np.float32, 1),
+    "colour": (np.uint16, 3),
+    "evidence": (np.float32, 1),
+    "confidence": (np.uint16, 1),
+    "observations": (np.uint16, 1),
+}
+LOCATED = 100_000  # vertices whose voxels are looked up in one go: some twenty megabytes
 
 
 @dataclass(frozen=True)
@@ -37,13 +49,14 @@ class EdgeVoxels:
     high: NDArray[np.int64]  # (V,)
     share_of_high: NDArray[np.float32]  # (V,) 0 at the low voxel, 1 at the high one
 
-    def interpolate(self, channel: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Linear interpolation of a flattened channel (voxels,) at the vertices (V,)."""
-        return channel[self.low] * (1 - self.share_of_high) + channel[self.high] * self.share_of_high
+    def interpolate(self, channel: Values) -> NDArray[np.float32]:
+        """Linear interpolation of a flattened channel (voxels,), in its steps, at the vertices (V,)."""
+        low, high = channel[self.low].astype(np.float32), channel[self.high].astype(np.float32)
+        return low * (1 - self.share_of_high) + high * self.share_of_high
 
 
 class VoxelGrid:
-    """Voxels that exist only near observed surface, on the CPU; 14 KiB a block."""
+    """Voxels that exist only near observed surface, on the CPU; 9 KiB a block."""
 
     def __init__(self, voxel_size: float) -> None:
         self._open3d = import_open3d()
@@ -51,8 +64,8 @@ class VoxelGrid:
         self.voxel_size = voxel_size
         self.blocks = 0  # in use
         self._row_of_block = self._core.HashMap(FIRST_CAPACITY, self._core.int32, (3,), self._core.int64, (1,))
-        self._channels = {
-            name: np.zeros((FIRST_CAPACITY, VOXELS_PER_BLOCK, width), np.float32) for name, width in CHANNELS.items()
+        self._channels: dict[str, Values] = {
+            name: np.zeros((FIRST_CAPACITY, VOXELS_PER_BLOCK, width), kind) for name, (kind, width) in CHANNELS.items()
         }
         axis = np.arange(BLOCK, dtype=np.float32)
         z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
@@ -76,18 +89,19 @@ class VoxelGrid:
         self._add(keys[self._row_of_block.find(keys)[1].logical_not()])
         return self._rows(keys)[0], block * (BLOCK * self.voxel_size)
 
-    def channel(self, name: str) -> NDArray[np.float32]:
-        """The memory of a channel, (blocks, 512, C), to read and write; fetch it anew after each `touch`."""
+    def channel(self, name: str) -> Values:
+        """The memory of a channel, (blocks, 512, C), to read and write; fetch it anew after each `touch`. Colour and
+        confidence in steps of `COLOUR_STEPS` and `CONFIDENCE_STEPS`."""
         return self._channels[name][: self.blocks]
 
-    def flat_channel(self, name: str) -> NDArray[np.float32]:
+    def flat_channel(self, name: str) -> Values:
         """The memory of a channel of one value per voxel, (blocks * 512,)."""
         return self.channel(name).reshape(-1)
 
     def march(self, usable: NDArray[np.bool_]) -> Mesh:
         """Marching cubes: zero level of the tsdf in cells whose eight corners are all `usable` (blocks, 512).
 
-        Slab by slab along the longest axis, since Open3D holds 18 KiB beside the 14 of a block while it marches.
+        Slab by slab along the longest axis, since Open3D holds 18 KiB beside the 9 of a block while it marches.
         Returns vertices (V,3) in world units, faces (F,3) wound towards positive tsdf, colours (V,3) 0..255.
         """
         if not usable.any():
@@ -125,7 +139,7 @@ class VoxelGrid:
             for name, width in (("tsdf", 1), ("weight", 1), ("color", 3))
         )
         first_layer = self.offsets_in_block[:, axis] == 0
-        tsdf[theirs], colour[theirs] = self.channel("tsdf")[rows], self.channel("colour")[rows]
+        tsdf[theirs], colour[theirs] = self.channel("tsdf")[rows], self.channel("colour")[rows] / COLOUR_STEPS
         weight[theirs, :, 0] = usable[rows] & (first_layer | ~is_next[:, None])
         mesh = grid.extract_triangle_mesh(weight_threshold=0.5)
         return (
@@ -136,6 +150,11 @@ class VoxelGrid:
 
     def edge_voxels(self, vertices: NDArray[np.float64]) -> EdgeVoxels:
         """The two neighbouring voxels between which each vertex (V,3) of marching cubes lies on a grid line."""
+        parts = [self._edge_voxels(vertices[first : first + LOCATED]) for first in range(0, len(vertices), LOCATED)]
+        arrays = zip(*(vars(part).values() for part in parts or [self._edge_voxels(vertices)]), strict=True)
+        return EdgeVoxels(*map(np.concatenate, arrays))
+
+    def _edge_voxels(self, vertices: NDArray[np.float64]) -> EdgeVoxels:
         position = vertices / self.voxel_size
         off_grid = np.abs(position - np.rint(position))
         along = off_grid.argmax(axis=1)
@@ -185,7 +204,7 @@ class VoxelGrid:
             return
         larger = max(blocks, int(GROWTH * capacity))
         for name, old in self._channels.items():  # one channel at a time, so that little memory is held twice
-            self._channels[name] = np.zeros((larger, *old.shape[1:]), np.float32)
+            self._channels[name] = np.zeros((larger, *old.shape[1:]), old.dtype)
             self._channels[name][:capacity] = old
 
     def _empty_open3d_grid(self, blocks: int) -> Any:

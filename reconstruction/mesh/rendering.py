@@ -19,6 +19,7 @@ KEY_LIGHT = np.array([-0.37, -0.57, -0.73])  # unit vector towards the light, ca
 OUTER_WALL = np.array([232, 220, 208], np.float32)  # sRGB, plaster, of the side that no camera looked at
 WHITE = 255
 BRIGHT = 240  # grey level that `brightened` puts the 95th percentile of the brightest channel at
+CHUNK = 65_536  # rays cast and shaded in one go: some twenty megabytes
 MAX_LAYERS = 24  # back faces that one ray passes in a cut-away image before it is given up
 RAY_OFFSET = 1e-5  # relative step past a face, so that the next cast does not meet it again
 FRAME_MARGIN = 1.06  # image extent over object extent in the automatic view
@@ -44,14 +45,16 @@ def render_mesh(
     if world_from_camera is None:
         world_from_camera = outside_view(mesh, width, height, fov_deg)
     paint = brightened(mesh.colours) if colours is None else colours.astype(np.float32)
-    scene = ray_scene(mesh.vertices, mesh.faces)
+    scene, normals = ray_scene(mesh.vertices, mesh.faces), mesh.normals.astype(np.float32)
     total = np.zeros((height * width, 3), np.float32)
     for shift in SUBPIXELS:
         directions = _pixel_directions(width, height, fov_deg, shift)
-        face, share = _cast(scene, world_from_camera, directions, cut_away)
-        met = face >= 0
-        total[~met] += WHITE
-        total[met] += _shade(mesh, paint, face[met], share[met], directions[met], world_from_camera)
+        for part in (slice(first, first + CHUNK) for first in range(0, len(directions), CHUNK)):
+            some, seen = directions[part], total[part]
+            face, share = _cast(scene, world_from_camera, some, cut_away)
+            met = face >= 0
+            seen[~met] += WHITE
+            seen[met] += _shade(mesh.faces[face[met]], normals, paint, share[met], some[met], world_from_camera)
     return np.rint(total / len(SUBPIXELS)).astype(np.uint8).reshape(height, width, 3)
 
 
@@ -113,16 +116,16 @@ def _cast(
 
 
 def _shade(
-    mesh: SurfaceMesh,
+    corners: NDArray[np.int64],
+    normals: Floats,
     paint: Floats,
-    face: NDArray[np.int64],
     share: Floats,
     direction: Floats,
     world_from_camera: NDArray[np.float64],
 ) -> Floats:
-    """Shaded colour (N,3) of hits on `face` (N,) at barycentric `share` (N,3) along `direction` (N,3, camera axes)."""
-    corners = mesh.faces[face]
-    normal = np.einsum("nc,nci->ni", share, mesh.normals.astype(np.float32)[corners]) @ world_from_camera[:3, :3]
+    """Shaded colour (N,3) of hits between vertices `corners` (N,3) at barycentric `share` (N,3) along `direction` (N,3,
+    camera axes); normals, paint (V,3): of all vertices."""
+    normal = np.einsum("nc,nci->ni", share, normals[corners]) @ world_from_camera[:3, :3]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     facing = -np.sum(normal * direction, axis=1, keepdims=True)
     colour = np.where(facing > 0, np.einsum("nc,nci->ni", share, paint[corners]), OUTER_WALL)

@@ -11,6 +11,7 @@ from haustra.core.errors import ReconstructionError
 from haustra.core.sim3 import scale_of
 
 UNCOLOURED = 200  # sRGB grey level of vertices without colour
+CHUNK = 200_000  # faces whose edges are held at once: some thirty megabytes
 
 
 @dataclass(frozen=True)
@@ -153,16 +154,25 @@ def connected_faces(faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def boundary_sides(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(F,3) whether the edge opposite to each corner is a boundary edge, used by this face alone."""
-    edges = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2).reshape(-1, 2)
-    key = edges[:, 0] * (int(faces.max(initial=0)) + 1) + edges[:, 1]
-    _, owner, count = np.unique(key, return_inverse=True, return_counts=True)
-    return (count[owner] == 1).reshape(-1, 3)
+    ends = faces[:, [1, 2, 0]], faces[:, [2, 0, 1]]
+    key = (np.minimum(*ends) * (int(faces.max(initial=0)) + 1) + np.maximum(*ends)).ravel()
+    del ends
+    order = np.argsort(key)
+    key = key[order]
+    shared = np.zeros(len(key) + 1, bool)  # with the edge before
+    shared[1:-1] = key[1:] == key[:-1]
+    alone = np.empty(len(key), bool)
+    alone[order] = ~(shared[1:] | shared[:-1])
+    return alone.reshape(-1, 3)
 
 
 def _doubled_face_vectors(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Cross product of two edges of each face (F,3): along its normal, of length twice its area."""
-    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    return np.cross(second - first, third - first)
+    vectors = np.empty(faces.shape)
+    for begin in range(0, len(faces), CHUNK):
+        first, second, third = (vertices[faces[begin : begin + CHUNK, corner]] for corner in range(3))
+        vectors[begin : begin + CHUNK] = np.cross(second - first, third - first)
+    return vectors
 
 
 def _check_faces(faces: NDArray[np.int64], count: int) -> None:

@@ -6,7 +6,7 @@ import pytest
 from pipeline.optimization import schur
 from pipeline.optimization.bundle_adjustment import _inverse_root
 from pipeline.optimization.kernels import halved, onto_cameras, onto_points
-from pipeline.optimization.schur import Coupling, Symmetric, gram, solve
+from pipeline.optimization.schur import Coupling, Symmetric, check_sorted, gram, solve
 
 
 def half_matrix(rng, cameras: int, reach: int, points_each: int = 12) -> tuple[np.ndarray, Coupling]:
@@ -71,7 +71,7 @@ def test_a_camera_that_sees_one_point_twice_is_counted_twice():
 @pytest.mark.parametrize(("camera", "point"), [([1, 0], [0, 1]), ([0, 2], [0, 1]), ([0, 1], [0, 3]), ([0, 1], [-1, 0])])
 def test_what_the_kernels_could_not_index_is_refused(camera, point):
     with pytest.raises(ValueError, match="sorted by camera"):
-        Coupling.of(np.array(camera), np.array(point), 2, 3)
+        check_sorted(np.array(camera), np.array(point), 2, 3)
 
 
 def test_vectors_go_through_the_same_matrix():

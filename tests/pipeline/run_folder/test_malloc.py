@@ -62,3 +62,41 @@ def test_freed_memory_goes_back_when_asked():
     if not given:
         pytest.skip("not glibc's allocator")
     assert after < before - 150, "200 MiB were freed"
+
+
+SCATTERED = """
+import resource
+import numpy as np
+from pathlib import Path
+from pipeline.run_folder.malloc import LARGEST_IN_HEAP, freed_memory_kept, keep_freed_memory, return_freed_memory
+
+def mib():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+
+def left_over():
+    before = mib()
+    arrays = [np.ones(2 * LARGEST_IN_HEAP, np.uint8) for _ in range(50)]
+    between = [np.ones(LARGEST_IN_HEAP // 4, np.uint8) for _ in range(50)]
+    last = np.ones(LARGEST_IN_HEAP // 4, np.uint8)  # in the heap, behind all others
+    del arrays, between
+    return mib() - before
+
+known = return_freed_memory()
+returned = left_over()
+with freed_memory_kept():
+    kept = left_over()
+print(int(known), returned, kept, left_over())
+"""
+
+
+def test_large_arrays_go_back_at_once_but_while_a_network_works():
+    run = subprocess.run([sys.executable, "-c", SCATTERED], capture_output=True, text=True, check=False)
+    if run.returncode != 0 and "statm" in run.stderr:
+        pytest.skip("the system does not tell the resident memory")
+    assert run.returncode == 0, run.stderr
+    known, returned, kept, after = map(float, run.stdout.split())
+    if not known:
+        pytest.skip("not glibc's allocator")
+    assert returned < 30, "100 MiB of large arrays were freed"
+    assert kept > 90
+    assert after < 30

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.report.page.summary import coverage_section
 from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage import hole_closing as closed_wall
+from reconstruction.coverage import unrolled_map as maps
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
@@ -185,6 +186,14 @@ def test_the_map_shows_the_hole_where_it_is(holed):
     assert np.degrees(unrolled_map.angle_edges[columns + 1]).max() == pytest.approx(120, abs=6)
     assert set(unrolled_map.region[rows, columns]) == {0}
     assert (unrolled_map.colour[unrolled_map.state == SEEN] == 200).all()
+
+
+def test_the_map_is_the_same_however_many_faces_are_taken_at_once(holed, monkeypatch):
+    mesh, coverage = holed
+    whole = unroll(coverage, mesh)
+    monkeypatch.setattr(maps, "CHUNK", 7)
+    for name, found in vars(unroll(coverage, mesh)).items():
+        np.testing.assert_array_equal(found, getattr(whole, name))
 
 
 def test_the_picture_is_written(tmp_path, holed):

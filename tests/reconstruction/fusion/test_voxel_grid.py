@@ -8,6 +8,7 @@ import trimesh
 
 from reconstruction.fusion import voxel_grid
 from reconstruction.fusion.voxel_grid import VOXELS_PER_BLOCK, VoxelGrid
+from reconstruction.fusion.voxel_integration import COLOUR_STEPS
 
 SIZE = 0.1
 
@@ -23,7 +24,7 @@ def bumpy_ball(steps=0, seed=0, radius=1.4):
     distance = np.linalg.norm(places, axis=2) - radius - 0.1 * np.sin(places @ [3.0, 5.0, 4.0])
     tsdf = np.clip(distance / 0.4, -1, 1)
     grid.channel("tsdf")[rows, :, 0] = np.rint(tsdf * steps) / steps if steps else tsdf
-    grid.channel("colour")[rows] = 120 + 100 * np.sin(places)
+    grid.channel("colour")[rows] = np.rint((120 + 100 * np.sin(places)) * COLOUR_STEPS)
     return grid
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reconstruction.fusion.voxel_integration import average_frame
+from reconstruction.fusion.voxel_integration import COLOUR_STEPS, CONFIDENCE_STEPS, average_frame
 
 PINHOLE = np.array([40.0, 42.0, 15.5, 11.5], np.float32)
 TRUNCATION = np.float32(1.5)
@@ -39,7 +39,9 @@ def test_it_is_the_weighted_mean_of_what_each_frame_says():
     z, y, x = np.meshgrid(*3 * [np.arange(8, dtype=np.float32)], indexing="ij")
     offsets = 0.25 * np.stack([x, y, z], axis=-1).reshape(-1, 3)
     rows = np.array([4, 0, 5, 2, 7, 6])
-    channels = [np.zeros((9, 512), np.float32) for _ in range(4)] + [np.zeros((9, 512, 3), np.float32)]
+    shapes = (9, 512), (9, 512), (9, 512), (9, 512), (9, 512, 3)
+    kinds = np.float32, np.uint16, np.float32, np.uint16, np.uint16
+    channels = [np.zeros(shape, kind) for shape, kind in zip(shapes, kinds, strict=True)]
     expected = tuple(c.astype(np.float64) for c in channels)
     for _ in range(3):
         corners = (rng.uniform(-1, 1, (6, 3)) * [3, 2, 1] + [-1, -1, 8]).astype(np.float32)
@@ -49,11 +51,38 @@ def test_it_is_the_weighted_mean_of_what_each_frame_says():
         images = (depth, weight, rng.random(depth.shape).astype(np.float32), 255 * rng.random((24, 32, 3)).astype("f4"))
         expected = literally(rows, corners, offsets, images, expected)
         average_frame(rows, corners, offsets, PINHOLE, *images, TRUNCATION, *channels)
-    for found, wanted in zip(channels, expected, strict=True):
-        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
+    steps, halves = (1, 1, 1, CONFIDENCE_STEPS, COLOUR_STEPS), 3 * 0.5  # of a step in each frame, at most
+    for found, wanted, of_one in zip(channels, expected, steps, strict=True):
+        rounded = halves / of_one if of_one > 1 else 0
+        np.testing.assert_allclose(found / of_one, wanted, rtol=1e-4, atol=1e-4 + rounded)
     evidence, observations, tsdf = channels[:3]
     assert 0 < (evidence > 0).mean() < 0.6
     assert (tsdf[evidence > 0] < 0).any()
     assert (tsdf == 1).any()
     assert observations.max() == 3
     assert not evidence[[1, 3, 8]].any()
+
+
+def test_means_in_steps_stay_true_over_many_frames():
+    """White stays white, a sure voxel sure, and of many frames the mean is that of all."""
+    rng = np.random.default_rng(1)
+    values = [np.zeros((1, 1), kind) for kind in (np.float32, np.uint16, np.float32, np.uint16)]
+    channels = [*values, np.zeros((1, 1, 3), np.uint16)]
+    shown = 40 + 60 * rng.random((500, 1, 1, 3)).astype("f4")
+    shown[..., 0] = 255
+    one = np.ones((1, 1), np.float32)
+    for colour in shown:
+        images = 2 * one, one, one, colour
+        average_frame(
+            np.zeros(1, np.int64),
+            np.array([[0, 0, 2]], "f4"),
+            np.zeros((1, 3), "f4"),
+            np.array([1, 1, 0, 0], "f4"),
+            *images,
+            TRUNCATION,
+            *channels,
+        )
+    assert channels[1] == 500
+    assert channels[3] == CONFIDENCE_STEPS
+    np.testing.assert_allclose(channels[4][0, 0] / COLOUR_STEPS, shown.mean(axis=0)[0, 0], atol=0.3)
+    assert channels[4][0, 0, 0] == 255 * COLOUR_STEPS
