@@ -8,14 +8,17 @@ F-score at 1 mm against the wall at rest. Poses and depth are the film's own or 
 each depth is carried to the wall at rest by the true motion, which is what a perfect model of motion would do:
 
 - true poses and depth, every SIXTH frame of the film, whether it is tracked or not;
-- the keyframes of the run's largest submap, once with the run's poses and true depth, once with the run's depth.
+- the keyframes of the run's largest submap, with the run's poses or true ones, and with true depth, the run's depth,
+  or depth completed once more: from the run's points, each at its true depth, or from points that the true poses
+  triangulate (`benchmarks/common/recompletion.py`).
 
 A row is added as each film ends; a stopped call goes on where it was.
 """
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,11 +27,13 @@ from numpy.typing import NDArray
 
 from benchmarks.common.carried_depth import carried, points_of
 from benchmarks.common.living_truth import TrueMotion, true_depth
+from benchmarks.common.recompletion import from_true_points, from_true_poses
 from benchmarks.common.record import RunTable, print_row
 from benchmarks.common.runner import add_folders, run
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
 from pipeline.config import Config
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.rectification import make_rectifier
 from pipeline.finished_run import Run, open_run
 from pipeline.surface.fusion_stage import MIN_COMPONENT, TRUNCATION_VOXELS, depth_filter, fusion_ranges
@@ -88,9 +93,13 @@ def _sources(film: Path, arguments: argparse.Namespace) -> Iterator[tuple[str, A
     except HaustraError:
         return
     intrinsics = made.completed_submaps[0].camera.matrix
+    completed = made.completed_submaps[0]
     yield "run's poses, true depth", lambda: _with_true_depth(film, made), intrinsics
-    yield "run's poses, run's depth", lambda: _of_run(film, made), intrinsics
-    yield "true poses, run's depth", lambda: _with_true_poses(film, made), intrinsics
+    yield "run's poses, run's depth", lambda: _of_run(film, made, completed), intrinsics
+    yield "true poses, run's depth", lambda: _with_true_poses(film, made, completed), intrinsics
+    for name, complete in (("points at true depth", from_true_points), ("points of true poses", from_true_poses)):
+        again = partial(_completed_again, film, made, complete)
+        yield f"true poses, depth from {name}", again, intrinsics
 
 
 def _true(film: Path, frames: range) -> Iterator[View]:
@@ -101,9 +110,9 @@ def _true(film: Path, frames: range) -> Iterator[View]:
         yield View(frame, depth, (depth > 0).astype(np.float32), world_from_camera[frame])
 
 
-def _of_run(film: Path, made: Run) -> Iterator[View]:
+def _of_run(film: Path, made: Run, completed: CompletedSubmap) -> Iterator[View]:
     """Keyframes of the largest submap as they are fused, moved by the Sim(3) of its poses."""
-    completed, config = made.completed_submaps[0], made.workspace.config
+    config = made.workspace.config
     ranges = fusion_ranges(completed, config.fusion)
     assert ranges is not None
     check = depth_filter(completed, config.consistency, config.fusion, ranges)
@@ -121,15 +130,19 @@ def _of_run(film: Path, made: Run) -> Iterator[View]:
 
 def _with_true_depth(film: Path, made: Run) -> Iterator[View]:
     rectifier = made.completed_submaps[0].rectifier
-    for view in _of_run(film, made):
+    for view in _of_run(film, made, made.completed_submaps[0]):
         depth = true_depth(film, view.frame, rectifier)
         yield View(view.frame, depth, (depth > 0).astype(np.float32), view.world_from_camera)
 
 
-def _with_true_poses(film: Path, made: Run) -> Iterator[View]:
+def _with_true_poses(film: Path, made: Run, completed: CompletedSubmap) -> Iterator[View]:
     truth = read_tum(film / "trajectory.txt")[1]
-    for view in _of_run(film, made):
+    for view in _of_run(film, made, completed):
         yield view._replace(world_from_camera=truth[view.frame])
+
+
+def _completed_again(film: Path, made: Run, complete: Callable[[Path, Run], CompletedSubmap]) -> Iterator[View]:
+    return _with_true_poses(film, made, complete(film, made))
 
 
 def scores(film: Path, views: Iterator[View], intrinsics: Array, to_rest: bool) -> dict[str, Any]:

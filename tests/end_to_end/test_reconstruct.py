@@ -13,6 +13,7 @@ import psutil
 import pytest
 import yaml
 
+from benchmarks.common.recompletion import completed_from
 from completion.inference.completer import DepthCompleter
 from haustra.core.errors import HaustraError, ReconstructionError
 from haustra.core.progress import SilentProgress
@@ -21,6 +22,7 @@ from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
 from pipeline.depth.completion_stage import load_completed
+from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.finished_run import open_run
 from pipeline.frontend.points_stage import load_points
 from pipeline.frontend.structure_stage import load_structure
@@ -114,6 +116,24 @@ def test_a_run_reads_back_as_it_was_returned(finished):
         run.trajectory(3)
     with pytest.raises(HaustraError, match="no 3"):
         next(run.keyframes(3))
+
+
+def test_depth_completed_once_more_follows_the_points_that_it_is_given(finished):
+    """As a benchmark does it: from the run's own points its own depth, from points twice as far twice the depth."""
+    run = open_run(finished[0])
+    one = run.completed_submaps[0]
+    one = replace(one, rows=one.rows[:2])
+    maker = SparseDepthMaker(one.submap, one.camera)
+    same = completed_from(run, one, maker.sparse_depth)
+    twice = completed_from(run, one, lambda row: maker.sparse_depth(row).scaled(2.0))
+    assert same.rows.tolist() == one.rows.tolist()
+    for row in map(int, one.rows):
+        depth, _, _ = same.depth(row)
+        known = depth > 0
+        np.testing.assert_allclose(depth[known], one.depth(row)[0][known], rtol=2e-3, atol=1e-3)  # steps of the PNG
+        np.testing.assert_allclose(twice.depth(row)[0][known], 2 * depth[known], rtol=1e-3)
+    few = completed_from(run, one, lambda row: SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0)))
+    assert len(few.rows) == 0
 
 
 def test_error_against_the_clips_truth(finished):

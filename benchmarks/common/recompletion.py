@@ -1,0 +1,104 @@
+"""Depth of a run's keyframes completed once more, from other sparse points than the run had."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common.living_truth import true_depth
+from haustra.core.progress import no_progress
+from haustra.core.sim3 import scale_of
+from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.depth.completion_stage import MIN_POINTS, inside_of
+from pipeline.depth.keyframe_store import KeyframeStore
+from pipeline.depth.preparation import load_completer
+from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
+from pipeline.finished_run import Run
+from pipeline.frontend.odometry.frame_io import frame_features, frame_reader
+from pipeline.frontend.point_refinement import refine_points
+from pipeline.mapping.feature_triangulation import triangulate_again
+from reconstruction.evaluation.trajectory_io import read_tum
+from reconstruction.evaluation.trajectory_metrics import align_poses
+
+Depth = NDArray[np.float32]
+Points = Callable[[int], SparseDepth]  # of the frame at a row of the submap
+
+
+@dataclass(frozen=True)
+class MemoryKeyframes:
+    """Pictures as another store has them; depth and confidence of a few keyframes in memory."""
+
+    pictures: KeyframeStore
+    depths: dict[int, Depth] = field(default_factory=dict)
+    confidences: dict[int, Depth] = field(default_factory=dict)
+
+    def rgb(self, frame: int) -> NDArray[np.uint8]:
+        return self.pictures.rgb(frame)
+
+    def mask(self, frame: int) -> NDArray[np.uint8]:
+        return self.pictures.mask(frame)
+
+    def depth(self, frame: int) -> Depth:
+        return self.depths[frame].copy()
+
+    def confidence(self, frame: int) -> Depth:
+        return self.confidences[frame].copy()
+
+
+def completed_from(made: Run, completed: CompletedSubmap, points: Points) -> CompletedSubmap:
+    """The submap with depth from these points, as the run's network completes it; without keyframes that have too few.
+    Loop closing must not have moved its depths."""
+    config, frames = made.workspace.config, completed.submap.frames
+    completer = load_completer(config.model, config.device, config.depth.iterations)
+    content = completed.rectifier.mask(made.frames.content)
+    inside, store, kept = inside_of(content), MemoryKeyframes(completed.store), []
+    for row in map(int, completed.rows):
+        sparse = points(row)
+        if len(sparse.depth) < MIN_POINTS:
+            continue
+        depth, confidence = completer(completed.rgb(row), *sparse.maps(*content.shape))
+        store.depths[int(frames[row])] = np.where(inside, depth, np.float32(0))
+        store.confidences[int(frames[row])] = np.where(inside, confidence, np.float32(0))
+        kept.append(row)
+    return replace(completed, rows=np.array(kept), store=store, depth_scale=None)
+
+
+def from_true_points(film: Path, made: Run) -> CompletedSubmap:
+    """Completed from the run's own points, each put at the true depth of its pixel in that frame: what a perfect model
+    of the motion, or perfect triangulation, would give the network."""
+    completed = made.completed_submaps[0]
+    maker, scale = SparseDepthMaker(completed.submap, completed.camera), _mm_per_unit(film, completed)
+
+    def points(row: int) -> SparseDepth:
+        found = maker.sparse_depth(row)
+        truth = true_depth(film, int(completed.submap.frames[row]), completed.rectifier)
+        x, y = np.floor(found.pixels).astype(int).T
+        depth, known = truth[y, x] / scale, truth[y, x] > 0
+        return SparseDepth(found.pixels[known], depth[known], found.error[known])
+
+    return completed_from(made, completed, points)
+
+
+def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
+    """Completed from the points that the true poses triangulate, found and refined as the run finds its own: what a
+    still map has at best where the wall moves."""
+    completed = made.completed_submaps[0]
+    truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
+    run_from_truth = np.linalg.inv(align_poses(completed.submap.world_from_camera, truth))
+    poses = run_from_truth @ truth
+    poses[:, :3, :3] /= scale_of(run_from_truth)
+    camera, workspace = made.frames.camera, made.workspace
+    motion_px = workspace.config.front_end_settings.odometry.keyframe_motion * camera.width
+    with frame_features(workspace) as features:
+        submap = replace(completed.submap, world_from_camera=poses)
+        found = triangulate_again(submap, camera, motion_px, features, no_progress)
+    refined = refine_points(found or submap, camera, frame_reader(workspace))
+    moved = replace(completed, submap=refined)
+    return completed_from(made, moved, SparseDepthMaker(refined, completed.camera).sparse_depth)
+
+
+def _mm_per_unit(film: Path, completed: CompletedSubmap) -> float:
+    truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
+    return float(scale_of(align_poses(completed.submap.world_from_camera, truth)))
