@@ -86,7 +86,7 @@ def reconstruct(
         later.forget()
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)
-        del submaps  # of a long film hundreds of megabytes
+        del submaps, retriangulated  # of a long film hundreds of megabytes
         scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed, lamp)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)

@@ -65,4 +65,4 @@ def _ties(
         ends[0, filled : filled + len(rows)] = rows[:, 0] + starts[one]
         ends[1, filled : filled + len(rows)] = rows[:, 1] + starts[other]
         filled += len(rows)
-    return coo_array((np.ones(filled), (ends[0], ends[1])), shape=(int(starts[-1]),) * 2)
+    return coo_array((np.ones(filled, np.int8), (ends[0], ends[1])), shape=(int(starts[-1]),) * 2)
