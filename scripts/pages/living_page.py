@@ -80,7 +80,7 @@ TOLD = """
 
 Of the points of each run's largest submap, median and 90 %: how far their wall is from its mean over each point's
 sightings, and by how much the map misses the sightings, across the view. `explained`: share of the residuals of one
-half of the points that the motion fitted to the other half foretells (`pipeline/surface/wall_motion.py`; over 2 % is
+half of the points that the motion fitted to the other half foretells (`pipeline/frontend/wall_motion.py`; over 2 % is
 told). `python -m benchmarks.living_motion FILMS/* --runs RUNS --json living_motion.json`; commit {commit}.
 
 | path | amplitude (mm) | the wall moved (mm) | the map misses (mm) | explained (%) | told |
