@@ -5,8 +5,8 @@
 
 Of the largest submap of each kept run: the true motion of what its points show, about the mean of each point's own
 sightings, from true depth and the true wall; what its map misses them by, across the view, at the true scale (median
-and 90 % of all sightings, mm); and what `pipeline.frontend.wall_motion` tells: share of held-out residuals that a
-motion foretells, and the share of the wall that moved. A row is added as each film ends.
+and 90 % of all sightings, mm); and what `pipeline.surface.wall_motion` tells: share of held-out residuals that a motion
+foretells, and the share of the wall that moved. A row is added as each film ends.
 """
 
 import argparse
@@ -25,8 +25,8 @@ from haustra.core.errors import HaustraError
 from haustra.core.sim3 import scale_of
 from pipeline.depth.rectification import Rectifier
 from pipeline.finished_run import Run, open_run
-from pipeline.frontend.wall_motion import measure_motion, residuals
 from pipeline.mapping.submap import Submap
+from pipeline.surface.wall_motion import measure_motion, residuals
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import align_poses
 

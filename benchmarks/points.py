@@ -91,7 +91,7 @@ def with_points(made: Run, submaps: list[Submap], folder: Path) -> None:
     """A copy of a run whose depth is still to be made, from the points of `submaps`."""
     workspace = without_depth(made, folder)
     workspace.record["stages"].pop(STAGE)
-    keep_points(submaps, [None] * len(submaps), made.frames, workspace)
+    keep_points(submaps, made.frames, workspace)
 
 
 def _figures(film: Path, made: Run) -> dict[str, Any]:

@@ -42,7 +42,7 @@ from pipeline.surface.scale import (
     scale_of_poses,
     scale_of_sensor,
 )
-from pipeline.surface.wall_motion_stage import wall_motion_stage
+from pipeline.surface.wall_motion import wall_motion_stage
 
 
 def reconstruct(

@@ -69,8 +69,7 @@ def from_true_points(film: Path, made: Run) -> CompletedSubmap:
     """Completed from the run's own points, each put at the true depth of its pixel in that frame: what a perfect model
     of the motion, or perfect triangulation, would give the network."""
     completed = made.completed_submaps[0]
-    submap = replace(completed.submap, wall_moved=False)  # all points: none of them is worse than its error says
-    maker, scale = SparseDepthMaker(submap, completed.camera), _mm_per_unit(film, completed)
+    maker, scale = SparseDepthMaker(completed.submap, completed.camera), _mm_per_unit(film, completed)
 
     def points(row: int) -> SparseDepth:
         found = maker.sparse_depth(row)

@@ -27,9 +27,6 @@ OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close ma
 SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/lab/front_end.md
 REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # better points so near (share of the width) replace a followed one
 KNN = 12  # nearest points among which those are looked for
-# Share of the width. Where the wall moved, a point's depth is wrong by the motion over its baseline, and completion
-# follows all points alike: fewer, of the longest baselines, are better. Chosen on benchmarks/living_choosing.yaml.
-SUREST_WITHIN = 0.03
 SAME_WALL = 0.25  # log depth within which points are taken to lie on one wall
 
 
@@ -44,17 +41,6 @@ class SparseDepth:
     def scaled(self, factor: float) -> "SparseDepth":
         """The same points in another unit; relative errors stay."""
         return SparseDepth(self.pixels, self.depth * factor, self.error)
-
-    def surest_within(self, radius: float) -> "SparseDepth":
-        """Of points no farther apart than `radius` pixels the surest alone, from the surest of all on."""
-        near = cKDTree(self.pixels).query_ball_point(self.pixels, radius)
-        gone, kept = np.zeros(len(self.depth), bool), []
-        for point in np.argsort(self.error, kind="stable").tolist():
-            if not gone[point]:
-                kept.append(point)
-                gone[near[point]] = True
-        rows = np.array(kept, np.int64)
-        return SparseDepth(self.pixels[rows], self.depth[rows], self.error[rows])
 
     def maps(self, height: int, width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(H,W) depth and relative error, 0 = none; where points share a pixel the surer one stays."""
@@ -130,8 +116,7 @@ class SparseDepthMaker:
         kept = ~has_better_neighbours(pixels, depth, error, self.submap.is_klt[points[keep]], self.pinhole.width)
         pixels, depth, error = pixels[kept], depth[kept], error[kept]
         inlier = ~is_outlier(pixels, depth, OUTLIER_RATIO)
-        found = SparseDepth(pixels[inlier], depth[inlier], error[inlier])
-        return found.surest_within(SUREST_WITHIN * self.pinhole.width) if self.submap.wall_moved else found
+        return SparseDepth(pixels[inlier], depth[inlier], error[inlier])
 
     def _is_visible(self, pixels: NDArray, depth: NDArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """True for the frame's own points, and for others unless an own point close by is clearly nearer."""

@@ -1,12 +1,11 @@
 """Stage 2b: the points of each submap's features found anew by its poses, which stay, and refined by what the pictures
-show about them; depth is completed from these. Whether the wall moved is asked of the points that the front end left.
+show about them; depth is completed from these.
 
 The front end's own points are kept beside them: what is judged by their residuals (`map_doubt`, `wall_motion`) was
 calibrated on those, and a point that moved with the wall is an outlier here and evidence there.
 """
 
 import shutil
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.point_refinement import refine_points
-from pipeline.frontend.wall_motion import WallMotion, measure_motion
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
@@ -75,10 +73,7 @@ def _find_all(
     with single_threaded(), progress.bar("refining points", None) as advance:
         if _adjusting_depth(frames, workspace) is None:  # what a sensor measured holds points better than patches do
             found = [refine_points(one, frames.camera, frame_reader(workspace), advance) for one in found]
-    # Of the front end's points: those found anew have lost the sightings that a moving wall puts off.
-    motion = [measure_motion(frames, submap) for submap in submaps]
-    found = [replace(one, wall_moved=of is not None and of.told) for one, of in zip(found, motion, strict=True)]
-    keep_points(found, motion, frames, workspace)
+    keep_points(found, frames, workspace)
 
 
 def triangulated(
@@ -107,20 +102,13 @@ def _adjusting_depth(frames: Frames, workspace: Workspace) -> DepthAt | None:
     return sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
 
 
-def keep_points(submaps: list[Submap], motion: list[WallMotion | None], frames: Frames, workspace: Workspace) -> None:
-    """Write the submaps as what the stage found, and finish it. motion: what the front end's points say of each."""
+def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:
+    """Write the submaps as what the stage found, and finish it."""
     shutil.rmtree(points_folder(workspace), ignore_errors=True)
     for number, submap in enumerate(submaps):
         write_model(submap, frames.camera, points_folder(workspace) / str(number))
     refined = [int(np.isfinite(submap.known_depth_error).sum()) for submap in submaps]
-    told = [None if one is None else asdict(one) for one in motion]
-    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps], refined=refined, motion=told)
-
-
-def load_motion_of_points(workspace: Workspace) -> list[WallMotion | None] | None:
-    """What a finished stage found of each submap's wall; None in runs of versions that did not ask here."""
-    records = workspace.result(STAGE).get("motion") if workspace.is_done(STAGE) else None
-    return None if records is None else [None if one is None else WallMotion(**one) for one in records]
+    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps], refined=refined)
 
 
 def points_folder(workspace: Workspace) -> Path:

@@ -206,7 +206,6 @@ def concatenate(first: CompletedSubmap, second: CompletedSubmap) -> CompletedSub
         pixels=np.concatenate([one.pixels, other.pixels]),
         klt=np.concatenate([one.is_klt, other.is_klt]),
         depth_error=np.concatenate([one.known_depth_error, other.known_depth_error]),
-        wall_moved=one.wall_moved or other.wall_moved,
     )
     scales = [np.ones(len(p.submap.frames)) if p.depth_scale is None else p.depth_scale for p in (first, second)]
     rows = np.sort(place[np.concatenate([first.rows, second.rows + len(one.frames)])])

@@ -37,8 +37,7 @@ def write_model(submap: Submap, camera: Camera, folder: Path, colours: NDArray[n
 def write_arrays(submap: Submap, folder: Path) -> None:
     """model.npz and, of a refined lens, camera_sigma.txt: all that `read_submap` reads."""
     folder.mkdir(parents=True, exist_ok=True)
-    moved = np.array(True) if submap.wall_moved else None
-    optional = {"followed": submap.klt, "depth_error": submap.depth_error, "wall_moved": moved}
+    optional = {"followed": submap.klt, "depth_error": submap.depth_error}
     np.savez(
         folder / "model.npz",
         allow_pickle=False,

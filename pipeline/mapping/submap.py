@@ -20,9 +20,7 @@ class Submap:
     image, COLMAP's convention. camera_params: as refined with it. camera_sigma: standard deviations of
     the refined ones, focal length first; empty if the camera was given. klt: (P,) points of corners that were
     tracked from frame to frame, the others were found in each frame for itself; None if none was tracked. depth_error:
-    (P,) relative, 1 sigma, of points that were refined by their patches, NaN of others; None if none was. wall_moved:
-    neighbouring points miss a still wall together (`frontend/wall_motion.py`), so that depths are worse than their
-    errors say.
+    (P,) relative, 1 sigma, of points that were refined by their patches, NaN of others; None if none was.
     """
 
     frames: NDArray[np.int64]
@@ -35,7 +33,6 @@ class Submap:
     camera_sigma: tuple[float, ...] = ()
     klt: NDArray[np.bool_] | None = None
     depth_error: NDArray[np.float64] | None = None
-    wall_moved: bool = False
 
     def __post_init__(self) -> None:
         # Of a long film there are millions of them: whatever they were made of, they are held in as few bytes as do.
@@ -168,5 +165,4 @@ def read_submap(folder: Path) -> Submap:
             tuple(float(s) for s in sigma.read_text().split()) if sigma.exists() else (),
             arrays.get("followed"),
             arrays.get("depth_error"),
-            "wall_moved" in arrays,
         )

@@ -22,7 +22,7 @@ from pipeline.run_folder.subprocesses import run_isolated
 from pipeline.run_folder.workspace import Workspace, write_json
 from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface, mesh_path
-from pipeline.surface.wall_motion_stage import load_motion, sentences
+from pipeline.surface.wall_motion import load_motion, sentences
 from reconstruction.evaluation.trajectory_io import write_tum
 from reconstruction.mesh.mesh_io import write_mesh
 

@@ -54,8 +54,7 @@ READ = """
   where odometry's map may well be wrong ([front end](../guide/front_end.md)). Why its maps of moving walls are better
   is not known.
 - **No model of motion.** Poses and points are adjusted as if the wall stood still, and depth is averaged over time.
-  Where it is told that the wall moved (below), depth is completed from the surest points alone, one within 3 % of the
-  width (chosen on `benchmarks/living_choosing.yaml`); `before` took all. Why no more is done follows.
+  That it moved is said (below); why no more is done follows.
 """
 
 CEILINGS = """
@@ -96,7 +95,7 @@ TOLD = """
 
 Of the points of each run's largest submap, median and 90 %: how far their wall is from its mean over each point's
 sightings, and by how much the map misses the sightings, across the view. `explained`: share of the residuals of one
-half of the points that the motion fitted to the other half foretells (`pipeline/frontend/wall_motion.py`; over 2 % is
+half of the points that the motion fitted to the other half foretells (`pipeline/surface/wall_motion.py`; over 2 % is
 told). `python -m benchmarks.living_motion FILMS/* --runs RUNS --json living_motion.json`; commit {commit}.
 
 | path | amplitude (mm) | the wall moved (mm) | the map misses (mm) | explained (%) | told |

@@ -53,7 +53,7 @@ Taken one after the other, as long as another lowers the loss by 0.005: {chosen}
   whole. **Halves**: the paths by two halves of the wall, adjusted alone. Where nothing moves and the lens is right both
   hardly differ. The halves are taken, and then the stretches gain too little: over a short stretch a moving wall has
   one motion, and all frames agree on a wrong path.
-- **Explained motion** (`pipeline/frontend/wall_motion.py`), **light by quarters** of the picture, which would keep
+- **Explained motion** (`pipeline/surface/wall_motion.py`), **light by quarters** of the picture, which would keep
   uneven tissue from speaking alone, and the number of **frames** were tried, but were not on offer: the first is known
   only in a later stage, the second needs the pictures again and tells less than the light of the whole picture, the
   third says little.

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from haustra.core.camera import Camera
-from pipeline.depth.sparse_depth import SLIDE, SUREST_WITHIN, SparseDepth, SparseDepthMaker, has_better_neighbours
+from pipeline.depth.sparse_depth import SLIDE, SparseDepthMaker, has_better_neighbours
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import Submap, read_submap
 
@@ -108,30 +106,3 @@ def test_it_is_known_after_writing_reading_and_thinning(tmp_path):
     assert_array_equal(submap.without_points(drop).is_klt, followed[~drop])
     write_model(replace(submap, klt=None), CAMERA, tmp_path)
     assert not read_submap(tmp_path).is_klt.any()
-
-
-@given(st.lists(st.tuples(*3 * [st.integers(0, 30)]), max_size=40))
-def test_of_near_points_the_surest_stays(points):
-    x, y, error = np.array(points, np.float64).reshape(-1, 3).T
-    found = SparseDepth(np.column_stack([x, y]), np.arange(1.0, len(x) + 1), 0.01 * (1 + error))
-    kept = found.surest_within(5.0)
-    between = np.linalg.norm(kept.pixels[:, None] - kept.pixels, axis=2) + 99 * np.eye(len(kept.depth))
-    assert (between > 5).all()
-    for pixel, depth, sigma in zip(found.pixels, found.depth, found.error, strict=True):
-        near = np.linalg.norm(kept.pixels - pixel, axis=1) <= 5
-        assert depth in kept.depth or kept.error[near].min() <= sigma
-
-
-def test_where_the_wall_moved_few_points_are_taken():
-    submap = wall(np.random.default_rng(3).uniform(100, 220, (300, 2)), np.zeros(300, bool))
-    still, moved = (SparseDepthMaker(replace(submap, wall_moved=was), CAMERA).sparse_depth(2) for was in (False, True))
-    assert len(moved.depth) < 0.7 * len(still.depth)
-    assert set(moved.depth) <= set(still.depth)
-    distance = np.linalg.norm(moved.pixels[:, None] - moved.pixels, axis=2) + 999 * np.eye(len(moved.depth))
-    assert distance.min() > SUREST_WITHIN * CAMERA.width
-
-
-@pytest.mark.parametrize("moved", [False, True])
-def test_that_the_wall_moved_is_known_after_writing_and_reading(tmp_path, moved):
-    write_model(replace(wall([[160.0, 160.0]] * 9, np.zeros(9, bool)), wall_moved=moved), CAMERA, tmp_path)
-    assert read_submap(tmp_path).wall_moved is moved

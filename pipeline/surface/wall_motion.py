@@ -1,19 +1,24 @@
-"""Whether the wall moved while it was filmed, by each submap's own points.
+"""Stage 5b: whether the wall moved while it was filmed, by each submap's own points. Nothing is changed by it.
 
 Long films are asked piece by piece, so that memory does not grow with the film.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.progress import Progress
+from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.run_folder.stage import load_or_make
+from pipeline.run_folder.workspace import Workspace
 from reconstruction.motion.held_out_motion import Residuals, held_out_motion
 
+STAGE = "motion"
 PIECE_S = 30.0
 MOST_OBSERVATIONS = 60_000  # of a piece
 MIN_TRACK_LENGTH = 3  # frames that saw a point; fewer miss nothing
@@ -38,6 +43,50 @@ class WallMotion:
             "or the lens, the shutter or the path is a little wrong; path, depth and scale are not to be trusted to "
             "millimetres"
         )
+
+
+def wall_motion_stage(
+    frames: Frames, completed: list[CompletedSubmap], submaps: list[Submap], workspace: Workspace, progress: Progress
+) -> list[WallMotion | None]:
+    """Of each submap; None where too little is followed to tell, and where closed loops moved points off what was
+    adjusted to the pictures.
+
+    submaps: as the front end left them; points found anew have lost the sightings that a moving wall puts off.
+    """
+    return load_or_make(
+        workspace,
+        STAGE,
+        lambda: load_motion(workspace),
+        lambda: _ask_all(frames, _unmoved(completed, submaps), workspace, progress),
+    )
+
+
+def _unmoved(completed: list[CompletedSubmap], submaps: list[Submap]) -> list[Submap | None]:
+    """Of each completed submap the one that the front end left; None of those that closed loops moved."""
+    by_frames = {tuple(submap.frames.tolist()): submap for submap in submaps}
+    return [
+        None if one.depth_scale is not None else by_frames.get(tuple(one.submap.frames.tolist())) for one in completed
+    ]
+
+
+def load_motion(workspace: Workspace) -> list[WallMotion | None]:
+    """What a finished stage found; none in runs of earlier versions."""
+    if not workspace.is_done(STAGE):
+        return []
+    records = workspace.result(STAGE)["submaps"]
+    return [None if r is None else WallMotion(r["told"], r["explained"]) for r in records]
+
+
+def _ask_all(frames: Frames, submaps: list[Submap | None], workspace: Workspace, progress: Progress) -> None:
+    found = [None if submap is None else measure_motion(frames, submap) for submap in submaps]
+    workspace.finish(STAGE, submaps=[None if one is None else asdict(one) for one in found])
+    for sentence in sentences(found):
+        progress.log(sentence)
+
+
+def sentences(found: list[WallMotion | None]) -> list[str]:
+    """One for each submap whose points miss a still wall together."""
+    return [one.sentence(number) for number, one in enumerate(found) if one is not None and one.told]
 
 
 def measure_motion(frames: Frames, submap: Submap) -> WallMotion | None:

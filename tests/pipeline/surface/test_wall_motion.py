@@ -1,11 +1,14 @@
-"""Residuals against finite differences, and what is said of a submap whose points move."""
+"""The stage's residuals against finite differences, and its word on a submap whose points move."""
+
+from dataclasses import asdict
 
 import numpy as np
 
 from haustra.core.camera import Camera
-from pipeline.frontend import wall_motion
-from pipeline.frontend.wall_motion import measure_motion, residuals
+from haustra.core.progress import SilentProgress
 from pipeline.mapping.submap import Submap
+from pipeline.surface import wall_motion
+from pipeline.surface.wall_motion import WallMotion, load_motion, measure_motion, residuals, sentences
 
 LENS = Camera("OPENCV_FISHEYE", 200, 150, (100.0, 100.0, 100.0, 75.0, -0.02, 0.0, 0.0, 0.0), True)
 COUNT, POINTS, RATE = 90, 300, 15.0
@@ -38,7 +41,8 @@ def test_a_still_film_and_a_moving_one():
     still, moving = (measure_motion(FilmFrames(), film(amplitude)) for amplitude in (0.0, 0.02))
     assert not still.told
     assert moving.told
-    assert moving.sentence(2).startswith("points of submap 2 miss a still wall")
+    assert sentences([still, None, moving])[0].startswith("points of submap 2 miss a still wall")
+    assert len(sentences([still, None, moving])) == 1
 
 
 def test_a_long_film_is_asked_in_pieces(monkeypatch):
@@ -72,3 +76,45 @@ def test_jacobians_are_those_of_finite_differences():
 def test_a_right_map_misses_nothing():
     seen = residuals(FilmFrames(), film(0.0, noise_px=0.0, count=3), np.arange(3.0), np.ones(3 * POINTS, bool))
     assert np.abs(seen.pixels).max() < 1e-3
+
+
+class Folder:
+    """A workspace's record of stages."""
+
+    def __init__(self):
+        self.results = {}
+
+    def is_done(self, stage):
+        return stage in self.results
+
+    def finish(self, stage, **result):
+        self.results[stage] = result
+
+    def result(self, stage):
+        return self.results[stage]
+
+
+def test_what_is_recorded_is_read_again_and_runs_of_earlier_versions_have_none(monkeypatch):
+    folder, found = Folder(), [WallMotion(True, 0.2), None, None]
+    assert load_motion(folder) == []
+    order, asked = iter(found[:2]), []
+    monkeypatch.setattr(wall_motion, "measure_motion", lambda frames, submap: asked.append(submap) or next(order))
+
+    class Submap:
+        def __init__(self, *frames):
+            self.frames = np.array(frames)
+
+    class Completed:
+        depth_scale = None
+
+        def __init__(self, *frames):
+            self.submap = Submap(*frames)
+
+    class Moved(Completed):
+        depth_scale = np.ones(3)  # by closed loops: not asked
+
+    completed, submaps = [Completed(0, 1), Completed(2, 3), Moved(4, 5)], [Submap(0, 1), Submap(2, 3), Submap(4, 5)]
+    made = wall_motion.wall_motion_stage(FilmFrames(), completed, submaps, folder, SilentProgress())
+    assert made == found == load_motion(folder)
+    assert asked == submaps[:2]  # with the front end's own points
+    assert folder.result("motion")["submaps"][0] == asdict(found[0])
