@@ -26,6 +26,19 @@ def test_the_network_is_the_one_that_is_named(monkeypatch) -> None:
     assert sys.getswitchinterval() == before
 
 
+def test_a_network_that_was_let_go_is_loaded_again_where_it_is_asked_for(monkeypatch) -> None:
+    loaded = []
+    monkeypatch.setattr(preparation, "LIBRARIES", ())
+    monkeypatch.setattr(preparation, "load_completer", lambda *_: loaded.append(object()) or loaded[-1])
+    with Preparation("mscsa", "cpu", None) as later:
+        later.begin(with_network=True)
+        first = later.completer()
+        later.forget()
+        second = later.completer()
+        assert later.completer() is second
+    assert loaded == [first, second]
+
+
 def test_a_network_that_is_not_asked_for_is_not_loaded(monkeypatch) -> None:
     monkeypatch.setattr(preparation, "LIBRARIES", ())
     monkeypatch.setattr(preparation, "load_completer", lambda *_: pytest.fail("nobody asked for it"))

@@ -1,9 +1,11 @@
 """Geometry of the streaming front end, on exact tracks of made-up scenes, against SciPy, OpenCV and known truth."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
@@ -107,6 +109,26 @@ def test_bundle_adjustment_finds_the_minimum_that_scipy_finds():
     squared = (ours.residuals() ** 2).sum(axis=1)
     cost = (loss**2 * np.log1p(squared / loss**2)).sum()
     assert cost == pytest.approx(2 * oracle.cost, rel=1e-3)
+
+
+def test_points_of_fixed_cameras_are_those_that_scipy_finds_one_by_one():
+    truth, _ = made_bundle(np.random.default_rng(4), cameras=5, count=40, noise_px=0.5)
+    held = replace(truth, fixed=np.ones(5, bool), points=truth.points + 0.3)
+    ours = adjust(held, 100, loss_px=2.0, tolerance=1e-14)
+    np.testing.assert_array_equal(ours.rotation, held.rotation)
+    np.testing.assert_array_equal(ours.translation, held.translation)
+    seen = np.bincount(truth.point, minlength=len(truth.points))
+    for point in np.flatnonzero(seen >= 3)[:12]:
+        mine = truth.point == point
+        rotation, shift, xy = truth.rotation[truth.camera[mine]], truth.translation[truth.camera[mine]], truth.xy[mine]
+
+        def cost(x, rotation=rotation, shift=shift, xy=xy):
+            local = rotation @ x + shift
+            squared = ((FOCAL * (local[:, :2] / local[:, 2:] - xy)) ** 2).sum(axis=1)
+            return 4.0 * np.log1p(squared / 4.0).sum()
+
+        oracle = minimize(cost, truth.points[point], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-13})
+        assert cost(ours.points[point]) == pytest.approx(oracle.fun, rel=1e-5, abs=1e-9)
 
 
 def test_bundle_adjustment_never_raises_the_cost_and_shrugs_off_outliers():
