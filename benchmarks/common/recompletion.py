@@ -82,8 +82,9 @@ def from_true_points(film: Path, made: Run) -> CompletedSubmap:
 
 
 def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
-    """Completed from the points that the true poses triangulate, found and refined as the run finds its own: what a
-    still map has at best where the wall moves."""
+    """Completed from the features that the true poses triangulate, found and refined as the run finds its own: what a
+    still map has at best where the wall moves. Without corners that were tracked: those lie where the run's poses have
+    them."""
     completed = made.completed_submaps[0]
     truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
     run_from_truth = np.linalg.inv(align_poses(completed.submap.world_from_camera, truth))
@@ -92,7 +93,7 @@ def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
     camera, workspace = made.frames.camera, made.workspace
     motion_px = workspace.config.front_end_settings.odometry.keyframe_motion * camera.width
     with frame_features(workspace) as features:
-        submap = replace(completed.submap, world_from_camera=poses)
+        submap = replace(completed.submap, world_from_camera=poses).without_points(completed.submap.is_klt)
         found = triangulate_again(submap, camera, motion_px, features, no_progress)
     refined = refine_points(found or submap, camera, frame_reader(workspace))
     moved = replace(completed, submap=refined)

@@ -64,18 +64,18 @@ F-score at 1 mm, as above, of the three paths and in the mean: our own fusion fe
 or with those of a run, and with each frame's depth carried to the wall at rest by the true motion, which is what a
 perfect model of motion would do. True poses and depth: every sixth frame of the film; the others: keyframes of the
 largest submaps of `now`'s runs. Depth *from points* is completed once more: from the run's points, each at the true
-depth of its pixel in that frame, or from points that are triangulated and refined as in a run, but by true poses.
+depth of its pixel in that frame, or from features that are triangulated and refined as in a run, but by true poses.
 `python -m benchmarks.living_ceilings FILMS/* --runs RUNS --json living_ceilings.json`; commit {commit}.
 
 | amplitude (mm) | fused | motion left in: paths | mean | carried to rest: paths | mean |
 |---|---|---|---|---|---|
 {rows}
 
-- **Points decide.** With the run's points at their true depth, completion and fusion without any model of motion would
-  give {points_2_5:.0f}, {points_5:.0f} and {points_10:.0f} % at 2.5, 5 and 10 mm; carried to rest by the true motion,
-  {carried_points_2_5:.0f}, {carried_points_5:.0f} and {carried_points_10:.0f} %. What true poses triangulate as if the
-  wall stood still gives {static_2_5:.0f}, {static_5:.0f} and {static_10:.0f} %: no better poses would help. A run has
-  {run_2_5:.0f}, {run_5:.0f} and {run_10:.0f} %.
+- **Points decide.** A run has {run_2_5:.1f}, {run_5:.1f} and {run_10:.1f} % at 2.5, 5 and 10 mm. Were its points at
+  their true depth, it would have {points_2_5:.1f}, {points_5:.1f} and {points_10:.1f} % without any model of the motion
+  (true poses), and {carried_points_2_5:.1f}, {carried_points_5:.1f} and {carried_points_10:.1f} % with a perfect one.
+  But what true poses triangulate, as if the wall stood still, gives {static_2_5:.1f}, {static_5:.1f} and
+  {static_10:.1f} %: better poses alone would not do. Each point's own motion would have to be known.
 - **Amplitude 0: completed depth.** True depth on the run's poses gives nearly what it gives on true poses (of other
   frames); the run's depth on true poses gives no more than on its own.
 - **2.5 mm: depth again.** Averaging in the fusion hardly minds the motion, and poses that follow the wall are good
