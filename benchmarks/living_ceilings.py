@@ -18,7 +18,7 @@ A row is added as each film ends; a stopped call goes on where it was.
 import argparse
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,7 +98,7 @@ def _sources(film: Path, arguments: argparse.Namespace) -> Iterator[tuple[str, A
     yield "run's poses, run's depth", lambda: _of_run(film, made, completed), intrinsics
     yield "true poses, run's depth", lambda: _with_true_poses(film, made, completed), intrinsics
     for name, complete in (("points at true depth", from_true_points), ("points of true poses", from_true_poses)):
-        again = partial(_completed_again, film, made, complete)
+        again = partial(_completed_again, film, made, cache(partial(complete, film, made)))
         yield f"true poses, depth from {name}", again, intrinsics
 
 
@@ -141,8 +141,8 @@ def _with_true_poses(film: Path, made: Run, completed: CompletedSubmap) -> Itera
         yield view._replace(world_from_camera=truth[view.frame])
 
 
-def _completed_again(film: Path, made: Run, complete: Callable[[Path, Run], CompletedSubmap]) -> Iterator[View]:
-    return _with_true_poses(film, made, complete(film, made))
+def _completed_again(film: Path, made: Run, complete: Callable[[], CompletedSubmap]) -> Iterator[View]:
+    return _with_true_poses(film, made, complete())
 
 
 def scores(film: Path, views: Iterator[View], intrinsics: Array, to_rest: bool) -> dict[str, Any]:

@@ -28,7 +28,6 @@ from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.page.pictures import draw_pictures
 from pipeline.report.report import add_profile, write_geometry, write_report
-from pipeline.run_folder.malloc import return_freed_memory
 from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
 from pipeline.surface.coverage_stage import coverage_stage
@@ -65,7 +64,6 @@ def reconstruct(
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
     lamp = lamp_of(config.fusion.lamp, config.camera)
-    return_freed_memory()  # each stage asks for arrays of other sizes; where a network works, it is kept
     timed = StageClock()
     later = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common.living_truth import true_depth
+from haustra.core.errors import HaustraError
 from haustra.core.progress import no_progress
 from haustra.core.sim3 import scale_of
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -49,7 +50,13 @@ class MemoryKeyframes:
 
 def completed_from(made: Run, completed: CompletedSubmap, points: Points) -> CompletedSubmap:
     """The submap with depth from these points, as the run's network completes it; without keyframes that have too few.
-    Loop closing must not have moved its depths."""
+
+    HaustraError where closed loops moved its depths, which the points then no longer fit, and where no keyframe is left.
+    """
+    if completed.depth_scale is not None:
+        raise HaustraError(
+            f"{made.folder}: closed loops moved the depth, so that it cannot be completed from points again"
+        )
     config, frames = made.workspace.config, completed.submap.frames
     completer = load_completer(config.model, config.device, config.depth.iterations)
     content = completed.rectifier.mask(made.frames.content)
@@ -62,12 +69,14 @@ def completed_from(made: Run, completed: CompletedSubmap, points: Points) -> Com
         store.depths[int(frames[row])] = np.where(inside, depth, np.float32(0))
         store.confidences[int(frames[row])] = np.where(inside, confidence, np.float32(0))
         kept.append(row)
-    return replace(completed, rows=np.array(kept), store=store, depth_scale=None)
+    if not kept:
+        raise HaustraError(f"{made.folder}: no keyframe has {MIN_POINTS} points to complete its depth from")
+    return replace(completed, rows=np.array(kept, np.int64), store=store)
 
 
 def from_true_points(film: Path, made: Run) -> CompletedSubmap:
-    """Completed from the run's own points, each put at the true depth of its pixel in that frame: what a perfect model
-    of the motion, or perfect triangulation, would give the network."""
+    """Completed from the run's own points, each put at the true depth of its pixel in that frame, which takes perfect
+    knowledge of the motion; with true poses, by which neighbours are then compared."""
     completed = made.completed_submaps[0]
     maker, scale = SparseDepthMaker(completed.submap, completed.camera), _mm_per_unit(film, completed)
 
@@ -78,7 +87,8 @@ def from_true_points(film: Path, made: Run) -> CompletedSubmap:
         depth, known = truth[y, x] / scale, truth[y, x] > 0
         return SparseDepth(found.pixels[known], depth[known], found.error[known])
 
-    return completed_from(made, completed, points)
+    again = completed_from(made, completed, points)
+    return replace(again, submap=replace(again.submap, world_from_camera=_true_poses(film, completed)))
 
 
 def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
@@ -86,11 +96,7 @@ def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
     still map has at best where the wall moves. Without corners that were tracked: those lie where the run's poses have
     them."""
     completed = made.completed_submaps[0]
-    truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
-    run_from_truth = np.linalg.inv(align_poses(completed.submap.world_from_camera, truth))
-    poses = run_from_truth @ truth
-    poses[:, :3, :3] /= scale_of(run_from_truth)
-    camera, workspace = made.frames.camera, made.workspace
+    poses, camera, workspace = _true_poses(film, completed), made.frames.camera, made.workspace
     motion_px = workspace.config.front_end_settings.odometry.keyframe_motion * camera.width
     with frame_features(workspace) as features:
         submap = replace(completed.submap, world_from_camera=poses).without_points(completed.submap.is_klt)
@@ -98,6 +104,15 @@ def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
     refined = refine_points(found or submap, camera, frame_reader(workspace))
     moved = replace(completed, submap=refined)
     return completed_from(made, moved, SparseDepthMaker(refined, completed.camera).sparse_depth)
+
+
+def _true_poses(film: Path, completed: CompletedSubmap) -> NDArray[np.float64]:
+    """(N,4,4) of the submap's frames, in its axes and unit."""
+    truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
+    run_from_truth = np.linalg.inv(align_poses(completed.submap.world_from_camera, truth))
+    poses = run_from_truth @ truth
+    poses[:, :3, :3] /= scale_of(run_from_truth)
+    return np.asarray(poses)
 
 
 def _mm_per_unit(film: Path, completed: CompletedSubmap) -> float:

@@ -158,7 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """All of them once in each run."""
-    keep_freed_memory()  # as every command does
+    keep_freed_memory()  # as while `reconstruct` completes depth
     inputs = scene(320, 100)
     times = milliseconds(of_default(*inputs) | of_network_alone(*inputs) | of_others(*inputs), arguments.runs)
     figures = {name: spread(values) for name, values in times.items()}

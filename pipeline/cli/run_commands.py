@@ -93,8 +93,10 @@ def reconstruct(
     must_be_named_or_exist("--model", model)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.config import load_config
+    from pipeline.run_folder.malloc import return_freed_memory
     from pipeline.run_folder.workspace import Workspace
 
+    return_freed_memory()  # each stage asks for arrays of other sizes; while a network works, it is kept
     if rerun:
         from pipeline.report.rerun_export import check_rerun, export_rerun
 

@@ -63,9 +63,10 @@ def average_frame(
 
 @compiled
 def _moved(mean: np.uint16, value: np.float32, share: np.float32) -> np.uint16:
-    """A mean in steps, moved to a value in steps by a share of the way, to the nearest step."""
+    """A mean in steps, moved to a value in steps by a share of the way, to the nearest step. It does not move by less
+    than half a step: what many weak views of one sign would add is lost."""
     before = np.float32(mean)
-    return np.uint16(before + share * (value - before) + np.float32(0.5))
+    return np.uint16(min(max(before + share * (value - before) + np.float32(0.5), np.float32(0)), np.float32(65535)))
 
 
 @compiled

@@ -5,6 +5,7 @@ python scripts/pages/living_page.py > docs/lab/living.md
 
 import json
 import statistics
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +52,8 @@ READ = """
 - **A low ATE is no proof of a right map.** The Sim(3) of so short and straight a path is turned easily: rotations
   after alignment are off by degrees, and the surface, which lies 20 to 60 mm away, by millimetres.
 - **COLMAP's maps** are of every n-th frame (`now`), and the frames between are posed by their points: COLMAP is asked
-  where odometry's map may well be wrong ([front end](../guide/front_end.md)). Why its maps of moving walls are better
-  is not known.
+  where odometry's map may well be wrong ([front end](../guide/front_end.md)). `before` asked it only about stretches of
+  which it could map every frame. Why its maps of moving walls are better is not known.
 - **No model of motion.** Poses and points are adjusted as if the wall stood still, and depth is averaged over time.
   That it moved is said (below); why no more is done follows.
 """
@@ -67,15 +68,16 @@ largest submaps of `now`'s runs. Depth *from points* is completed once more: fro
 depth of its pixel in that frame, or from features that are triangulated and refined as in a run, but by true poses.
 `python -m benchmarks.living_ceilings FILMS/* --runs RUNS --json living_ceilings.json`; commit {commit}.
 
-| amplitude (mm) | fused | motion left in: paths | mean | carried to rest: paths | mean |
-|---|---|---|---|---|---|
+| amplitude (mm) | fused | frames fused | motion left in: paths | mean | carried to rest: paths | mean |
+|---|---|---|---|---|---|---|
 {rows}
 
-- **Points decide.** A run has {run_2_5:.1f}, {run_5:.1f} and {run_10:.1f} % at 2.5, 5 and 10 mm. Were its points at
-  their true depth, it would have {points_2_5:.1f}, {points_5:.1f} and {points_10:.1f} % without any model of the motion
-  (true poses), and {carried_points_2_5:.1f}, {carried_points_5:.1f} and {carried_points_10:.1f} % with a perfect one.
-  But what true poses triangulate, as if the wall stood still, gives {static_2_5:.1f}, {static_5:.1f} and
-  {static_10:.1f} %: better poses alone would not do. Each point's own motion would have to be known.
+- **Points.** On true poses, the run's depth gives {run_2_5:.1f}, {run_5:.1f} and {run_10:.1f} % at 2.5, 5 and 10 mm;
+  depth from the same points, each where the wall is in that frame, {points_2_5:.1f}, {points_5:.1f} and
+  {points_10:.1f} %, and carried to rest, too, {carried_points_2_5:.1f}, {carried_points_5:.1f} and
+  {carried_points_10:.1f} %. That takes the motion of each point. Depth from features that the same true poses
+  triangulate as if the wall stood still gives {static_2_5:.1f}, {static_5:.1f} and {static_10:.1f} %.
+- **Frames fused** differ from row to row: a keyframe whose depth its neighbours contradict is left out.
 - **Amplitude 0: completed depth.** True depth on the run's poses gives nearly what it gives on true poses (of other
   frames); the run's depth on true poses gives no more than on its own.
 - **2.5 mm: depth again.** Averaging in the fusion hardly minds the motion, and poses that follow the wall are good
@@ -169,32 +171,33 @@ def ceilings(record: dict[str, Any]) -> list[str]:
                 scores = [found[f"{path}_{ending}"]["f_score_percent"] for path in "abc" if f"{path}_{ending}" in found]
                 shown = ", ".join(f"{score:.0f}" for score in scores)
                 cells.append(f"{shown} | {statistics.fmean(scores):.1f}" if scores else "| ")
-            lines.append(f"| {amplitude} | {fused} | {' | '.join(cells)} |")
+            frames = ", ".join(
+                str(found[f"{path}_{ending}"]["frames"]) for path in "abc" if f"{path}_{ending}" in found
+            )
+            lines.append(f"| {amplitude} | {fused} | {frames} | {' | '.join(cells)} |")
     return lines
+
+
+def _mean(record: dict[str, Any], ending: str, fused: str, motion: str) -> float:
+    """Mean F-score of what is fused, over the films of an amplitude."""
+    rows = [r for r in record["runs"] if r["sequence"].endswith("_" + ending)]
+    return statistics.fmean(r["f_score_percent"] for r in rows if r["method"] == f"{fused}, motion {motion}")
 
 
 def _means(record: dict[str, Any], mm: str, ending: str) -> dict[str, float]:
     """Mean F-scores of what is fused, for the text."""
-
-    def mean(fused: str, motion: str) -> float:
-        rows = [r for r in record["runs"] if r["sequence"].endswith("_" + ending)]
-        return statistics.fmean(r["f_score_percent"] for r in rows if r["method"] == f"{fused}, motion {motion}")
-
+    mean = partial(_mean, record, ending)
     return {
         f"points_{mm}": mean(POINTS_AT_TRUE_DEPTH, "left in"),
         f"carried_points_{mm}": mean(POINTS_AT_TRUE_DEPTH, "carried to rest"),
         f"static_{mm}": mean(POINTS_OF_TRUE_POSES, "left in"),
-        f"run_{mm}": mean("run's poses, run's depth", "left in"),
+        f"run_{mm}": mean("true poses, run's depth", "left in"),
     }
 
 
 def _costs(record: dict[str, Any], mm: str, ending: str) -> dict[str, float]:
     """Points of F-score that a perfect model of motion is worth, and that a run's poses and depth cost."""
-
-    def mean(fused: str, motion: str) -> float:
-        rows = [r for r in record["runs"] if r["sequence"].endswith("_" + ending)]
-        return statistics.fmean(r["f_score_percent"] for r in rows if r["method"] == f"{fused}, motion {motion}")
-
+    mean = partial(_mean, record, ending)
     best, poses = (mean(f"{whose} poses, true depth", "carried to rest") for whose in ("true", "run's"))
     depth, left_in = (mean("run's poses, run's depth", motion) for motion in ("carried to rest", "left in"))
     return {

@@ -132,8 +132,10 @@ def test_depth_completed_once_more_follows_the_points_that_it_is_given(finished)
         known = depth > 0
         np.testing.assert_allclose(depth[known], one.depth(row)[0][known], rtol=2e-3, atol=1e-3)  # steps of the PNG
         np.testing.assert_allclose(twice.depth(row)[0][known], 2 * depth[known], rtol=1e-3)
-    few = completed_from(run, one, lambda row: SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0)))
-    assert len(few.rows) == 0
+    with pytest.raises(HaustraError, match="no keyframe has 12 points"):
+        completed_from(run, one, lambda row: SparseDepth(np.zeros((0, 2)), np.zeros(0), np.zeros(0)))
+    with pytest.raises(HaustraError, match="closed loops"):
+        completed_from(run, replace(one, depth_scale=np.ones(len(one.submap.frames))), maker.sparse_depth)
 
 
 def test_error_against_the_clips_truth(finished):

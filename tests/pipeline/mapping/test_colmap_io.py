@@ -34,4 +34,6 @@ def test_a_lens_that_colmap_lacks_is_a_pinhole_there(tmp_path):
     assert off < 1e-3
     read = read_submap(tmp_path)
     assert read.camera_params == camera.params
+    assert submap.observations.dtype == read.observations.dtype == np.int32  # of a long film there are millions
+    np.testing.assert_array_equal(read.observations, submap.observations)
     np.testing.assert_array_equal(read.pixels, submap.pixels)

@@ -1,6 +1,7 @@
 """Averaging a frame into voxels, against the same written voxel by voxel with plain numbers."""
 
 import numpy as np
+import pytest
 
 from reconstruction.fusion.voxel_integration import COLOUR_STEPS, CONFIDENCE_STEPS, average_frame
 
@@ -63,6 +64,36 @@ def test_it_is_the_weighted_mean_of_what_each_frame_says():
     assert not evidence[[1, 3, 8]].any()
 
 
+def show(channels, colour, weight=1.0, confidence=1.0):
+    """A frame of one pixel, of one voxel."""
+    one = np.ones((1, 1), np.float32)
+    images = 2 * one, np.float32(weight) * one, np.float32(confidence) * one, colour
+    place = np.zeros(1, np.int64), np.array([[0, 0, 2]], "f4"), np.zeros((1, 3), "f4"), np.array([1, 1, 0, 0], "f4")
+    average_frame(*place, *images, TRUNCATION, *channels)
+
+
+@pytest.mark.parametrize(("first", "weight", "count"), [(1.0, 1.0, 1000), (500.0, 0.5, 2000)])
+def test_light_that_drifts_and_weak_views_after_a_sure_one_are_lost_by_no_more_than_one_grey_level(
+    first, weight, count
+):
+    """The mean stalls where a view moves it by less than half a step."""
+    values = [np.zeros((1, 1), kind) for kind in (np.float32, np.uint16, np.float32, np.uint16)]
+    channels = [*values, np.zeros((1, 1, 3), np.uint16)]
+    shades = np.concatenate([[100.0], np.linspace(100.5, 108, count)])
+    weights = np.concatenate([[first], np.full(count, weight)])
+    for shade, of in zip(shades, weights, strict=True):
+        show(channels, np.full((1, 1, 3), shade, np.float32), of)
+    expected = np.average(shades, weights=weights)
+    np.testing.assert_allclose(channels[4] / COLOUR_STEPS, expected, atol=1.0)
+
+
+def test_a_confidence_that_rounding_puts_past_one_does_not_wrap():
+    values = [np.zeros((1, 1), kind) for kind in (np.float32, np.uint16, np.float32, np.uint16)]
+    channels = [*values, np.zeros((1, 1, 3), np.uint16)]
+    show(channels, np.full((1, 1, 3), 255, np.float32), confidence=1.0001)
+    assert channels[3] == CONFIDENCE_STEPS
+
+
 def test_means_in_steps_stay_true_over_many_frames():
     """White stays white, a sure voxel sure, and of many frames the mean is that of all."""
     rng = np.random.default_rng(1)
@@ -70,18 +101,8 @@ def test_means_in_steps_stay_true_over_many_frames():
     channels = [*values, np.zeros((1, 1, 3), np.uint16)]
     shown = 40 + 60 * rng.random((500, 1, 1, 3)).astype("f4")
     shown[..., 0] = 255
-    one = np.ones((1, 1), np.float32)
     for colour in shown:
-        images = 2 * one, one, one, colour
-        average_frame(
-            np.zeros(1, np.int64),
-            np.array([[0, 0, 2]], "f4"),
-            np.zeros((1, 3), "f4"),
-            np.array([1, 1, 0, 0], "f4"),
-            *images,
-            TRUNCATION,
-            *channels,
-        )
+        show(channels, colour)
     assert channels[1] == 500
     assert channels[3] == CONFIDENCE_STEPS
     np.testing.assert_allclose(channels[4][0, 0] / COLOUR_STEPS, shown.mean(axis=0)[0, 0], atol=0.3)
