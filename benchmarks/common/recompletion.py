@@ -51,7 +51,7 @@ class MemoryKeyframes:
 def completed_from(made: Run, completed: CompletedSubmap, points: Points) -> CompletedSubmap:
     """The submap with depth from these points, as the run's network completes it; without keyframes that have too few.
 
-    HaustraError where closed loops moved its depths, which the points then no longer fit, and where no keyframe is left.
+    HaustraError where closed loops moved its depths, which the points then no longer fit, or no keyframe is left.
     """
     if completed.depth_scale is not None:
         raise HaustraError(
