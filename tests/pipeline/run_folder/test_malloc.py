@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from pipeline.run_folder import malloc
+
 COUNT_FAULTS = """
 import resource
 import numpy as np
@@ -100,3 +102,18 @@ def test_large_arrays_go_back_at_once_but_while_a_network_works():
     assert returned < 30, "100 MiB of large arrays were freed"
     assert kept > 90
     assert after < 30
+
+
+def test_a_process_that_did_not_ask_is_left_as_it_is(monkeypatch):
+    """As one that calls `reconstruct()` from Python."""
+    asked = []
+    monkeypatch.setattr(malloc, "_set_limit", lambda which, value: asked.append(value) or True)
+    monkeypatch.setattr(malloc, "_returning", False)
+    with malloc.freed_memory_kept():
+        pass
+    assert asked == []
+    malloc.return_freed_memory()
+    with malloc.freed_memory_kept():
+        kept = list(asked)
+    assert malloc.LARGEST_REUSED in kept
+    assert asked[len(kept) :] == [malloc.ARENAS, malloc.LARGEST_IN_HEAP, malloc.MOST_FREE]

@@ -73,10 +73,8 @@ def show(channels, colour, weight=1.0, confidence=1.0):
 
 
 @pytest.mark.parametrize(("first", "weight", "count"), [(1.0, 1.0, 1000), (500.0, 0.5, 2000)])
-def test_light_that_drifts_and_weak_views_after_a_sure_one_are_lost_by_no_more_than_one_grey_level(
-    first, weight, count
-):
-    """The mean stalls where a view moves it by less than half a step."""
+def test_where_a_mean_stalls_it_is_off_by_no_more_than_one_grey_level(first, weight, count):
+    """Light that drifts, and weak views after a sure one, move it by less than half a step each."""
     values = [np.zeros((1, 1), kind) for kind in (np.float32, np.uint16, np.float32, np.uint16)]
     channels = [*values, np.zeros((1, 1, 3), np.uint16)]
     shades = np.concatenate([[100.0], np.linspace(100.5, 108, count)])
