@@ -92,9 +92,9 @@ def _sources(film: Path, arguments: argparse.Namespace) -> Iterator[tuple[str, A
         made = open_run(folder)
     except HaustraError:
         return
-    intrinsics = made.completed_submaps[0].camera.matrix
     completed = made.completed_submaps[0]
-    yield "run's poses, true depth", lambda: _with_true_depth(film, made), intrinsics
+    intrinsics = completed.camera.matrix
+    yield "run's poses, true depth", lambda: _with_true_depth(film, made, completed), intrinsics
     yield "run's poses, run's depth", lambda: _of_run(film, made, completed), intrinsics
     yield "true poses, run's depth", lambda: _with_true_poses(film, made, completed), intrinsics
     for name, complete in (("points at true depth", from_true_points), ("points of true poses", from_true_poses)):
@@ -128,10 +128,9 @@ def _of_run(film: Path, made: Run, completed: CompletedSubmap) -> Iterator[View]
             yield View(int(completed.submap.frames[row]), depth * np.float32(scale), kept, moved)
 
 
-def _with_true_depth(film: Path, made: Run) -> Iterator[View]:
-    rectifier = made.completed_submaps[0].rectifier
-    for view in _of_run(film, made, made.completed_submaps[0]):
-        depth = true_depth(film, view.frame, rectifier)
+def _with_true_depth(film: Path, made: Run, completed: CompletedSubmap) -> Iterator[View]:
+    for view in _of_run(film, made, completed):
+        depth = true_depth(film, view.frame, completed.rectifier)
         yield View(view.frame, depth, (depth > 0).astype(np.float32), view.world_from_camera)
 
 

@@ -78,17 +78,18 @@ def from_true_points(film: Path, made: Run) -> CompletedSubmap:
     """Completed from the run's own points, each put at the true depth of its pixel in that frame, which takes perfect
     knowledge of the motion; with true poses, by which neighbours are then compared."""
     completed = made.completed_submaps[0]
-    maker, scale = SparseDepthMaker(completed.submap, completed.camera), _mm_per_unit(film, completed)
+    maker = SparseDepthMaker(completed.submap, completed.camera)
+    poses, mm_per_unit = _true_poses(film, completed)
 
     def points(row: int) -> SparseDepth:
         found = maker.sparse_depth(row)
         truth = true_depth(film, int(completed.submap.frames[row]), completed.rectifier)
         x, y = np.floor(found.pixels).astype(int).T
-        depth, known = truth[y, x] / scale, truth[y, x] > 0
+        depth, known = truth[y, x] / mm_per_unit, truth[y, x] > 0
         return SparseDepth(found.pixels[known], depth[known], found.error[known])
 
     again = completed_from(made, completed, points)
-    return replace(again, submap=replace(again.submap, world_from_camera=_true_poses(film, completed)))
+    return replace(again, submap=replace(again.submap, world_from_camera=poses))
 
 
 def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
@@ -96,7 +97,7 @@ def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
     still map has at best where the wall moves. Without corners that were tracked: those lie where the run's poses have
     them."""
     completed = made.completed_submaps[0]
-    poses, camera, workspace = _true_poses(film, completed), made.frames.camera, made.workspace
+    (poses, _), camera, workspace = _true_poses(film, completed), made.frames.camera, made.workspace
     motion_px = workspace.config.front_end_settings.odometry.keyframe_motion * camera.width
     with frame_features(workspace) as features:
         submap = replace(completed.submap, world_from_camera=poses).without_points(completed.submap.is_klt)
@@ -106,15 +107,11 @@ def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
     return completed_from(made, moved, SparseDepthMaker(refined, completed.camera).sparse_depth)
 
 
-def _true_poses(film: Path, completed: CompletedSubmap) -> NDArray[np.float64]:
-    """(N,4,4) of the submap's frames, in its axes and unit."""
+def _true_poses(film: Path, completed: CompletedSubmap) -> tuple[NDArray[np.float64], float]:
+    """(N,4,4) of the submap's frames, in its axes and unit, and how many mm that unit is."""
     truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
-    run_from_truth = np.linalg.inv(align_poses(completed.submap.world_from_camera, truth))
-    poses = run_from_truth @ truth
-    poses[:, :3, :3] /= scale_of(run_from_truth)
-    return np.asarray(poses)
-
-
-def _mm_per_unit(film: Path, completed: CompletedSubmap) -> float:
-    truth = read_tum(film / "trajectory.txt")[1][completed.submap.frames]
-    return float(scale_of(align_poses(completed.submap.world_from_camera, truth)))
+    truth_from_run = align_poses(completed.submap.world_from_camera, truth)
+    mm_per_unit = float(scale_of(truth_from_run))
+    poses = np.linalg.inv(truth_from_run) @ truth
+    poses[:, :3, :3] *= mm_per_unit
+    return np.asarray(poses), mm_per_unit

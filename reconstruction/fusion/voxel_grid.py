@@ -150,9 +150,9 @@ class VoxelGrid:
 
     def edge_voxels(self, vertices: NDArray[np.float64]) -> EdgeVoxels:
         """The two neighbouring voxels between which each vertex (V,3) of marching cubes lies on a grid line."""
-        parts = [self._edge_voxels(vertices[first : first + LOCATED]) for first in range(0, len(vertices), LOCATED)]
-        arrays = zip(*(vars(part).values() for part in parts or [self._edge_voxels(vertices)]), strict=True)
-        return EdgeVoxels(*map(np.concatenate, arrays))
+        begins = range(0, max(1, len(vertices)), LOCATED)
+        parts = [self._edge_voxels(vertices[first : first + LOCATED]) for first in begins]
+        return EdgeVoxels(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
     def _edge_voxels(self, vertices: NDArray[np.float64]) -> EdgeVoxels:
         position = vertices / self.voxel_size

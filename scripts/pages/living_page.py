@@ -164,16 +164,14 @@ def ceilings(record: dict[str, Any]) -> list[str]:
     lines = []
     for ending, amplitude in AMPLITUDES.items():
         for fused in FUSED:
-            cells = []
+            cells, frames = [], ""
             for motion in ("left in", "carried to rest"):
                 wanted = f"{fused}, motion {motion}"
                 found = {r["sequence"]: r for r in record["runs"] if r["method"] == wanted}
-                scores = [found[f"{path}_{ending}"]["f_score_percent"] for path in "abc" if f"{path}_{ending}" in found]
+                rows = [found[f"{path}_{ending}"] for path in "abc" if f"{path}_{ending}" in found]
+                scores, frames = [r["f_score_percent"] for r in rows], ", ".join(str(r["frames"]) for r in rows)
                 shown = ", ".join(f"{score:.0f}" for score in scores)
                 cells.append(f"{shown} | {statistics.fmean(scores):.1f}" if scores else "| ")
-            frames = ", ".join(
-                str(found[f"{path}_{ending}"]["frames"]) for path in "abc" if f"{path}_{ending}" in found
-            )
             lines.append(f"| {amplitude} | {fused} | {frames} | {' | '.join(cells)} |")
     return lines
 
