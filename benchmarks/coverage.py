@@ -14,6 +14,7 @@ sentence in place of figures. A row is added as each ends; a stopped call goes o
 import argparse
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,7 @@ def measure(arguments: argparse.Namespace) -> None:
                 found = of_true_depth(film) if method == TRUE_DEPTH else of_a_run(film, arguments.keep)
                 row = {"role": arguments.role, "suite": film.resolve().parent.name} | found
                 table.add(film.name, 0, {method: row})
-                print_row({"film": film.name, "method": method} | row)
+                print_row({"film": film.name, "method": method} | row | {"regions": len(row.get("regions", []))})
 
 
 def of_true_depth(film: Path) -> dict[str, Any]:
@@ -120,12 +121,14 @@ def figures_of(errors: CoverageErrors) -> dict[str, Any]:
         "estimated_percent": 100 * errors.estimated,
         "true_percent": 100 * errors.true,
         "error_points": errors.error_points,
+        "area_of_true": errors.estimated_area / errors.true_area,
         "true_regions": errors.true_regions,
         "found": errors.found,
         "reported_regions": errors.estimated_regions,
         "false": errors.false,
         "hidden_called_seen_percent": 100 * errors.hidden_called_seen,
         "seen_called_missed_percent": 100 * errors.seen_called_missed,
+        "regions": [asdict(region) for region in errors.judged],
         "failed": None,
     }
 

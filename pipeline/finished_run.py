@@ -24,7 +24,7 @@ from pipeline.input.frames import Frames, load_frames
 from pipeline.loop_closing.close_loops import load_refined
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace, open_workspace, report_corruption
-from pipeline.surface.coverage_stage import measure_submap
+from pipeline.surface.coverage_stage import measure_submap, share_seen
 from pipeline.surface.fusion_stage import Surface, load_surfaces
 from pipeline.surface.scale import unit_label
 from reconstruction.coverage.coverage import Coverage
@@ -188,7 +188,7 @@ def _coverage(metrics: dict[str, Any]) -> str:
     bare = seen.get("unmeasured_percent")  # absent in runs of earlier versions
     part = "" if bare is None else f" ({bare:.0f} % not measured)"
     stretch = f"{seen['stretch']:.3g} {unit_label(seen['unit'])}"
-    return f"{seen['covered_percent']:.0f} % of the wall along {stretch} of visited lumen was seen{part}{where}"
+    return f"{share_seen(seen)} of the wall along {stretch} of visited lumen was seen{part}{where}"
 
 
 def _caution(metrics: dict[str, Any]) -> str:

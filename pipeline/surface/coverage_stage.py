@@ -31,6 +31,8 @@ STAGE = "coverage"
 # Voxels past the mesh's edge that count as seen: one because all corners of a cell must be known, two because completed
 # depth is unsure, and not fused, within some pixels of every rim. Chosen on benchmarks/coverage_films.yaml.
 EDGE_VOXELS = 3.0
+# Root mean square error of the percentage, in points, on the films that docs/lab/coverage.md reports.
+ERROR_POINTS = 3.4
 SEGMENT_MM = 50.0
 LISTED_MM = 5.0  # equivalent diameter; an adenoma of 5 mm could hide in it
 LISTED_RADII = 0.2  # of the lumen, where millimetres are not known: 5 mm in a lumen of 50 mm
@@ -56,10 +58,23 @@ class CoverageResult:
             return str(record["reason"])
         regions, unit = record["missed_regions"], unit_label(record["unit"])
         return (
-            f"{record['covered_percent']:.1f} % of the wall was seen over {record['stretch']:.3g} {unit} of visited "
+            f"{share_seen(record, 1)} of the wall was seen over {record['stretch']:.3g} {unit} of visited "
             f"lumen{_unmeasured(record)}; {counted(len(regions), 'missed region')} of {record['listed_from']:.3g} "
-            f"{unit} and more, and {record['smaller_regions']} smaller"
+            f"{unit} and more{likely(regions)}, and {record['smaller_regions']} smaller"
         )
+
+
+def share_seen(record: dict[str, Any], digits: int = 0) -> str:
+    """Of a record that is judged, the percentage of wall seen and, but for runs of before it was kept, its error."""
+    off = record.get("covered_error_points")
+    return f"{record['covered_percent']:.{digits}f}{'' if off is None else f' ± {off:.{digits}f}'} %"
+
+
+def likely(regions: list[dict[str, Any]]) -> str:
+    """How many of the regions are more likely hidden than not; nothing of none, and of runs made before it was told."""
+    if not regions or any("probability" not in region for region in regions):
+        return ""
+    return f" ({sum(region['probability'] > 0.5 for region in regions)} of them more likely hidden than not)"
 
 
 def _unmeasured(record: dict[str, Any]) -> str:
@@ -177,6 +192,7 @@ def _judge(frames: Frames, completed: CompletedSubmap, surface: Surface, picture
         "judged": True,
         "unit": unit,
         "covered_percent": 100 * coverage.share,
+        "covered_error_points": ERROR_POINTS,
         "unmeasured_percent": 100 * coverage.whole.unmeasured_share,
         "seen_area": coverage.whole.seen_area,
         "unmeasured_area": coverage.whole.unmeasured_area,
@@ -211,4 +227,5 @@ def _row(number: int, region: MissedRegion, frames: Frames, completed: Completed
         "centre": list(region.centre),
         "frame": index,
         "seconds": frames.seconds_of(index),
+        "probability": region.probability,
     }

@@ -50,17 +50,18 @@ class ClosedWall:
     arc: Array  # (F,) arc length of the faces' centroids
     angle: Array  # (F,) rad, about the centreline
     unmeasured: NDArray[np.bool_]  # (F,) visible, so observed, but not in the mesh
+    distance: Array  # (F,) of the faces' centroids from the mesh
 
     def transformed(self, target_from_mesh: Array) -> ClosedWall:
         """A copy moved by a Sim(3), given as (4,4) with scale times rotation in its upper left."""
         linear = target_from_mesh[:3, :3]
-        vertices = self.vertices @ linear.T + target_from_mesh[:3, 3]
-        return replace(self, vertices=vertices, arc=float(scale_of(linear)) * self.arc)
+        vertices, scale = self.vertices @ linear.T + target_from_mesh[:3, 3], float(scale_of(linear))
+        return replace(self, vertices=vertices, arc=scale * self.arc, distance=scale * self.distance)
 
     def with_faces(self, kept: NDArray[np.bool_]) -> ClosedWall:
         """A copy with the triangles where `kept` (F,) is true."""
-        rows = {name: getattr(self, name)[kept] for name in ("faces", "unobserved", "arc", "angle", "unmeasured")}
-        return replace(self, **rows)
+        names = ("faces", "unobserved", "arc", "angle", "unmeasured", "distance")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
     def with_visible(
         self, mesh: SurfaceMesh, world_from_camera: Array, field_of_view: FieldOfView, radius: float
@@ -115,11 +116,17 @@ def close_holes(
     inside = (arc >= low) & (arc <= high) & (off < MAX_OFF_LINE * radius)
     inside &= SurfaceMesh.from_triangles(vertices, faces).face_areas > 0  # a region of such faces alone has no centroid
     vertices, faces, arc, angle = vertices, faces[inside], arc[inside], angle[inside]
-    unobserved = _beyond_boundary(part, centroid[inside], edge_tolerance, MAX_DISTANCE * radius)
+    unobserved, distance = _beyond_boundary(part, centroid[inside], edge_tolerance, MAX_DISTANCE * radius)
     kept = _pieces_with_observed(faces, unobserved)
     surface = SurfaceMesh.from_triangles(vertices, faces).with_faces(kept)
     return ClosedWall(
-        surface.vertices, surface.faces, unobserved[kept], arc[kept], angle[kept], np.zeros(len(surface.faces), bool)
+        surface.vertices,
+        surface.faces,
+        unobserved[kept],
+        arc[kept],
+        angle[kept],
+        np.zeros(len(surface.faces), bool),
+        distance[kept],
     )
 
 
@@ -163,9 +170,11 @@ def _subdivided(vertices: Array, faces: NDArray[np.int64], max_edge: float) -> t
     return np.asarray(merged.vertices), np.asarray(merged.faces).astype(np.int64)
 
 
-def _beyond_boundary(mesh: SurfaceMesh, points: Array, edge_tolerance: float, max_distance: float) -> NDArray[np.bool_]:
+def _beyond_boundary(
+    mesh: SurfaceMesh, points: Array, edge_tolerance: float, max_distance: float
+) -> tuple[NDArray[np.bool_], Array]:
     """(N,) whether the mesh's point nearest to each of `points` (N,3) is on its boundary and farther than
-    `edge_tolerance`, or anywhere and farther than `max_distance`."""
+    `edge_tolerance`, or anywhere and farther than `max_distance`; and its distance (N,)."""
     o3d = import_open3d()
     scene = ray_scene(mesh.vertices, mesh.faces)
     answer = scene.compute_closest_points(o3d.core.Tensor(points.astype(np.float32)))
@@ -175,7 +184,7 @@ def _beyond_boundary(mesh: SurfaceMesh, points: Array, edge_tolerance: float, ma
     weights = np.stack([1 - u - v, u, v], axis=1)
     on_boundary = ((weights < 1e-3) & boundary_sides(mesh.faces)[face]).any(axis=1)
     distance = np.linalg.norm(answer["points"].numpy() - points, axis=1)
-    return (on_boundary & (distance > edge_tolerance)) | (distance > max_distance)
+    return (on_boundary & (distance > edge_tolerance)) | (distance > max_distance), distance
 
 
 def _pieces_with_observed(faces: NDArray[np.int64], unobserved: NDArray[np.bool_]) -> NDArray[np.bool_]:

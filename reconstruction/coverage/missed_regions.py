@@ -1,4 +1,5 @@
-"""Missed regions: connected pieces of unobserved wall, with place, extent and the camera that came nearest."""
+"""Missed regions: connected pieces of unobserved wall, with place, extent, the camera that came nearest, and how likely
+it is that no frame saw them."""
 
 from __future__ import annotations
 
@@ -14,6 +15,10 @@ from reconstruction.mesh.surface_mesh import connected_faces
 Array = NDArray[np.float64]
 
 ONE_SIDED = 0.3  # length of the mean direction (unit circle) below which a region goes all round
+# Log odds that a listed region is hidden wall: OFFSET + SLOPE log(reach in lumen radii). What is merely not fused lies
+# in strips beside seen wall; a pocket reaches far from it. Fitted on benchmarks/coverage_films.yaml by
+# `python -m benchmarks.coverage_regions`; docs/lab/coverage.md shows how it does on other films.
+OFFSET, SLOPE = 6.31, 4.00
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,8 @@ class MissedRegion:
     clock: float | None  # hours in (0, 12]; None where the region goes all round
     centre: tuple[float, float, float]
     frame: int  # row of the nearest camera that had it in its cone of view; a fold may have occluded it
+    reach: float  # greatest distance of its faces from the mesh, which is seen wall
+    probability: float  # that no frame saw at least half of it, as `reconstruct` finds regions of 5 mm and more
 
     @property
     def diameter(self) -> float:
@@ -37,13 +44,23 @@ class MissedRegion:
         x, y, z = (target_from_mesh[:3, :3] @ np.array(self.centre) + target_from_mesh[:3, 3]).tolist()
         start, end = self.arc_range
         arc_range = (scale * start, scale * end)
-        return replace(self, area=scale**2 * self.area, arc=scale * self.arc, arc_range=arc_range, centre=(x, y, z))
+        return replace(
+            self,
+            area=scale**2 * self.area,
+            arc=scale * self.arc,
+            arc_range=arc_range,
+            centre=(x, y, z),
+            reach=scale * self.reach,
+        )
 
 
 def find_regions(
-    closed_wall: ClosedWall, line: Centreline, world_from_camera: Array, half_fov_deg: float
+    closed_wall: ClosedWall, line: Centreline, world_from_camera: Array, half_fov_deg: float, radius: float
 ) -> tuple[NDArray[np.int64], list[MissedRegion]]:
-    """Connected unobserved pieces of the closed wall: number (F,) of each face, -1 if observed; largest first."""
+    """Connected unobserved pieces of the closed wall: number (F,) of each face, -1 if observed; largest first.
+
+    radius: the lumen's.
+    """
     region = np.full(len(closed_wall.faces), -1)
     if not closed_wall.unobserved.any():
         return region, []
@@ -55,7 +72,12 @@ def find_regions(
     arc_of_vertex = np.clip(line.locate(closed_wall.vertices)[0], closed_wall.arc.min(), closed_wall.arc.max())
     geometry = closed_wall.centroids, closed_wall.areas, arc_of_vertex[closed_wall.faces]
     faces = [np.flatnonzero(region == number) for number in range(len(rank))]
-    return region, [_region(rows, closed_wall, geometry, world_from_camera, half_fov_deg) for rows in faces]
+    return region, [_region(rows, closed_wall, geometry, world_from_camera, half_fov_deg, radius) for rows in faces]
+
+
+def hidden_probability(reach: float) -> float:
+    """That no frame saw a region which reaches so many lumen radii from seen wall."""
+    return float(1 / (1 + np.exp(-(OFFSET + SLOPE * np.log(max(reach, 1e-3))))))
 
 
 def _region(
@@ -64,11 +86,12 @@ def _region(
     geometry: tuple[Array, Array, Array],
     world_from_camera: Array,
     half_fov_deg: float,
+    radius: float,
 ) -> MissedRegion:
     """The region of faces `rows` (K,); geometry: centroids (F,3), areas (F,), arc lengths of corners (F,3)."""
     centroids, areas, corner_arc = geometry
     centre = np.average(centroids[rows], axis=0, weights=areas[rows])
-    extent = corner_arc[rows]
+    extent, reach = corner_arc[rows], float(closed_wall.distance[rows].max())
     return MissedRegion(
         area=float(areas[rows].sum()),
         arc=float(np.average(closed_wall.arc[rows], weights=areas[rows])),
@@ -76,6 +99,8 @@ def _region(
         clock=_clock(closed_wall.angle[rows], areas[rows]),
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
         frame=_nearest_view(centre, world_from_camera, half_fov_deg),
+        reach=reach,
+        probability=hidden_probability(reach / radius),
     )
 
 

@@ -32,6 +32,16 @@ MIN_OVERLAP = 0.5  # share of a region's area from which it counts as found, or 
 
 
 @dataclass(frozen=True)
+class JudgedRegion:
+    """A reported region over the threshold: how far it reaches from seen wall in lumen radii, with what probability it
+    is hidden, and whether it is."""
+
+    reach: float
+    probability: float
+    is_true: bool
+
+
+@dataclass(frozen=True)
 class CoverageErrors:
     """Shares in [0,1], lengths in mm, areas in mm^2; regions over `threshold` in equivalent diameter."""
 
@@ -48,6 +58,7 @@ class CoverageErrors:
     missed_diameters: tuple[float, ...]  # of the true regions that were not found
     hidden_called_seen: float  # share of the area that was truly not seen
     seen_called_missed: float  # share of the area that was truly seen
+    judged: tuple[JudgedRegion, ...]  # the reported regions
 
     @property
     def error_points(self) -> float:
@@ -95,21 +106,26 @@ def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) 
     sizes = np.bincount(piece, weights=area[~seen])
     overlap = np.bincount(piece, weights=area[~seen] * (label[~seen] >= 0)) / np.maximum(sizes, 1e-12)
     large = _diameter(sizes) > threshold
-    reported = [row for row, region in enumerate(coverage.regions) if region.diameter > threshold]
+    judged = tuple(
+        JudgedRegion(region.reach / coverage.radius, region.probability, _is_true(label == row, seen, area))
+        for row, region in enumerate(coverage.regions)
+        if region.diameter > threshold
+    )
     return CoverageErrors(
         estimated=coverage.share,
         true=float(area[seen].sum() / area.sum()),
         length=coverage.length,
         true_regions=int(large.sum()),
         found=int((large & (overlap >= MIN_OVERLAP)).sum()),
-        estimated_regions=len(reported),
-        false=sum(not _is_true(label == row, seen, area) for row in reported),
+        estimated_regions=len(judged),
+        false=sum(not region.is_true for region in judged),
         threshold=threshold,
         true_area=float(area.sum()),
         estimated_area=coverage.whole.seen_area + coverage.whole.missed_area,
         missed_diameters=tuple(np.round(_diameter(sizes[large & (overlap < MIN_OVERLAP)]), 1).tolist()),
         hidden_called_seen=_share(area, label < 0, ~seen),
         seen_called_missed=_share(area, label >= 0, seen),
+        judged=judged,
     )
 
 

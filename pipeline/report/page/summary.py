@@ -9,7 +9,7 @@ from haustra.core.text import counted
 from pipeline.report.cautions import left_out
 from pipeline.report.page.keyframe_gallery import data_uri
 from pipeline.report.page.scene import clock_words
-from pipeline.surface.coverage_stage import CoverageResult
+from pipeline.surface.coverage_stage import CoverageResult, likely, share_seen
 from pipeline.surface.scale import unit_label
 
 STRUCTURE = {"odometry": "visual odometry", "global": "COLMAP, all frames at once", "incremental": "COLMAP, one by one"}
@@ -35,13 +35,13 @@ def cards(metrics: dict[str, Any]) -> str:
         items = [
             (
                 "wall seen",
-                f"{seen['covered_percent']:.0f} %",
+                share_seen(seen),
                 f"over {seen['stretch']:.3g} {word} of visited lumen{where}{_unmeasured(seen)}",
             ),
             (
                 "missed regions",
                 str(len(regions)),
-                f"of {seen['listed_from']:.2g} {word} and more; {seen['smaller_regions']} smaller",
+                f"of {seen['listed_from']:.2g} {word} and more{likely(regions)}; {seen['smaller_regions']} smaller",
             ),
         ]
     else:
@@ -198,12 +198,13 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
                 f"{region['diameter']:.3g}",
                 f"{region['arc']:.3g}",
                 clock_words(region).removesuffix(" o'clock"),
+                f"{100 * region['probability']:.0f} %" if "probability" in region else "",
                 _frame(region, link),
             )
         )
         for region in record["missed_regions"]
     ]
-    heads = "".join(f"<th>{title}</th>" for title in (*head, "nearest frame"))
+    heads = "".join(f"<th>{title}</th>" for title in (*head, "hidden", "nearest frame"))
     table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
     return (
         f"<h2>Coverage</h2><p>{html.escape(result.sentence)}.</p>"
@@ -211,9 +212,9 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
         f'<div class="wide">{table}</div>'
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
-        "begins, carried along without twisting. Not every listed region is real: on short rendered films a third were "
-        "false, on long ones a fifth, and on real colons nobody has measured it. Look at the nearest frame before you "
-        "believe one.</p>"
+        "begins, carried along without twisting. Hidden: how likely it is that no frame saw at least half of it, by "
+        "how far it reaches from seen wall; calibrated on rendered films, and on real colons nobody has measured it. "
+        "Look at the nearest frame before you believe one.</p>"
     )
 
 

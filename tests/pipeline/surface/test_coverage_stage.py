@@ -9,7 +9,7 @@ from pipeline.finished_run import summary
 from pipeline.report.page.summary import coverage_section
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface import coverage_stage as stage
-from pipeline.surface.coverage_stage import CoverageResult
+from pipeline.surface.coverage_stage import CoverageResult, likely, share_seen
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
@@ -115,6 +115,7 @@ def test_a_listed_region_shows_on_the_map_even_beneath_a_fold():
         np.append(seen.arc, arc),
         np.append(seen.angle, angle),
         np.zeros(len(seen.faces) + count, bool),
+        np.append(seen.distance, np.full(count, 10.0)),
     )
     hidden = replace(coverage, closed_wall=closed_wall, region=np.append(coverage.region, np.zeros(count, int)))
     assert (unroll(hidden, mesh).state != MISSED).all()
@@ -134,6 +135,15 @@ def test_the_headline_names_the_submap_that_it_speaks_of(tmp_path):
     assert "90 % of the wall along 80 mm of visited lumen was seen in the largest of 3 submaps" in summary(
         metrics, tmp_path
     )
+
+
+def test_the_share_seen_is_said_with_its_error_and_regions_with_how_many_are_likely():
+    seen = {"judged": True, "covered_percent": 90.04, "covered_error_points": 3.4}
+    assert (share_seen(seen), share_seen(seen, 1)) == ("90 ± 3 %", "90.0 ± 3.4 %")
+    assert share_seen({"covered_percent": 90.04}) == "90 %"  # a run of before
+    regions = [{"probability": 0.9}, {"probability": 0.51}, {"probability": 0.5}]
+    assert likely(regions) == " (2 of them more likely hidden than not)"
+    assert likely([]) == likely([{"diameter": 7.0}]) == ""
 
 
 def test_three_cautions_are_said_with_success_and_the_others_are_counted(tmp_path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from pipeline.report.page.summary import coverage_section
@@ -13,10 +14,11 @@ from reconstruction.coverage import unrolled_map as maps
 from reconstruction.coverage.centreline import NotATube, WallRays, lumen_radius, trace_centreline
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
+from reconstruction.coverage.missed_regions import hidden_probability
 from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, SEEN, unroll
 from reconstruction.evaluation.coverage_metrics import TrueWall, coverage_errors
 from reconstruction.mesh.surface_mesh import SurfaceMesh
-from tests.helpers.tubes.holed_tube import BEND, HOLE, LENGTH, RADIUS, bent, cameras, patch, straight, tube
+from tests.helpers.tubes.holed_tube import BEND, EDGE, HOLE, LENGTH, RADIUS, bent, cameras, patch, straight, tube
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +55,9 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
     (region,) = [r for r in coverage.regions if r.diameter > 2]
     assert region.area == pytest.approx(lid.face_areas.sum(), rel=0.1)
     assert region.clock == pytest.approx(3.0, abs=0.2)
+    farthest = cKDTree((holed if shape == "cylinder" else holed_bend)[0].vertices).query(lid.vertices)[0].max()
+    assert region.reach == pytest.approx(farthest, abs=EDGE)
+    assert region.probability == pytest.approx(hidden_probability(region.reach / coverage.radius))
     assert region.arc == pytest.approx(62.5 - (10 + RADIUS), abs=2)  # the first camera, and a radius ahead of it
     assert np.subtract(*region.arc_range[::-1]) == pytest.approx(15, abs=2.5)
     assert np.linalg.norm(np.array(region.centre) - lid.vertices.mean(axis=0)) < 2
@@ -158,6 +163,8 @@ def test_the_answer_moves_turns_and_scales_with_the_mesh(holed_bend, turn, shift
     ours, theirs = here.regions[0], there.regions[0]
     assert theirs.area == pytest.approx(scale**2 * ours.area, rel=0.02)
     assert theirs.clock == pytest.approx(ours.clock, abs=0.05)
+    assert theirs.reach == pytest.approx(scale * ours.reach, rel=0.02)
+    assert theirs.probability == pytest.approx(ours.probability, abs=0.01)
     np.testing.assert_allclose(
         theirs.centre, similarity[:3, :3] @ np.array(ours.centre) + similarity[:3, 3], atol=0.3 * scale
     )

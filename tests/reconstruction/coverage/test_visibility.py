@@ -248,7 +248,7 @@ def test_more_than_sixty_degrees_off_the_normal_is_not_visible(slant, seen):
     turn = Rotation.from_euler("y", slant, degrees=True).as_matrix()
     corners = np.array([[0, 0.02, 0], [0.02, -0.02, 0], [-0.02, -0.02, 0]]) @ turn.T + (0, 0, 2)
     one = np.array([True])
-    closed_wall = ClosedWall(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one)
+    closed_wall = ClosedWall(corners, np.array([[0, 1, 2]]), one, np.zeros(1), np.zeros(1), ~one, np.ones(1))
     assert closed_wall.surface.face_normals[0] @ (0, 0, 1) == pytest.approx(-np.cos(np.radians(slant)))
     world_from_camera = np.tile(np.eye(4), (2, 1, 1))
     world_from_camera[1, 1, 3] = 0.1
