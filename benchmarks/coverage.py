@@ -1,14 +1,14 @@
 """Coverage against the phantoms' own flags: error of the percentage, missed regions found, not found and false.
 
-    python -m benchmarks.coverage SUITE/* --json coverage.json
+    python -m benchmarks.coverage FILMS/* --json coverage.json
     python -m benchmarks.coverage CHOOSING/* --role chosen --json coverage.json
 
-Each film twice. *true depth*: every frame's true depth, made a pinhole's, fused at the true pose in voxels of 0.7 mm,
-and one voxel of edge tolerance: what is left is the error of the coverage code. *reconstruct*: a run of the lossless
-frames with default settings, lens given, odometry. Definitions of found and false, and of the shares, are in
-`reconstruction/evaluation/coverage_metrics.py`; regions are those over 5 mm. A film that cannot be judged has its
-sentence in place of figures. A row is added as each ends; a stopped call goes on where it was. Rendered by
-`python -m scripts.pages.coverage_page > docs/lab/coverage.md`.
+Each film by both methods, or by those named. *reconstruct*: a run of the lossless frames with default settings, lens
+given, odometry. *true depth*: every frame's true depth, made a pinhole's, fused at the true pose in voxels of 0.7 mm,
+with one voxel of edge tolerance and without the test of depth support, which is for completed depth. Definitions of
+found and false, and of the shares, are in `reconstruction/evaluation/coverage_metrics.py`; regions are those over 5 mm.
+A film that cannot be judged has its sentence in place of figures. A row is added as each ends; a stopped call goes on
+where it was. Rendered by `python -m scripts.pages.coverage_page > docs/lab/coverage.md`.
 """
 
 import argparse
@@ -32,7 +32,6 @@ from pipeline.config import Config
 from pipeline.depth.rectification import make_rectifier
 from pipeline.run import reconstruct
 from pipeline.surface.coverage_stage import half_field_of_view, lens_field_of_view
-from reconstruction.coverage.centreline import NotATube
 from reconstruction.coverage.coverage import measure_coverage
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -43,21 +42,23 @@ VOXEL_MM = 0.7
 TRUNCATION = 5  # voxels; true depth needs no more
 EDGE_VOXELS = 1.0  # true depth ends no earlier than its voxels
 SMALLEST_PIECE = 0.002  # share of the area
-ROLES = ("reported", "chosen")  # whether the coverage code, or the front end for it, was chosen on a film
+# What a film is to the coverage code: rendered when all was settled; known while something was settled; or chosen on.
+ROLES = ("reported", "looked at", "chosen")
 TRUE_DEPTH, RECONSTRUCT = "true depth", "reconstruct"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folders(parser)
     parser.add_argument("--role", choices=ROLES, default=ROLES[0], help="what the films are to the coverage code")
+    parser.add_argument("--method", choices=(TRUE_DEPTH, RECONSTRUCT), action="append", help="repeatable; both if none")
     parser.add_argument("--keep", type=Path, help="folder for the runs, which are removed otherwise")
 
 
 def measure(arguments: argparse.Namespace) -> None:
-    """Every film by both methods."""
+    """Every film by every method."""
     table = RunTable(arguments.json)
     for film in arguments.folders:
-        for method in (TRUE_DEPTH, RECONSTRUCT):
+        for method in arguments.method or (TRUE_DEPTH, RECONSTRUCT):
             if not table.has(film.name, 0, method):
                 found = of_true_depth(film) if method == TRUE_DEPTH else of_a_run(film, arguments.keep)
                 row = {"role": arguments.role, "suite": film.resolve().parent.name} | found
@@ -73,12 +74,12 @@ def of_true_depth(film: Path) -> dict[str, Any]:
     lens = read_camera(film / "camera.json")
     rays, pinhole = RayTable(lens), make_rectifier(lens).camera
     (mesh, content), (_, world_from_camera) = fuse_truth(film), read_tum(film / "trajectory.txt")
-    half, picture = half_field_of_view(rays, pinhole, content), lens_field_of_view(rays, content)
     try:
+        half, picture = half_field_of_view(rays, pinhole, content), lens_field_of_view(rays, content)
         coverage = measure_coverage(mesh, world_from_camera, half, "mm", EDGE_VOXELS * VOXEL_MM, picture)
-    except NotATube as reason:
+        return figures_of(coverage_errors(coverage, wall))
+    except HaustraError as reason:
         return {"failed": str(reason)}
-    return figures_of(coverage_errors(coverage, wall))
 
 
 def fuse_truth(film: Path) -> tuple[SurfaceMesh, NDArray[np.uint8]]:
@@ -109,7 +110,7 @@ def of_a_run(film: Path, keep: Path | None) -> dict[str, Any]:
         compared = compare_run(folder, film)
     assert compared.surface is not None
     if not isinstance(compared.coverage, CoverageErrors):
-        return {"failed": str(compared.coverage)}
+        return {"failed": str(compared.coverage).removeprefix("not judged: ")}
     surface = {"f_score_percent": 100 * compared.surface.f_score, "recall_percent": 100 * compared.surface.recall}
     return figures_of(compared.coverage) | surface
 

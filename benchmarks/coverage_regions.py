@@ -2,9 +2,10 @@
 
     python -m benchmarks.coverage_regions benchmarks/results/coverage.json
 
-Log odds = offset + slope log(reach in lumen radii), by maximum likelihood on the regions of `role` chosen, which
-`reconstruct` reports; what it prints is OFFSET and SLOPE of `reconstruction/coverage/missed_regions.py`. Log loss in
-nats a region, beside that of always saying the share of true regions.
+Log odds = offset + slope log(reach in lumen radii), by maximum likelihood on the regions over 5 mm of runs on films of
+`role` chosen; what it prints is OFFSET and SLOPE of `reconstruction/coverage/missed_regions.py`, and their standard
+errors by the curvature of the likelihood. Log loss in nats a region, beside that of always saying the share of true
+regions.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from benchmarks.common.runner import run
-from benchmarks.coverage import RECONSTRUCT
+from benchmarks.coverage import RECONSTRUCT, ROLES
 
 Array = NDArray[np.float64]
 
@@ -30,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> None:
     record = json.loads(arguments.record.read_text())
-    coefficients = fitted(*regions_of(record, "chosen"))
-    print(f"offset {coefficients[0]:.2f}, slope {coefficients[1]:.2f}")
-    for role in ("chosen", "reported"):
+    coefficients, sigma = fitted(*regions_of(record, "chosen"))
+    print(f"offset {coefficients[0]:.2f} +- {sigma[0]:.2f}, slope {coefficients[1]:.2f} +- {sigma[1]:.2f}")
+    for role in ROLES:
         reach, is_true = regions_of(record, role)
         told = expit(coefficients[0] + coefficients[1] * np.log(reach))
         share = np.full(len(reach), is_true.mean())
@@ -45,13 +46,16 @@ def regions_of(record: dict[str, Any], role: str) -> tuple[Array, NDArray[np.boo
     """Reach (N,) in lumen radii of what runs reported on the films of a role, and whether it was true (N,)."""
     rows = [row for row in record["runs"] if row["method"] == RECONSTRUCT and row["role"] == role]
     regions = [region for row in rows for region in row.get("regions", [])]
-    return np.array([r["reach"] for r in regions]), np.array([r["is_true"] for r in regions], bool)
+    return np.array([r["reach_radii"] for r in regions]), np.array([r["is_true"] for r in regions], bool)
 
 
-def fitted(reach: Array, is_true: NDArray[np.bool_]) -> Array:
-    """Offset and slope (2,)."""
-    found = minimize(lambda told: loss(expit(told[0] + told[1] * np.log(reach)), is_true), np.zeros(2))
-    return np.asarray(found.x)
+def fitted(reach: Array, is_true: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Offset and slope (2,), and their standard errors (2,)."""
+    rows = np.stack([np.ones(len(reach)), np.log(reach)], axis=1)
+    found = minimize(lambda told: loss(expit(rows @ told), is_true), np.zeros(2), options={"gtol": 1e-8}).x
+    likelihood = expit(rows @ found)
+    information = rows.T @ (rows * (likelihood * (1 - likelihood))[:, None])
+    return np.asarray(found), np.sqrt(np.diag(np.linalg.inv(information)))
 
 
 def loss(probability: Array, is_true: NDArray[np.bool_]) -> float:

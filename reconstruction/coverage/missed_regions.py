@@ -1,5 +1,5 @@
 """Missed regions: connected pieces of unobserved wall, with place, extent, the camera that came nearest, and how likely
-it is that no frame saw them."""
+it is that at least half of them is in no frame."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from reconstruction.mesh.surface_mesh import connected_faces
 Array = NDArray[np.float64]
 
 ONE_SIDED = 0.3  # length of the mean direction (unit circle) below which a region goes all round
-# Log odds that a listed region is hidden wall: OFFSET + SLOPE log(reach in lumen radii). What is merely not fused lies
-# in strips beside seen wall; a pocket reaches far from it. Fitted on benchmarks/coverage_films.yaml by
-# `python -m benchmarks.coverage_regions`; docs/lab/coverage.md shows how it does on other films.
+# Log odds that at least half of a region is in no frame: OFFSET + SLOPE log(reach in lumen radii). What is merely not
+# fused lies in strips beside the measured surface; a pocket reaches far from it. Fitted by
+# `python -m benchmarks.coverage_regions` on regions over 5 mm; docs/lab/coverage.md shows how it does on other films.
 OFFSET, SLOPE = 6.31, 4.00
 
 
@@ -31,8 +31,8 @@ class MissedRegion:
     clock: float | None  # hours in (0, 12]; None where the region goes all round
     centre: tuple[float, float, float]
     frame: int  # row of the nearest camera that had it in its cone of view; a fold may have occluded it
-    reach: float  # greatest distance of its faces from the mesh, which is seen wall
-    probability: float  # that no frame saw at least half of it, as `reconstruct` finds regions of 5 mm and more
+    reach: float  # greatest distance of its faces from the mesh
+    probability: float  # that at least half of it is in no frame, as completed depth leaves regions of 5 mm and more
 
     @property
     def diameter(self) -> float:
@@ -76,7 +76,7 @@ def find_regions(
 
 
 def hidden_probability(reach: float) -> float:
-    """That no frame saw a region which reaches so many lumen radii from seen wall."""
+    """That at least half of a region is in no frame; reach: of it from the mesh, in lumen radii."""
     return float(1 / (1 + np.exp(-(OFFSET + SLOPE * np.log(max(reach, 1e-3))))))
 
 

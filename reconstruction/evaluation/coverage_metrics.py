@@ -33,10 +33,10 @@ MIN_OVERLAP = 0.5  # share of a region's area from which it counts as found, or 
 
 @dataclass(frozen=True)
 class JudgedRegion:
-    """A reported region over the threshold: how far it reaches from seen wall in lumen radii, with what probability it
-    is hidden, and whether it is."""
+    """A reported region over the threshold: how many lumen radii it reaches from the mesh, with what probability at
+    least half of it is in no frame, and whether that is so."""
 
-    reach: float
+    reach_radii: float
     probability: float
     is_true: bool
 

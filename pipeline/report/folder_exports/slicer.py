@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run
 from pipeline.report.folder_exports.keyframe_views import empty_folder
+from pipeline.report.page.scene import clock_words
 from pipeline.run_folder.workspace import write_json
 from reconstruction.mesh.formats.ply import write_ply
 
@@ -41,7 +42,7 @@ def export_slicer(run: Run, target: Path) -> Path:
     regions = run.coverage[0].get("missed_regions", [])
     if regions:
         centres = np.array([region["centre"] for region in regions], float)
-        told = [f"missed: {r['area']:.0f} mm^2, {r['clock']:.0f} o'clock, {r['seconds']:.1f} s" for r in regions]
+        told = [f"missed: {r['area']:.0f} mm^2, {clock_words(r)}, {r['seconds']:.1f} s" for r in regions]
         points = _points(centres, [f"missed {region['number']}" for region in regions], told)
         write_json(folder / "missed_regions.mrk.json", _markups("Fiducial", "missed regions", points))
     return folder

@@ -212,9 +212,19 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
         f'<div class="wide">{table}</div>'
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
-        "begins, carried along without twisting. Hidden: how likely it is that no frame saw at least half of it, by "
-        "how far it reaches from seen wall; calibrated on rendered films, and on real colons nobody has measured it. "
+        f"begins, carried along without twisting. {_meanings(record)}"
         "Look at the nearest frame before you believe one.</p>"
+    )
+
+
+def _meanings(record: dict[str, Any]) -> str:
+    """What ± and the column of probabilities mean, in a run that has them."""
+    if "covered_error_points" not in record:
+        return ""
+    return (
+        "± is the typical error (root mean square) on rendered films whose lens was given, not a limit: about a third "
+        "are off by more. Hidden: how likely it is that at least half of the region is in no frame, by how far it "
+        "reaches from the measured surface; fitted on rendered films. On real colons nobody has measured either. "
     )
 
 

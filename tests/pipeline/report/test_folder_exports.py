@@ -125,6 +125,14 @@ def test_slicer_by_its_schema(made, tmp_path, monkeypatch, capsys):
     assert len(trimesh.load(tmp_path / "out/mesh.ply").faces) == len(made.surfaces[0].mesh.faces)
 
 
+def test_a_region_all_round_has_no_hour_in_slicer(made, tmp_path, monkeypatch):
+    (region,) = made.coverage[0].record["missed_regions"]
+    monkeypatch.setattr(Run, "coverage", [{"missed_regions": [region | {"clock": None}]}])
+    assert export(monkeypatch, made, tmp_path / "out", "--slicer") == 0
+    (markup,) = json.loads((tmp_path / "out/missed_regions.mrk.json").read_text())["markups"]
+    assert ", all round, " in markup["controlPoints"][0]["description"]
+
+
 def test_a_run_without_scale_is_not_for_slicer(made, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(Run, "surfaces", made.surfaces[1:])
     assert export(monkeypatch, made, tmp_path / "out", "--slicer") == 1

@@ -260,3 +260,13 @@ def test_the_report_has_a_table_or_one_sentence(tmp_path):
     section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
     assert section.count("<tr>") == 3
     assert "90.0 % of the wall" in section
+    assert "±" not in section  # a run made before its error and the regions' probabilities were told
+    record |= {
+        "covered_error_points": 3.6,
+        "missed_regions": [row | {"probability": 0.826}, row | {"probability": 0.2}],
+    }
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
+    assert "90.0 ± 3.6 % of the wall" in section
+    assert "(1 of them more likely hidden than not)" in section
+    assert "<td>83 %</td>" in section
+    assert "root mean square" in section
