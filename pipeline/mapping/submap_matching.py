@@ -45,6 +45,9 @@ AROUND = 4  # compared keyframes on each side of a matched one that are asked fo
 # Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true matches 0.67 and more
 # are, of tubes laid into each other at random under 0.4 in the median (docs/lab/front_end.md).
 SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
+# Pairs that must bear out a match that no other agrees with: look-alikes are found by words, which miss some. True
+# joins of films of benchmarks/coverage_films.yaml have 20 to 69.
+LONE_SUPPORT = 5
 EXPANDED = 5  # matches, those with most inliers, around which keyframes are asked
 
 
@@ -89,15 +92,18 @@ def find_matches(maps: Maps, rng: np.random.Generator, words: VisualWords, first
 def consistent_matches(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
     """What bears out the similarity on which most matches agree: the pairs of keyframes around them that it explains.
 
-    Empty unless two matches agree, and unless two of the pairs come from different views on both sides: neighbours see
-    one and the same picture. Pairs that do not bear it out are not counted against it, since they may see other wall.
+    Empty unless two matches agree or `LONE_SUPPORT` pairs bear a single one out, and unless two of the pairs come from
+    different views on both sides: neighbours see one and the same picture. Pairs that do not bear it out are not
+    counted against it, since they may see other wall.
     """
     agreeing = _agreeing(matches, maps)
-    if len(agreeing) < 2:
+    if not agreeing:
         return []
     asked = _pairs_around(agreeing, maps)
     found = _support(joint_similarity(agreeing, maps), asked, maps)
     found = _support(joint_similarity(found, maps), asked, maps) if found else []
+    if len(agreeing) == 1 and len(found) < LONE_SUPPORT:
+        return []
     return found if any(_are_apart(one, other, maps) for one, other in combinations(found, 2)) else []
 
 

@@ -1,8 +1,8 @@
 """Merging of submaps that saw the same place; strict, since a false merge is far worse than a missed one.
 
-Strong means: two or more pairs of keyframes that look alike, each with many matched features that one similarity
-explains in both pictures, one and the same similarity for all of them, and borne out by pairs from different views on
-both sides.
+Strong means: pairs of keyframes that look alike, each with many matched features that one similarity explains in both
+pictures, one and the same similarity for two or more of them, and borne out by pairs from different views on both
+sides; a single pair is enough where many around it bear it out.
 """
 
 import copy

@@ -159,6 +159,19 @@ def test_two_pairs_of_neighbours_are_one_piece_of_evidence(apart, joined):
     assert consistent_matches(links[:1], shown) == []
 
 
+@pytest.mark.parametrize(("keyframes", "joined"), [(2, False), (3, True)])
+def test_one_match_is_enough_where_the_pairs_around_bear_it_out(keyframes, joined):
+    """Keyframes 10 mm apart: four pairs around one match, or nine."""
+    codes = np.random.default_rng(1).integers(0, 255, (60, 128)).astype(np.uint8)
+    maps = [a_map([[0, 0, shift + 10 * k] for k in range(keyframes)]) for shift in (0.0, -4.0)]
+    shown = tuple(
+        MapFeatures(m, [features_of(m, number, np.arange(60), codes) for number in range(keyframes)]) for m in maps
+    )
+    words = VisualWords.of([features for one in shown for features in one.features], 0)
+    links = find_matches(shown, np.random.default_rng(0), words)
+    assert bool(consistent_matches(links[:1], shown)) == joined
+
+
 def matches_of_one_world(count, rng):
     """Matches of as many keyframes of two maps of one world, each off by a millimetre or two."""
     maps = LocalMap(RAYS), LocalMap(RAYS)
