@@ -186,7 +186,7 @@ def _coverage(metrics: dict[str, Any]) -> str:
     count = len(metrics["submaps"])
     where = f" in the largest of {count} submaps" if count > 1 else ""
     bare = seen.get("unmeasured_percent")  # absent in runs of earlier versions
-    part = "" if bare is None else f" ({bare:.0f} % not measured)"
+    part = "" if bare is None else f" ({bare:.0f} % in view, but not measured)"
     stretch = f"{seen['stretch']:.3g} {unit_label(seen['unit'])}"
     return f"{share_seen(seen)} of the wall along {stretch} of visited lumen was seen{part}{where}"
 

@@ -139,7 +139,7 @@ def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tu
     if looked_at == 0 and (settings.start_s > 0 or settings.end_s is not None):
         end = "the end" if settings.end_s is None else f"{settings.end_s:g} s"
         over = bool(passed) and passed[-1] < settings.start_s
-        last = f"; the film's last frame is at {passed[-1]:.1f} s" if over else ""
+        last = f"; the film's last frame is at {passed[-1]:.2f} s" if over else ""
         raise HaustraError(f"no frame lies between {settings.start_s:g} s and {end}{last}")
     raise HaustraError("the video is black: no part of any frame is ever lit")
 

@@ -14,6 +14,7 @@ from reconstruction.coverage.unrolled_map import MISSED, NOT_JUDGED, UNMEASURED,
 MISSED_COLOUR = (0.10, 0.35, 0.95)  # RGB in [0,1], as below; no tissue is blue
 UNMEASURED_COLOUR = (0.72, 0.80, 0.95)
 NOT_JUDGED_COLOUR = (0.88, 0.88, 0.88)
+SEEN_COLOUR = (0.73, 0.44, 0.36)  # of the bars; on the map seen wall has its own colours
 SEEN_BRIGHT = 235  # grey level that the 95th percentile of the seen wall is brightened to
 WIDTH, HEIGHT = 13.0, 7.6  # inches
 CLOCK = {0: "12", 3: "3", 6: "6", 9: "9", 12: "12"}  # ticks of the angle's axis, hours
@@ -103,7 +104,7 @@ def _draw_bars(panel: Any, segments: list[Segment]) -> None:
     for segment in segments:
         width = segment.end - segment.start
         measured, bare = 100 * (segment.share - segment.unmeasured_share), 100 * segment.unmeasured_share
-        panel.bar(segment.start, measured, width, align="edge", color="0.55", edgecolor="white")
+        panel.bar(segment.start, measured, width, align="edge", color=SEEN_COLOUR, edgecolor="white")
         panel.bar(segment.start, bare, width, measured, align="edge", color=UNMEASURED_COLOUR)
         panel.bar(
             segment.start, 100 - 100 * segment.share, width, 100 * segment.share, align="edge", color=MISSED_COLOUR

@@ -74,3 +74,19 @@ def test_an_unknown_name_and_missing_folders_are_one_sentence():
     for argv, said in ((["nothing"], "no such record: nothing"), (["points"], "--work WORK --data DATA")):
         with pytest.raises(SystemExit, match=said):
             run(records, "benchmarks.records", argv)
+
+
+def test_no_gut_that_something_was_chosen_on_is_reported():
+    guts = {
+        kind: {
+            (film.get("scene"), film.get("seed"))
+            for name in names
+            for film in yaml.safe_load((ROOT / f"benchmarks/{name}.yaml").read_text()).values()
+        }
+        for kind, names in {
+            "chosen": ("coverage_films", "exposure_choosing", "diverticula_choosing"),
+            "reported": ("coverage_reported_films", "coverage_varied_films", "exposure_films", "diverticula"),
+        }.items()
+    }
+    assert all(guts.values())
+    assert not guts["chosen"] & guts["reported"]

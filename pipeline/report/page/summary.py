@@ -213,7 +213,8 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
         f"begins, carried along without twisting. {_meanings(record)}"
-        "Look at the nearest frame before you believe one.</p>"
+        "Look at the nearest frame before you believe one: the region may lie behind a fold there. A click opens the "
+        "keyframe next to it.</p>"
     )
 
 
@@ -223,8 +224,10 @@ def _meanings(record: dict[str, Any]) -> str:
         return ""
     return (
         "± is the typical error (root mean square) on rendered films whose lens was given, not a limit: about a third "
-        "are off by more. Hidden: how likely it is that at least half of the region is in no frame, by how far it "
-        "reaches from the measured surface; fitted on rendered films. On real colons nobody has measured either. "
+        "are off by more, and through measured colonoscopes the percentage was mostly too low. Hidden: how likely it "
+        "is that at least half of the region is in no frame, by how far it reaches from the measured surface; fitted "
+        "on rendered films, on regions over 5 mm. docs/lab/coverage.md of the project says how both were tested; on "
+        "real colons nobody has measured them. "
     )
 
 
