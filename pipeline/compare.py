@@ -34,7 +34,7 @@ class Comparison:
     """Errors of the main submap; `surface` is None where the truth has none, `se3` and `surface_se3`, in the run's own
     millimetres, where it has none.
 
-    `coverage` is a sentence where the run is no tube, and None where the truth does not know what was seen. `hints`:
+    `coverage` is a sentence where it cannot be judged or compared, and None where the truth has no wall. `hints`:
     sentences on poses, clocks and units that would explain a bad fit.
     """
 
@@ -127,6 +127,8 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
     wall = known.wall if known is not None else None
     if wall is None and (truth / "mesh.ply").exists():
         wall = read_true_wall(truth / "mesh.ply")
+        if wall is None:
+            return "not compared: mesh.ply of the truth does not hold the wall that no frame saw"
     if wall is None:
         return None
     try:
