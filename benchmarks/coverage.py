@@ -8,7 +8,7 @@ given, odometry. *true depth*: every frame's true depth, made a pinhole's, fused
 with one voxel of edge tolerance and without the test of depth support, which is for completed depth. Definitions of
 found and false, and of the shares, are in `reconstruction/evaluation/coverage_metrics.py`; regions are those over 5 mm.
 A film that cannot be judged has its sentence in place of figures. A row is added as each ends; a stopped call goes on
-where it was. Rendered by `python -m scripts.pages.coverage_page > docs/lab/coverage.md`.
+where it was. Rendered by `python -m scripts.pages.surface.coverage_page > docs/lab/coverage.md`.
 """
 
 import argparse

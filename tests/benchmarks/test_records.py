@@ -24,7 +24,7 @@ def test_every_record_that_is_listed_has_its_films_page_and_a_known_command():
             path = ROOT / module.replace(".", "/")
             assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), command
         for script, page in asked["pages"].items():
-            assert (ROOT / f"scripts/pages/{script}_page.py").exists()
+            assert (ROOT / f"scripts/pages/{script.replace('.', '/')}_page.py").exists()
             assert (ROOT / f"docs/lab/{page}.md").exists()
 
 

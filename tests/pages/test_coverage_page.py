@@ -9,7 +9,7 @@ from benchmarks.common.record import ROOT
 from benchmarks.coverage_regions import fitted, regions_of
 from pipeline.surface.coverage_stage import ERROR_POINTS
 from reconstruction.coverage.missed_regions import OFFSET, SLOPE, hidden_probability
-from scripts.pages.coverage_page import RECORD, not_chosen, page, rms
+from scripts.pages.surface.coverage_page import RECORD, not_chosen, page, rms
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def record():
 
 def test_the_page_is_what_its_record_says():
     committed = (ROOT / "docs/lab/coverage.md").read_text(encoding="utf-8")
-    assert page() == committed, "run: python -m scripts.pages.coverage_page > docs/lab/coverage.md"
+    assert page() == committed, "run: python -m scripts.pages.surface.coverage_page > docs/lab/coverage.md"
 
 
 def test_the_error_that_runs_are_told_is_that_of_films_that_nothing_was_chosen_on(record):

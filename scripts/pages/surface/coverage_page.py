@@ -1,6 +1,6 @@
 """docs/lab/coverage.md from benchmarks/results/coverage.json; the words are in coverage_page.txt.
 
-python -m scripts.pages.coverage_page > docs/lab/coverage.md
+python -m scripts.pages.surface.coverage_page > docs/lab/coverage.md
 """
 
 import json

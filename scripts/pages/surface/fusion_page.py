@@ -1,6 +1,6 @@
 """docs/lab/fusion.md from benchmarks/results/fusion.json; the words are in fusion_page.txt.
 
-python -m scripts.pages.fusion_page > docs/lab/fusion.md
+python -m scripts.pages.surface.fusion_page > docs/lab/fusion.md
 """
 
 import json
