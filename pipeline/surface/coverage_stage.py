@@ -65,7 +65,7 @@ class CoverageResult:
 
 
 def share_seen(record: dict[str, Any], digits: int = 0) -> str:
-    """Of a record that is judged, the percentage of wall seen and, but for runs of before it was kept, its error."""
+    """Of a record that is judged, the percentage of wall seen and, where the lens was given, its error."""
     off = record.get("covered_error_points")
     return f"{record['covered_percent']:.{digits}f}{'' if off is None else f' ± {off:.{digits}f}'} %"
 
@@ -192,7 +192,6 @@ def _judge(frames: Frames, completed: CompletedSubmap, surface: Surface, picture
         "judged": True,
         "unit": unit,
         "covered_percent": 100 * coverage.share,
-        "covered_error_points": ERROR_POINTS,
         "unmeasured_percent": 100 * coverage.whole.unmeasured_share,
         "seen_area": coverage.whole.seen_area,
         "unmeasured_area": coverage.whole.unmeasured_area,
@@ -205,6 +204,8 @@ def _judge(frames: Frames, completed: CompletedSubmap, surface: Surface, picture
         "segments": [_segment(s) for s in segments],
         "missed_regions": [_row(number, region, frames, completed) for number, region in enumerate(listed, start=1)],
     }
+    if frames.camera.trusted:  # with another lens nobody has measured it
+        record["covered_error_points"] = ERROR_POINTS
     patches = tuple(coverage.closed_wall.surface.with_faces(coverage.region == k) for k in range(len(listed)))
     return CoverageResult(record, picture, patches)
 

@@ -220,15 +220,18 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
 
 def _meanings(record: dict[str, Any]) -> str:
     """What ± and the column of probabilities mean, in a run that has them."""
-    if "covered_error_points" not in record:
-        return ""
-    return (
+    error = (
         "± is the typical error (root mean square) on rendered films whose lens was given, not a limit: about a third "
-        "are off by more, and through measured colonoscopes the percentage was mostly too low. Hidden: how likely it "
-        "is that at least half of the region is in no frame, by how far it reaches from the measured surface; fitted "
-        "on rendered films, on regions over 5 mm. docs/lab/coverage.md of the project says how both were tested; on "
-        "real colons nobody has measured them. "
+        "are off by more, and through measured colonoscopes the percentage was mostly too low. "
     )
+    hidden = (
+        "Hidden: how likely it is that at least half of the region is in no frame, by how far it reaches from the "
+        "measured surface; fitted on rendered films, on regions over 5 mm. "
+    )
+    told = error if "covered_error_points" in record else ""
+    told += hidden if any("probability" in region for region in record["missed_regions"]) else ""
+    tested = "docs/lab/coverage.md of the project says how that was tested; on real colons nobody has measured it. "
+    return told + tested if told else ""
 
 
 def _frame(region: dict[str, Any], link: Link | None) -> str:

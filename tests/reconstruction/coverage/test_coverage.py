@@ -270,3 +270,7 @@ def test_the_report_has_a_table_or_one_sentence(tmp_path):
     assert "(1 of them more likely hidden than not)" in section
     assert "<td>83 %</td>" in section
     assert "root mean square" in section
+    del record["covered_error_points"]  # the lens was not given
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
+    assert "±" not in section
+    assert "Hidden: how likely" in section
