@@ -22,7 +22,7 @@ from reconstruction.coverage.centreline import NotATube
 from reconstruction.coverage.coverage import Coverage, Segment, measure_coverage
 from reconstruction.coverage.coverage_figure import draw_coverage
 from reconstruction.coverage.depth_support import DepthSupport
-from reconstruction.coverage.missed_regions import MissedRegion
+from reconstruction.coverage.missed_regions import MissedRegion, hidden_probability
 from reconstruction.coverage.unrolled_map import unroll
 from reconstruction.coverage.visibility import FieldOfView
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -187,6 +187,7 @@ def _judge(frames: Frames, completed: CompletedSubmap, surface: Surface, picture
     smallest = LISTED_MM if millimetres else LISTED_RADII * coverage.radius
     segments = coverage.segments(SEGMENT_MM if millimetres else SEGMENT_RADII * coverage.radius)
     listed = [region for region in coverage.regions if region.diameter >= smallest]
+    hidden = hidden_probability(np.array([region.reach for region in listed]) / coverage.radius).tolist()
     draw_coverage(coverage, unroll(coverage, supported, len(listed)), segments, len(listed), picture)
     record = {
         "judged": True,
@@ -202,7 +203,10 @@ def _judge(frames: Frames, completed: CompletedSubmap, surface: Surface, picture
         "listed_from": smallest,
         "smaller_regions": len(coverage.regions) - len(listed),
         "segments": [_segment(s) for s in segments],
-        "missed_regions": [_row(number, region, frames, completed) for number, region in enumerate(listed, start=1)],
+        "missed_regions": [
+            _row(number, region, frames, completed) | {"probability": probability}
+            for number, (region, probability) in enumerate(zip(listed, hidden, strict=True), start=1)
+        ],
     }
     if frames.camera.trusted:  # with another lens nobody has measured it
         record["covered_error_points"] = ERROR_POINTS
@@ -228,5 +232,4 @@ def _row(number: int, region: MissedRegion, frames: Frames, completed: Completed
         "centre": list(region.centre),
         "frame": index,
         "seconds": frames.seconds_of(index),
-        "probability": region.probability,
     }

@@ -149,7 +149,7 @@ def measure_coverage(
     closed_wall = closed_wall.with_faces(within(closed_wall.arc, visited))
     if field_of_view is not None:
         closed_wall = closed_wall.with_visible(own, canonical_from_camera, field_of_view, radius)
-    region, regions = find_regions(closed_wall, line, canonical_from_camera, half_fov_deg, radius)
+    region, regions = find_regions(closed_wall, line, canonical_from_camera, half_fov_deg)
     mesh_from_canonical = world_from_camera[0] @ np.diag([scale, scale, scale, 1])
     return Coverage(line, closed_wall, region, regions, visited, radius, unit).transformed(mesh_from_canonical)
 

@@ -32,7 +32,6 @@ class MissedRegion:
     centre: tuple[float, float, float]
     frame: int  # row of the nearest camera that had it in its cone of view; a fold may have occluded it
     reach: float  # greatest distance of its faces from the mesh
-    probability: float  # that at least half of it is in no frame, as completed depth leaves regions of 5 mm and more
 
     @property
     def diameter(self) -> float:
@@ -55,12 +54,9 @@ class MissedRegion:
 
 
 def find_regions(
-    closed_wall: ClosedWall, line: Centreline, world_from_camera: Array, half_fov_deg: float, radius: float
+    closed_wall: ClosedWall, line: Centreline, world_from_camera: Array, half_fov_deg: float
 ) -> tuple[NDArray[np.int64], list[MissedRegion]]:
-    """Connected unobserved pieces of the closed wall: number (F,) of each face, -1 if observed; largest first.
-
-    radius: the lumen's.
-    """
+    """Connected unobserved pieces of the closed wall: number (F,) of each face, -1 if observed; largest first."""
     region = np.full(len(closed_wall.faces), -1)
     if not closed_wall.unobserved.any():
         return region, []
@@ -72,12 +68,13 @@ def find_regions(
     arc_of_vertex = np.clip(line.locate(closed_wall.vertices)[0], closed_wall.arc.min(), closed_wall.arc.max())
     geometry = closed_wall.centroids, closed_wall.areas, arc_of_vertex[closed_wall.faces]
     faces = [np.flatnonzero(region == number) for number in range(len(rank))]
-    return region, [_region(rows, closed_wall, geometry, world_from_camera, half_fov_deg, radius) for rows in faces]
+    return region, [_region(rows, closed_wall, geometry, world_from_camera, half_fov_deg) for rows in faces]
 
 
-def hidden_probability(reach: float) -> float:
-    """That at least half of a region is in no frame; reach: of it from the mesh, in lumen radii."""
-    return float(1 / (1 + np.exp(-(OFFSET + SLOPE * np.log(max(reach, 1e-3))))))
+def hidden_probability(reach: Array) -> Array:
+    """That at least half of a region is in no frame, as completed depth leaves those of 5 mm and more; any shape.
+    reach: of regions from the mesh, in lumen radii."""
+    return np.asarray(1 / (1 + np.exp(-(OFFSET + SLOPE * np.log(np.maximum(reach, 1e-3))))))
 
 
 def _region(
@@ -86,12 +83,11 @@ def _region(
     geometry: tuple[Array, Array, Array],
     world_from_camera: Array,
     half_fov_deg: float,
-    radius: float,
 ) -> MissedRegion:
     """The region of faces `rows` (K,); geometry: centroids (F,3), areas (F,), arc lengths of corners (F,3)."""
     centroids, areas, corner_arc = geometry
     centre = np.average(centroids[rows], axis=0, weights=areas[rows])
-    extent, reach = corner_arc[rows], float(closed_wall.distance[rows].max())
+    extent = corner_arc[rows]
     return MissedRegion(
         area=float(areas[rows].sum()),
         arc=float(np.average(closed_wall.arc[rows], weights=areas[rows])),
@@ -99,8 +95,7 @@ def _region(
         clock=_clock(closed_wall.angle[rows], areas[rows]),
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
         frame=_nearest_view(centre, world_from_camera, half_fov_deg),
-        reach=reach,
-        probability=hidden_probability(reach / radius),
+        reach=float(closed_wall.distance[rows].max()),
     )
 
 

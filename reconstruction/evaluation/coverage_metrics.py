@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import ReconstructionError
 from reconstruction.coverage.coverage import Coverage
 from reconstruction.coverage.hole_closing import MAX_OFF_LINE
+from reconstruction.coverage.missed_regions import hidden_probability
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh, connected_faces
 
@@ -107,7 +108,7 @@ def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) 
     overlap = np.bincount(piece, weights=area[~seen] * (label[~seen] >= 0)) / np.maximum(sizes, 1e-12)
     large = _diameter(sizes) > threshold
     judged = tuple(
-        JudgedRegion(region.reach / coverage.radius, region.probability, _is_true(label == row, seen, area))
+        _judged(region.reach / coverage.radius, _is_true(label == row, seen, area))
         for row, region in enumerate(coverage.regions)
         if region.diameter > threshold
     )
@@ -127,6 +128,10 @@ def coverage_errors(coverage: Coverage, wall: TrueWall, threshold: float = 5.0) 
         seen_called_missed=_share(area, label >= 0, seen),
         judged=judged,
     )
+
+
+def _judged(reach_radii: float, is_true: bool) -> JudgedRegion:
+    return JudgedRegion(reach_radii, float(hidden_probability(np.array(reach_radii))), is_true)
 
 
 def estimated_labels(coverage: Coverage, wall: SurfaceMesh) -> NDArray[np.int64]:

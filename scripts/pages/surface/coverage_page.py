@@ -5,7 +5,7 @@ python -m scripts.pages.surface.coverage_page > docs/lab/coverage.md
 
 import json
 import statistics
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -16,6 +16,7 @@ from benchmarks.common.record import ROOT
 from benchmarks.coverage import RECONSTRUCT, ROLES, TRUE_DEPTH
 from benchmarks.coverage_regions import fitted, loss, regions_of
 from reconstruction.coverage.missed_regions import OFFSET, SLOPE, hidden_probability
+from scripts.pages.completion_page import table
 
 RECORD, WORDS = ROOT / "benchmarks/results/coverage.json", Path(__file__).with_name("coverage_page.txt")
 SUITES = {  # by the folder that the record's command renders them into
@@ -29,10 +30,23 @@ SUITES = {  # by the folder that the record's command renders them into
 SCOPES = ("reported_scope", "varied_scope", "scope_")  # films through measured colonoscopes begin with one of these
 NOT_CHOSEN = ("reported", "looked at")
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-HEAD = (
-    "| film | kind | visited (mm) | estimated (%) | true (%) | error (points) | found | false of reported | hidden "
-    "wall called seen (%) | seen wall called missed (%) |\n" + "|---" * 10 + "|"
-)
+FILM = ["film", "kind", "visited (mm)", "estimated (%)", "true (%)", "error (points)", "found", "false of reported"]
+FILM += ["hidden wall called seen (%)", "seen wall called missed (%)"]
+GROUP = [
+    "films",
+    "depth",
+    "judged",
+    "RMS error (points)",
+    "mean, median",
+    "worst",
+    "regions found",
+    "false of reported",
+]
+
+
+def kind(role: str) -> str:
+    """As the page calls it."""
+    return "chosen on" if role == "chosen" else role
 
 
 def rms(rows: list[dict[str, Any]]) -> float:
@@ -60,28 +74,29 @@ def through_scopes(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 def films(record: dict[str, Any], method: str) -> str:
     """A row for each film, suite by suite."""
-    lines = [HEAD]
-    for suite in SUITES:
-        lines += [_film(row) for row in judged(record, method, suite=suite)]
+    rows = [_film(row) for suite in SUITES for row in judged(record, method, suite=suite)]
     failed = [row for row in record["runs"] if row["method"] == method and row["failed"] is not None]
-    lines += [f"| {row['sequence']} | {row['role']} | not judged: {row['failed']} |{' |' * 7}" for row in failed]
-    return "\n".join(lines)
+    rows += [[row["sequence"], kind(row["role"]), f"not judged: {row['failed']}", *[""] * 7] for row in failed]
+    return table(FILM, rows)
 
 
-def _film(row: dict[str, Any]) -> str:
-    cells = [row["sequence"], row["role"].replace("chosen", "chosen on"), f"{row['visited_mm']:.0f}"]
-    cells += [f"{row['estimated_percent']:.1f}", f"{row['true_percent']:.1f}", f"{row['error_points']:+.1f}"]
-    cells += [f"{row['found']} of {row['true_regions']}", f"{row['false']} of {row['reported_regions']}"]
-    cells += [f"{row['hidden_called_seen_percent']:.0f}", f"{row['seen_called_missed_percent']:.0f}"]
-    return f"| {' | '.join(cells)} |"
+def _film(row: dict[str, Any]) -> list[str]:
+    return [
+        row["sequence"],
+        kind(row["role"]),
+        f"{row['visited_mm']:.0f}",
+        f"{row['estimated_percent']:.1f}",
+        f"{row['true_percent']:.1f}",
+        f"{row['error_points']:+.1f}",
+        f"{row['found']} of {row['true_regions']}",
+        f"{row['false']} of {row['reported_regions']}",
+        f"{row['hidden_called_seen_percent']:.0f}",
+        f"{row['seen_called_missed_percent']:.0f}",
+    ]
 
 
 def summary(record: dict[str, Any]) -> str:
     """A row for each group of films and method."""
-    lines = [
-        "| films | depth | judged | RMS error (points) | mean, median | worst | regions found | false of reported |",
-        "|---" * 8 + "|",
-    ]
     groups = {
         "reported": judged(record, RECONSTRUCT, role="reported"),
         "looked at": judged(record, RECONSTRUCT, role="looked at"),
@@ -91,42 +106,40 @@ def summary(record: dict[str, Any]) -> str:
     }
     for suite in ("suite", "varied", "burnt", "scopes"):
         groups[f"of those looked at, {SUITES[suite]}"] = judged(record, RECONSTRUCT, suite=suite)
-    lines += [f"| {words} | run | {len(rows)} | {_errors(rows)} |" for words, rows in groups.items()]
-    for suite, words in SUITES.items():
-        if rows := judged(record, TRUE_DEPTH, suite=suite):
-            lines.append(f"| {words} | true | {len(rows)} | {_errors(rows)} |")
-    return "\n".join(lines)
+    rows = [[words, "run", *_errors(found)] for words, found in groups.items()]
+    true = {words: judged(record, TRUE_DEPTH, suite=suite) for suite, words in SUITES.items()}
+    return table(GROUP, rows + [[words, "true", *_errors(found)] for words, found in true.items() if found])
 
 
-def _errors(rows: list[dict[str, Any]]) -> str:
+def _errors(rows: list[dict[str, Any]]) -> list[str]:
     error = [row["error_points"] for row in rows]
     true, found, reported, false = (
         sum(row[key] for row in rows) for key in ("true_regions", "found", "reported_regions", "false")
     )
     middle = f"{statistics.fmean(error):+.1f}, {statistics.median(error):+.1f}"
-    return f"{rms(rows):.1f} | {middle} | {max(error, key=abs):+.1f} | {found} of {true} | {false} of {reported}"
+    worst = f"{max(error, key=abs):+.1f}"
+    return [str(len(rows)), f"{rms(rows):.1f}", middle, worst, f"{found} of {true}", f"{false} of {reported}"]
 
 
 def reliability(record: dict[str, Any]) -> str:
     """Regions by the probability that was said, and how many of them were hidden."""
     by_role = {role: regions_of(record, role) for role in ROLES}
-    names = [f"{role.replace('chosen', 'chosen on')}: regions | of these hidden (%)" for role in by_role]
-    lines = [f"| probability said (%) | {' | '.join(names)} |", "|---" * 7 + "|"]
+    names = [[f"{kind(role)}: regions", "of these hidden (%)"] for role in by_role]
+    rows = []
     for low, high in pairwise(BINS):
-        cells = [f"{100 * low:.0f} to {100 * high:.0f}"]
+        rows.append([f"{100 * low:.0f} to {100 * high:.0f}"])
         for reach, is_true in by_role.values():
-            told = np.array([hidden_probability(one) for one in reach])
+            told = hidden_probability(reach)
             inside = (told >= low) & (told < high)
-            cells += [str(inside.sum()), f"{100 * is_true[inside].mean():.0f}" if inside.any() else "-"]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+            rows[-1] += [str(inside.sum()), f"{100 * is_true[inside].mean():.0f}" if inside.any() else "-"]
+    return table(["probability said (%)", *chain.from_iterable(names)], rows)
 
 
 def page() -> str:
     """The page, as committed."""
     record = json.loads(RECORD.read_text())
     reach, is_true = regions_of(record, "reported")
-    told = np.array([hidden_probability(one) for one in reach])
+    told = hidden_probability(reach)
     about, likely, reported = record["environment"], told > 0.5, judged(record, RECONSTRUCT, role="reported")
     area, beyond = [row["area_of_true"] for row in reported], not_chosen(record)
     chosen_regions = regions_of(record, "chosen")

@@ -10,46 +10,42 @@ from string import Template
 from typing import Any
 
 from benchmarks.common.record import ROOT
-from benchmarks.fusion.comparison import NOISE, PARTS, cell
+from benchmarks.fusion.comparison import NOISE, PARTS, cell, fullest
 from benchmarks.fusion.measured_run import VARIANTS
+from scripts.pages.completion_page import table
 
 RECORD, WORDS = ROOT / "benchmarks/results/fusion.json", Path(__file__).with_name("fusion_page.txt")
 
 
 def runs(record: dict[str, Any]) -> str:
     """A row for each run and depth, a column for each part that is on."""
-    lines = [f"| film (frames posed) | depth | {' | '.join(VARIANTS)} |", "|---" * (2 + len(VARIANTS)) + "|"]
+    rows = []
     for name, depths in record["runs"].items():
         about = record["about"][name]
-        for row, (depth, columns) in enumerate(depths.items()):
-            label = f"{name} ({about['posed']} of {about['film']})" if row == 0 else ""
-            cells = [cell(columns[variant]) if variant in columns else "" for variant in VARIANTS]
-            lines.append(f"| {label} | {depth} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        label = f"{name} ({about['posed']} of {about['film']})"
+        for depth, columns in depths.items():
+            rows.append([label, depth, *(cell(columns[part]) if part in columns else "" for part in VARIANTS)])
+            label = ""
+    return table(["film (frames posed)", "depth", *VARIANTS], rows)
 
 
 def parts(record: dict[str, Any]) -> str:
     """What each part changes, by depth."""
-    lines = ["| part | depth | median (least to most) | rises in | falls in | of |", "|---" * 6 + "|"]
+    rows = []
     for part in list(PARTS)[:-1]:  # but the pose graph: docs/lab/loop_closing.md
         for depth, found in record["summary"].get(part, {}).items():
             spread = f"{found['median']:+.1f} ({found['min']:+.1f} to {found['max']:+.1f})"
-            lines.append(f"| {part} | {depth} | {spread} | {found['helps']} | {found['hurts']} | {found['runs']} |")
-    return "\n".join(lines)
+            rows.append([part, depth, spread, *(str(found[count]) for count in ("helps", "hurts", "runs"))])
+    return table(["part", "depth", "median (least to most)", "rises in", "falls in", "of"], rows)
 
 
 def scores(record: dict[str, Any]) -> str:
     """F of each depth with all its parts: mean, median, least."""
-    lines = ["| depth | mean | median | least |", "|---|---|---|---|"]
+    rows = []
     for depth in next(iter(record["runs"].values())):
-        found = [100 * _fullest(depths[depth])["f_score"] for depths in record["runs"].values()]
-        least, mean, middle = min(found), statistics.fmean(found), statistics.median(found)
-        lines.append(f"| {depth} | {mean:.1f} | {middle:.1f} | {least:.1f} |")
-    return "\n".join(lines)
-
-
-def _fullest(columns: dict[str, Any]) -> dict[str, Any]:
-    return dict([figures for name in VARIANTS if (figures := columns.get(name))][-1])
+        found = [100 * depths[depth][fullest(depths[depth])]["f_score"] for depths in record["runs"].values()]
+        rows.append([depth, *(f"{of(found):.1f}" for of in (statistics.fmean, statistics.median, min))])
+    return table(["depth", "mean", "median", "least"], rows)
 
 
 def page() -> str:
