@@ -1,6 +1,7 @@
 """The commands `reconstruct` and `haustra`. Heavy packages are imported inside each command, so `--help` is instant."""
 
 import errno
+import gc
 import logging
 import os
 import sys
@@ -269,6 +270,8 @@ def run_cleanly(command: Callable[[], Any]) -> int:
         way_on = "mend that, and the same command goes on (reconstruct: --resume)"
         print(f"error: {os.strerror(error.errno)}{where}; what was finished is kept: {way_on}", file=sys.stderr)
         return 1
+    finally:
+        gc.freeze()  # or the interpreter, as it ends, looks for cycles among all objects: a second after a run
     return 0
 
 

@@ -6,6 +6,7 @@ another one idle for that long. A background import changes nothing that is comp
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -28,6 +29,10 @@ LIBRARIES = (
 # An import holds the interpreter for as long as this, and reading frames asks for it many times a frame.
 SWITCH_S = 5e-4
 
+# Libraries come with 400,000 objects, none of them garbage. Python goes through all of them for a quarter more, which
+# takes 0.6 s in all. An array of numbers is no such object.
+OBJECTS_BETWEEN_SEARCHES = 50_000
+
 LoadCompleter = Callable[[], "DepthCompleter"]
 
 
@@ -40,18 +45,19 @@ class Preparation:
     def __init__(self, model: str, device: str, iterations: int | None) -> None:
         self._load = lambda: load_completer(model, device, iterations)
         self._threads = ThreadPoolExecutor(1, "preparation")
-        self._switch_s = sys.getswitchinterval()
+        self._switch_s, self._searches = sys.getswitchinterval(), gc.get_threshold()
         self._completer: Future[DepthCompleter] | None = None
 
     def begin(self, with_network: bool) -> None:
         """Start in the background; with_network: unless the depth is on disk already."""
         sys.setswitchinterval(SWITCH_S)
+        gc.set_threshold(OBJECTS_BETWEEN_SEARCHES, *self._searches[1:])
         if with_network:
             self._completer = self._threads.submit(self._load)
         for library in LIBRARIES:
             self._threads.submit(import_module, library)
         self._threads.submit(import_open3d)
-        self._threads.submit(sys.setswitchinterval, self._switch_s)
+        self._threads.submit(self._as_before)
 
     def completer(self) -> DepthCompleter:
         """The network, waited for if need be. Raises `HaustraError` where it does not load."""
@@ -68,7 +74,11 @@ class Preparation:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._threads.shutdown(wait=False, cancel_futures=True)
+        self._as_before()
+
+    def _as_before(self) -> None:
         sys.setswitchinterval(self._switch_s)
+        gc.set_threshold(*self._searches)
 
 
 def load_completer(model: str, device: str, iterations: int | None) -> DepthCompleter:

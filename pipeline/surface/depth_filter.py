@@ -1,7 +1,7 @@
 """What of a keyframe's depth is fused: neighbouring keyframes lower its confidence, or leave it out wholly, and depth
 whose expected error would blur the surface stays out."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ class DepthFilter:
     ) -> None:
         self.completed, self.settings, self.min_confidence = completed, settings, min_confidence
         self.max_error = max_error
-        self._view = lru_cache(CACHED)(self._load)
+        # Of no method, which would hold this object, and it the views, until Python looks for cycles.
+        self._view = lru_cache(CACHED)(partial(_view_of, completed, min_confidence))
 
     def __call__(self, number: int) -> Agreement:
         """Of keyframe `number` among the submap's rows.
@@ -64,8 +65,9 @@ class DepthFilter:
             remaining[error > self.max_error] = 0
         return remaining
 
-    def _load(self, number: int) -> DepthView:
-        depth, confidence, world_from_camera = self.completed.depth(int(self.completed.rows[number]))
-        # Depth that is not sure enough to be fused has no vote, and nobody need agree with it.
-        sure = np.where(confidence < self.min_confidence, np.float32(0), depth)
-        return DepthView(sure, self.completed.camera.matrix, world_from_camera)
+
+def _view_of(completed: CompletedSubmap, min_confidence: float, number: int) -> DepthView:
+    depth, confidence, world_from_camera = completed.depth(int(completed.rows[number]))
+    # Depth that is not sure enough to be fused has no vote, and nobody need agree with it.
+    sure = np.where(confidence < min_confidence, np.float32(0), depth)
+    return DepthView(sure, completed.camera.matrix, world_from_camera)

@@ -1,5 +1,6 @@
 """What is loaded in the background: the same network, its error where it is asked for, and nothing left changed."""
 
+import gc
 import sys
 
 import numpy as np
@@ -13,7 +14,7 @@ from pipeline.depth.preparation import Preparation
 
 def test_the_network_is_the_one_that_is_named(monkeypatch) -> None:
     monkeypatch.setattr(preparation, "LIBRARIES", ("json",))
-    before = sys.getswitchinterval()
+    before = sys.getswitchinterval(), gc.get_threshold()
     sparse = np.zeros((64, 64), np.float32)
     sparse[4::12, 4::12] = 2.0
     rgb = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
@@ -23,7 +24,7 @@ def test_the_network_is_the_one_that_is_named(monkeypatch) -> None:
         assert later.completer() is later.completer()
     for one, other in zip(made, DepthCompleter.load("mscsa", "cpu")(rgb, sparse), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert sys.getswitchinterval() == before
+    assert (sys.getswitchinterval(), gc.get_threshold()) == before
 
 
 def test_a_network_that_was_let_go_is_loaded_again_where_it_is_asked_for(monkeypatch) -> None:
