@@ -31,9 +31,6 @@ DOUBTED_FROM = 0.2
 WRONG_OF_UNKNOWN = 0.25  # of the films on which `map_doubt` was fitted
 MIN_JUDGED = 20  # frames that the maps had at the fewest on which `map_doubt` was fitted
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
-# Probability that a map is wrong above which one that the light contradicts is dropped. Of 131 maps with truth
-# (docs/lab/map_doubt.md) the light contradicted two that were not the largest: both were wrong, by 92 and 100 %.
-MOST_DOUBT = 0.75
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated
 
 
@@ -124,13 +121,12 @@ def sure_of(candidates: list[Candidate], total: int, doubted_from: float = DOUBT
 
 
 def accepted(candidates: list[Candidate]) -> list[Candidate]:
-    """The largest submap, and of the others all but those that the light contradicts, and nothing else speaks for."""
+    """The largest submap, and of the others all but those that the light contradicts and that have no probability of
+    being wrong: where there is one, the user is told."""
     return [
         one
         for number, one in enumerate(candidates)
-        if number == 0
-        or one.check.inconsistent_share <= MAX_INCONSISTENT
-        or (one.doubt is not None and one.wrong < MOST_DOUBT)
+        if number == 0 or one.check.inconsistent_share <= MAX_INCONSISTENT or one.doubt is not None
     ]
 
 

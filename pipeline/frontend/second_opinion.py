@@ -228,7 +228,7 @@ def _best(opinion: Opinion, kept: list[Candidate]) -> list[Candidate]:
 
 
 def _usable(opinion: Opinion, mapper: str, kept: list[Candidate]) -> list[Candidate]:
-    """Maps with some of the frames in doubt; beside others, those that the light contradicts would be dropped."""
+    """Maps with some of the frames in doubt; beside others, none that the light contradicts."""
     return [
         one
         for one in opinion.candidates[mapper]

@@ -140,9 +140,9 @@ def test_both_mappers_crashing_names_their_logs(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(
     ("light", "probability", "stays"),
-    [(0.0, 0.9, True), (0.06, 0.6, True), (0.06, 0.9, False), (0.06, None, False), (0.0, None, True)],
+    [(0.0, 0.9, True), (0.06, 0.6, True), (0.06, 0.9, True), (0.06, None, False), (0.0, None, True)],
 )
-def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_nothing_speaks_for_it(light, probability, stays):
+def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_no_probability_is_known(light, probability, stays):
     other, doubt = map_of(range(30), light), None if probability is None else SimpleNamespace(probability=probability)
     other = replace(other, doubt=doubt)
     assert scoring.accepted([GOOD, other]) == ([GOOD, other] if stays else [GOOD])
