@@ -1,4 +1,4 @@
-"""Is a frame worth tracking? Black, overexposed, red-out, blurred and duplicate frames are named and left out."""
+"""Is a frame worth tracking? Black, overexposed, red-out, plain, blurred and repeated frames are named and left out."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Verdict = Literal["used", "black", "overexposed", "no texture", "blurred", "duplicate"]
+Verdict = Literal["used", "black", "overexposed", "red-out", "no texture", "blurred", "duplicate"]
 HISTORY = 15  # frames over which sharpness is compared
 MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
 SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see
@@ -17,6 +17,13 @@ SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it bey
 # low_texture_b, on which this was chosen).
 TEXTURE_SCALE, MOST_TEXTURE_SCALE_PX = 0.01, 3.2
 MIN_TEXTURE = 1.2  # grey levels
+# A lens that lies on the wall sees light that has gone through tissue: redder than the film is else, with little
+# texture, but drops and slime on the lens have more than the least. Chosen on events_b: of its frames those of
+# which nothing of the wall is left are redder by 0.24 and more, all others by 0.14 at most.
+REDDER = 0.2  # log2 of red over green, above the usual
+LESS_TEXTURE = 0.5  # of the usual
+USUAL, LEAST_USUAL = 600, 15  # latest used frames whose medians are the usual, and how many it takes
+DIM, COLOUR_STEP = 30, 4  # grey level below which colour is noise, and pixels between those that are looked at
 GLINT = 240  # grey level of the brightest channel; a glint is structure of its own
 LEAST_LEFT = 0.1  # share of the content that must be left without glints and border for them to be left out
 MIN_RELATIVE_SHARPNESS = 0.3  # of the running median; a third is motion blur
@@ -29,6 +36,7 @@ class FrameJudge:
 
     _sharpness: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
     _last: NDArray[np.float32] | None = None
+    _usual: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=USUAL))  # redness, texture
 
     def judge(self, rgb: NDArray[np.uint8], content: NDArray[np.uint8]) -> Verdict:
         """rgb (H,W,3) and content mask (H,W), both at working size."""
@@ -43,7 +51,10 @@ class FrameJudge:
         thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
         if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
             return "duplicate"
-        if _texture(grey, inside, channels >= GLINT) < MIN_TEXTURE:
+        redness, texture = _redness(rgb, channels, inside), _texture(grey, inside, channels >= GLINT)
+        if self._is_red_out(redness, texture):
+            return "red-out"
+        if texture < MIN_TEXTURE:
             return "no texture"
         sharpness = _sharpness(grey, inside)
         # A running median that only grows from sharp frames would never accept a softer passage: all count.
@@ -51,7 +62,24 @@ class FrameJudge:
         if sharpness < MIN_RELATIVE_SHARPNESS * float(np.median(self._sharpness)):
             return "blurred"
         self._last = thumbnail
+        self._usual.append((redness, texture))
         return "used"
+
+    def _is_red_out(self, redness: float, texture: float) -> bool:
+        if len(self._usual) < LEAST_USUAL:
+            return False
+        usual_redness, usual_texture = np.median(self._usual, axis=0)
+        return bool(redness > usual_redness + REDDER and texture < LESS_TEXTURE * usual_texture)
+
+
+def _redness(rgb: NDArray[np.uint8], channels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:
+    """Median of log2 red over green where neither glints nor the dark have a colour of their own; 0 where all do."""
+    some = (slice(None, None, COLOUR_STEP),) * 2
+    coloured = inside[some] & (channels[some] >= DIM) & (channels[some] < GLINT)
+    if not coloured.any():
+        return 0.0
+    red, green, _ = 1.0 + rgb[some][coloured].T
+    return float(np.median(np.log2(red / green)))
 
 
 def _texture(grey: NDArray[np.uint8], inside: NDArray[np.bool_], glints: NDArray[np.bool_]) -> float:

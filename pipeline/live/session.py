@@ -37,6 +37,7 @@ ADVICE = {
     "lost": "go back to the view that is shown",
     "black": "the picture is black",
     "overexposed": "the picture is overexposed: move away from the wall",
+    "red-out": "the lens lies on the wall: pull back",
     "no texture": "nothing can be seen: clean the lens, or move away from the wall",
     "blurred": "the picture is blurred: move slowly",
     "duplicate": "the picture stands still",

@@ -181,6 +181,24 @@ def test_each_kind_of_useless_frame_is_named():
     assert verdicts == ["used"] * 6 + ["blurred", "no texture", "black", "overexposed", "used", "duplicate"]
 
 
+def on_the_lens(frame, red):
+    """The frame through red light that hides most of it, and drops on the lens, which are not red-out's own texture."""
+    through = 0.85 * np.array(red) + 0.15 * cv2.GaussianBlur(frame, (0, 0), 3)
+    through[::40, ::40] += 20
+    return cv2.GaussianBlur(through.clip(0, 255).astype(np.uint8), (0, 0), 2)
+
+
+def test_red_out_is_redder_than_the_film_and_has_little_texture():
+    """By the film's own colour: a film that is so red all along has none, and red wall with texture is wall."""
+    wall = [(0.8 * frame * [1.0, 0.6, 0.5]).astype(np.uint8) for frame in textured_frames(60)]
+    covered = on_the_lens(wall[40], (230, 80, 40))
+    redder = (wall[41] * [1.0, 0.6, 0.6]).astype(np.uint8)
+    paler = on_the_lens(wall[42], (200, 120, 100))
+    assert judge_all([*wall[:40], covered, redder]) == ["used"] * 40 + ["red-out", "used"]
+    assert judge_all([*wall[:40], paler])[-1] != "red-out"
+    assert "red-out" not in judge_all([on_the_lens(frame, (230, 80, 40)) for frame in wall] + wall[:10])
+
+
 @pytest.mark.parametrize("noise", [0, 2, 5])
 @pytest.mark.parametrize("contrast", [5, 0])
 def test_texture_is_seen_through_a_codec_and_noise_is_none(tmp_path, contrast, noise):
