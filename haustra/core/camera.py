@@ -127,6 +127,12 @@ class Camera:
         params = (*focal, (cx - x0) * scale, (cy - y0) * scale, *self.distortion)
         return replace(self, width=round(width * scale), height=round(height * scale), params=params)
 
+    def of_whole(self, x0: int, y0: int, width: int, height: int, scale: float) -> "Camera":
+        """The camera of the picture (width, height) of which this one's is a box with its corner at (x0, y0), resized
+        by `scale`: `cropped_and_scaled` undone."""
+        larger = self.cropped_and_scaled(0, 0, self.width, self.height, 1 / scale)
+        return replace(larger.cropped_and_scaled(-x0, -y0, width, height, 1.0), width=width, height=height)
+
     def field_of_view(self) -> tuple[float, float]:
         """Horizontal and vertical angle in degrees, along the principal axes."""
         angles = []

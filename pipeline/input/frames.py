@@ -109,6 +109,14 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
         progress.log(note)
 
 
+def write_lens(camera: Camera, workspace: Workspace) -> None:
+    """`lens.json`: `camera`, of working frames, as that of whole pictures of the source, for other films through it."""
+    record = workspace.result(STAGE)
+    x0, y0, width, _ = record["content_box"]
+    whole_width, whole_height = record["source_size"]
+    write_json(workspace.lens, camera.of_whole(x0, y0, whole_width, whole_height, camera.width / width).to_dict())
+
+
 def working_scale(box: tuple[int, int], long_side: int) -> float:
     """Scale to about `long_side` at which both sides come out whole: rounding one would stretch the image against the
     camera, by half a pixel at the border. One source pixel is never made larger."""

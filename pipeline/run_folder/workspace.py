@@ -47,6 +47,7 @@ class Workspace:
         self.log = root / "log"
         self.frames = root / "frames.json"
         self.camera = root / "camera.json"
+        self.lens = root / "lens.json"  # of whole pictures as filmed
         self.features = root / "features.db"
         self.models = root / "log" / "models"  # the chosen submaps, in their own units
         self.sparse = root / "sparse"

@@ -15,6 +15,7 @@ import yaml
 
 from benchmarks.common.recompletion import completed_from
 from completion.inference.completer import DepthCompleter
+from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError, ReconstructionError
 from haustra.core.progress import SilentProgress
 from pipeline.cli import main as cli
@@ -34,7 +35,7 @@ from pipeline.surface import fusion_stage as surface
 from pipeline.surface.scale import ScaleSource
 
 ARTEFACTS = [
-    *("run.yaml", "camera.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
+    *("run.yaml", "camera.json", "lens.json", "frames.json", "trajectory.tum", "keyframes.tum", "mesh.ply", "mesh.glb"),
     *("metrics.json", "report.html", "sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"),
 ]
 
@@ -55,6 +56,7 @@ def test_every_artefact_of_the_contract_is_there(finished):
     folder, result = finished
     assert [name for name in ARTEFACTS if not (folder / name).exists()] == []
     assert (folder / "coverage.png").exists() == result.metrics["submaps"][0]["coverage"]["judged"]
+    assert read_camera(folder / "lens.json") == read_camera(CAMERA)
     keyframes = result.metrics["submaps"][0]["keyframes"]
     assert len(list((folder / "depth").glob("*.png"))) == keyframes >= 5
     assert len(list((folder / "confidence").glob("*.png"))) == keyframes

@@ -81,6 +81,14 @@ def test_a_pinhole_is_not_resampled():
     assert rectifier.kept_share == 1
 
 
+@pytest.mark.parametrize("camera", [OPENCV, FISHEYE, guess_camera(640, 480, (0, 0, 640, 480))])
+def test_the_lens_of_a_cut_out_box_is_that_of_the_whole_picture(camera):
+    box, scale = (33, 17, 560, 420), 0.8
+    again = camera.cropped_and_scaled(*box, scale).of_whole(*box[:2], camera.width, camera.height, scale)
+    assert (again.model, again.width, again.height) == (camera.model, camera.width, camera.height)
+    np.testing.assert_allclose(again.params, camera.params, rtol=1e-12)
+
+
 def test_a_wide_fisheye_says_how_much_is_cut():
     rectifier = make_rectifier(PRESETS["endomapper-03"].camera.cropped_and_scaled(0, 0, 1440, 1080, 1 / 3), 110)
     assert 0.5 < rectifier.kept_share < 0.95
