@@ -94,32 +94,32 @@ def _asset(name: str) -> str:
 
 
 def _coverage(coverage: list[CoverageResult], link: Link) -> str:
-    mapped = _count_mapped(coverage)
-    sections = [coverage_section(result, link) for result in coverage[:mapped]]
+    """The first submap and those with a map, as far as there is room for it; the others in words."""
     if len(coverage) == 1:
-        return sections[0]
+        return coverage_section(coverage[0], link)
+    mapped = _mapped(coverage)
     named = [
-        section.replace("<h2>Coverage</h2>", f"<h2>Coverage of submap {k}</h2>", 1)
-        for k, section in enumerate(sections)
+        coverage_section(coverage[k], link).replace("<h2>Coverage</h2>", f"<h2>Coverage of submap {k}</h2>", 1)
+        for k in mapped
     ]
-    return "".join(named) + _coverage_in_words(coverage[mapped:], mapped)
+    return "".join(named) + _coverage_in_words({k: of for k, of in enumerate(coverage) if k not in mapped})
 
 
-def _count_mapped(coverage: list[CoverageResult]) -> int:
-    """Of how many submaps, largest first, the page has room for the map."""
-    sizes = [result.picture.stat().st_size if result.picture else 0 for result in coverage[:MOST_SUBMAPS]]
-    return max(1, int((np.cumsum(sizes) <= MAPS_BUDGET).sum()))
+def _mapped(coverage: list[CoverageResult]) -> list[int]:
+    """Numbers of submaps, largest first, that have a section of their own."""
+    sizes = {k: of.picture.stat().st_size for k, of in enumerate(coverage[:MOST_SUBMAPS]) if of.picture}
+    total = np.cumsum(list(sizes.values()))
+    return sorted({0, *(k for k, so_far in zip(sizes, total, strict=True) if so_far <= MAPS_BUDGET)})
 
 
-def _coverage_in_words(rest: list[CoverageResult], first: int) -> str:
-    """Of the smaller submaps, whose maps would make the page too large."""
+def _coverage_in_words(rest: dict[int, CoverageResult]) -> str:
+    """Of submaps, by number, that could not be judged, or whose maps would make the page too large."""
     if not rest:
         return ""
-    items = "".join(
-        f"<li>submap {number}: {html.escape(result.sentence)}</li>" for number, result in enumerate(rest, start=first)
+    items = "".join(f"<li>submap {number}: {html.escape(of.sentence)}</li>" for number, of in rest.items())
+    without = sum(of.picture is not None for of in rest.values())
+    elsewhere = (
+        f"<p>To keep this page small, {without} further maps are in the run folder, as coverage_*.png; metrics.json "
+        "lists all missed regions.</p>"
     )
-    return (
-        f"<h2>Coverage of smaller submaps</h2><p>To keep this page small, maps are shown of the {first} largest of "
-        f"{first + len(rest)} submaps, and keyframes of at most {MOST_SUBMAPS}. The other maps are coverage_*.png in "
-        f"the run folder; metrics.json lists all missed regions.</p><ul>{items}</ul>"
-    )
+    return f"<h2>Coverage of the other submaps</h2>{elsewhere if without else ''}<ul>{items}</ul>"

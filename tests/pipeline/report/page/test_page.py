@@ -6,12 +6,14 @@ import html.parser
 import json
 import re
 from dataclasses import replace
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
 
 from pipeline.demo import FOLDER
+from pipeline.input.frame_quality import Verdict
 from pipeline.report.page import keyframe_gallery as browser
 from pipeline.report.page import scene
 from pipeline.report.page.keyframe_gallery import Shown, choose_shown
@@ -151,6 +153,22 @@ def test_the_scene_holds_what_the_run_holds(run, page):
     assert sum(len(s["shown"]) for s in data["submaps"]) == len(data["shown"]) == 60
 
 
+def test_every_verdict_has_a_colour_of_its_own(page):
+    rules = [page[at : page.index("}", at)].split("{")[1] for v in get_args(Verdict) if (at := page.find(css(v))) >= 0]
+    assert len(rules) == len(set(rules)) == len(get_args(Verdict))
+
+
+def css(verdict):
+    return f".v-{verdict.replace(' ', '-')} "
+
+
+def test_submaps_that_cannot_be_judged_share_one_section(run, page):
+    assert not run.coverage[1].picture
+    listed = page[page.index("<h2>Coverage of the other submaps</h2>") :]
+    assert "submap 1: " in listed[: listed.index("</ul>")]
+    assert "further maps are" not in page
+
+
 def test_the_timeline_counts_every_frame(page):
     film = page[page.index('class="timeline"') : page.index('class="key"') + 1500]
     for words in ("used (125)", "blurred (2)", "black (2)", "overexposed (1)", "duplicate (1)", "posed, submap 1 (30)"):
@@ -219,7 +237,7 @@ def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
     assert {shown["submap"] for shown in data["shown"]} == set(range(browser.MOST_SUBMAPS))
     assert f"60 of {12 * count} keyframes, evenly spread over the 12 largest of 60 submaps" in page
     assert page.count('class="map"') == 6
-    assert "maps are shown of the 6 largest of 60 submaps" in page
+    assert "54 further maps are in the run folder" in page
     assert page.count("<li>submap ") == count - 6
 
 
