@@ -19,6 +19,11 @@ def _polynomial(parameters: int, focal_lengths: int) -> LensModel:
     return LensModel(parameters, focal_lengths, _brown, _brown_guess, _brown_limit)
 
 
+def _fisheye(parameters: int, focal_lengths: int) -> LensModel:
+    model = _kannala_brandt, _kannala_brandt_guess, _kannala_brandt_limit
+    return LensModel(parameters, focal_lengths, *model, widest=1.9, straight_at_zero=False)
+
+
 # By COLMAP's names and in COLMAP's order of parameters: focal length(s), centre x and y, distortion. COLMAP has no
 # SCARAMUZZA: a0, centre x and y, b2, b3, b4, c, d, e.
 LENS_MODELS: dict[str, LensModel] = {
@@ -28,9 +33,9 @@ LENS_MODELS: dict[str, LensModel] = {
     "RADIAL": _polynomial(5, 1),
     "OPENCV": _polynomial(8, 2),
     "FULL_OPENCV": _polynomial(12, 2),
-    "OPENCV_FISHEYE": LensModel(
-        8, 2, _kannala_brandt, _kannala_brandt_guess, _kannala_brandt_limit, widest=1.9, straight_at_zero=False
-    ),
+    "SIMPLE_RADIAL_FISHEYE": _fisheye(4, 1),
+    "RADIAL_FISHEYE": _fisheye(5, 1),
+    "OPENCV_FISHEYE": _fisheye(8, 2),
     "SCARAMUZZA": LensModel(
         9,
         1,

@@ -1,4 +1,4 @@
-"""Kannala and Brandt's fisheye (PAMI 2006) with four terms, as OpenCV has it.
+"""Kannala and Brandt's fisheye (PAMI 2006) with four terms, as OpenCV has it, or with fewer.
 
 The distorted radius is theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta the angle off the axis.
 """
@@ -19,8 +19,10 @@ def distort(points: Array, distortion: tuple[float, ...]) -> Array:
     radius = np.hypot(points[:, 0], points[:, 1])
     theta = np.arctan2(radius, points[:, 2])
     t2 = theta * theta
-    k1, k2, k3, k4 = distortion
-    distorted = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+    added = np.zeros_like(t2)
+    for k in reversed(distortion):
+        added = t2 * (k + added)
+    distorted = theta * (1 + added)
     scale = np.divide(distorted, radius, out=np.ones_like(radius), where=radius > 1e-12)
     return points[:, :2] * scale[:, None]
 

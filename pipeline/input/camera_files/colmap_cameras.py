@@ -22,7 +22,6 @@ BINARY_MODELS = {
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
 }
-FISHEYES = {"SIMPLE_RADIAL_FISHEYE": 3, "RADIAL_FISHEYE": 2}  # of OPENCV_FISHEYE's four terms, those that are zero
 
 
 def read_colmap(document: CameraDocument) -> CalibratedLens | None:
@@ -78,9 +77,6 @@ def _binary(path: Path) -> dict[int, CalibratedLens]:
 
 
 def _lens(model: str, params: list[float], size: tuple[int, int]) -> CalibratedLens:
-    if model in FISHEYES:
-        focal, cx, cy, *terms = params
-        return CalibratedLens("OPENCV_FISHEYE", (focal, focal, cx, cy, *terms, *[0.0] * FISHEYES[model]), size)
     if model not in LENS_MODELS:
         raise HaustraError(f"its lens model {model} is none of {', '.join(LENS_MODELS)}")
     return CalibratedLens(model, tuple(params), size)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -50,6 +51,18 @@ def test_radial_models_are_special_cases(model):
     k = {"SIMPLE_RADIAL": (-0.1, 0.0), "RADIAL": (-0.1, 0.02)}.get(model, (0.0, 0.0))
     general = Camera("OPENCV", 640, 480, (400.0, 400.0, 322.0, 241.0, *k, 0.0, 0.0))
     np.testing.assert_allclose(Camera(model, 640, 480, params).project(RAYS), general.project(RAYS), atol=1e-12)
+
+
+@pytest.mark.parametrize(("model", "terms"), [("SIMPLE_RADIAL_FISHEYE", (-0.13,)), ("RADIAL_FISHEYE", (-0.13, 0.02))])
+def test_fisheyes_of_one_focal_length_equal_colmap(model, terms):
+    params = (300.0, 322.0, 241.0, *terms)
+    known = pycolmap.Camera(model=model, width=640, height=480, params=params)
+    one = Camera(model, 640, 480, params)
+    expected = known.img_from_cam(RAYS)
+    np.testing.assert_allclose(one.project(RAYS), expected, atol=1e-9)
+    plane, reached = one.unproject(expected)
+    assert reached.all()
+    np.testing.assert_allclose(plane, RAYS[:, :2] / RAYS[:, 2:], atol=1e-4)
 
 
 @given(st.integers(0, 200), st.integers(0, 150), st.floats(0.2, 3.0), st.sampled_from([OPENCV, FISHEYE]))
@@ -158,14 +171,31 @@ def test_a_guessed_lens_can_become_a_fisheye():
 
 
 def test_the_mean_colonoscope_has_the_mean_radius():
-    """At each angle off the axis, of the eighteen; it is a start and no calibration."""
+    """At each angle off the axis, of the eighteen, to two pixels of 1440; it is a start and no calibration."""
     mean = PRESETS["colonoscope"].camera
     assert not mean.trusted
+    assert len(mean.params) == 4
     theta = np.radians(np.linspace(1, 75, 20))
     rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
     cameras = [PRESETS[f"endomapper-{number:02d}"].camera for number in range(1, 19)]
     radii = np.mean([camera.project(rays)[:, 0] - camera.centre[0] for camera in cameras], axis=0)
-    np.testing.assert_allclose(mean.project(rays)[:, 0] - mean.centre[0], radii, rtol=1e-3)
+    np.testing.assert_allclose(mean.project(rays)[:, 0] - mean.centre[0], radii, atol=2.0)
+
+
+@pytest.mark.parametrize("number", range(1, 19))
+def test_one_focal_length_and_one_term_are_enough_for_each_colonoscope(number):
+    """To 3 pixels of 1440, RMS over the picture; so the guess has no more to refine."""
+    theta = np.linspace(0.01, 1.5, 300)
+    ahead = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
+    scope = PRESETS[f"endomapper-{number:02d}"].camera
+    radius = scope.focal_px * scope.lens.distort(ahead, scope.distortion)[:, 0]
+    guess = PRESETS["colonoscope"].camera
+
+    def off(x):
+        return np.sqrt(radius) * (x[0] * guess.lens.distort(ahead, (x[1],))[:, 0] - radius)
+
+    best = least_squares(off, [guess.focal[0], *guess.distortion], x_scale=[100, 0.1])
+    assert np.sqrt(np.square(best.fun).sum() / radius.sum()) < 3.0
 
 
 @pytest.mark.parametrize("name", ["simcol3d", "endomapper-sim", "vr-caps", "csd"])
