@@ -96,7 +96,7 @@ def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
     if focal == start:
         text = f"camera: focal length {start:.1f} px guessed and kept"
     if not np.isfinite(sigma):
-        return text + "; the motion does not determine it: shapes may be stretched along the view"
+        return text + "; no trusted map determines it: shapes may be stretched along the view"
     text += f" (sigma {sigma:.2g} px for 1 px of noise)"
     if not is_determined(focal, submap.camera_sigma):
         return text + "; too uncertain to trust: shapes may be stretched along the view"

@@ -43,6 +43,11 @@ def mean_colonoscope() -> Camera:
     return Camera(MEAN_MODEL, *SIZE, (float(linear), float(cx), float(cy), float(cubic / linear)), trusted=False)
 
 
+def is_mean_colonoscope(camera: Camera) -> bool:
+    """Whether it is that guess, of whatever size, or was refined from it and is not trusted."""
+    return camera.model == MEAN_MODEL and not camera.trusted
+
+
 def colonoscope_across(width: int, height: int, content: tuple[int, int, int, int]) -> Camera:
     """The mean colonoscope's lens for frames of another size, whose content's longer side is that of its picture."""
     x, y, content_width, content_height = content

@@ -110,7 +110,9 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
 
 
 def write_lens(camera: Camera, workspace: Workspace) -> None:
-    """`lens.json`: `camera`, of working frames, as that of whole pictures of the source, for other films through it."""
+    """`lens.json`: `camera`, of working frames, as that of the source's whole pictures; none of frames from elsewhere."""
+    if not workspace.is_done(STAGE):
+        return
     record = workspace.result(STAGE)
     x0, y0, width, _ = record["content_box"]
     whole_width, whole_height = record["source_size"]

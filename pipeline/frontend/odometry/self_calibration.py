@@ -2,6 +2,9 @@
 
 Tracking needs no more than a guess: a focal length that is a sixth off bends the map smoothly. Once the map is there,
 one bundle adjustment with the lens free finds it, if the camera moved enough; where it did not, the guess stays.
+
+A wall that moves drives the lens away by far more than its standard deviations say (docs/lab/unknown_lens.md). The mean
+colonoscope is nearer to those that were measured, and stays where the map that determines another lens is in doubt.
 """
 
 import json
@@ -16,10 +19,15 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SilentProgress
 from haustra.core.ray_table import ray_table
 from pipeline.frontend.base import COLMAP_WORKER, is_determined
+from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.frontend.scoring import DOUBTED_FROM, MIN_JUDGED
+from pipeline.input.endomapper_scopes import is_mean_colonoscope
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.final_adjustment import adjust_maps
+from pipeline.mapping.lighting_check import check_lighting
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_all
+from pipeline.mapping.map_doubt import FAMILY, PROBABLE, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_of_map import submaps_of
 from pipeline.matching.sift import FindFeatures
@@ -66,12 +74,14 @@ def refine_intrinsics(
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
-    it, until it stays. The other maps wait for it, and are adjusted once.
+    it, until it stays. The other maps wait for it, and are adjusted once. The mean colonoscope gives way to none but a
+    lens with which that map is wrong with a probability below `DOUBTED_FROM`.
     """
     asked = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))[:MOST_ASKED]
     camera = guess
     sigma: tuple[float, ...] = ()
     held: dict[int, float | None] = {}
+    wrong = 0.0
     for _ in range(ROUNDS):
         lenses: list[Lens] = []
         for number in asked:
@@ -89,12 +99,29 @@ def refine_intrinsics(
             break
         camera = lens.camera
         held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress)
+        if is_mean_colonoscope(guess) and (wrong := _doubt_of(maps[asked[0]], camera, workspace)) >= PROBABLE:
+            break
+    if camera != guess and wrong >= DOUBTED_FROM:
+        doubt = f"the map that determines another is wrong with a probability of {100 * wrong:.0f} %"
+        progress.log(f"the lens stays that of the mean colonoscope: {doubt}")
+        held |= _with_lens(maps, asked, guess, lens_shift(camera, guess) > LENS_RESTART, find, progress)
+        camera, sigma = guess, (float("nan"),)
     if camera == guess:
         held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)
     else:
         others = [n for n in range(len(maps)) if n != asked[0]]
         held |= _with_lens(maps, others, camera, lens_shift(guess, camera) > LENS_RESTART, find, progress)
     return camera, sigma, [held[number] for number in range(len(maps))]
+
+
+def _doubt_of(local_map: LocalMap, camera: Camera, workspace: Workspace) -> float:
+    """Probability that one map, adjusted with this lens, is wrong; 1 of a map that is too short to be judged."""
+    (submap, *_), (read, mapper) = submaps_of([local_map], camera.params), (frame_reader(workspace), "odometry")
+    if len(submap.frames) < MIN_JUDGED:
+        return 1.0
+    check, asked = check_lighting(submap, lambda index: read(index)[0]), coefficients()[FAMILY[mapper]]["weights"]
+    evidence = gather_evidence(submap, camera, check, len(submap.frames), 1, asked=asked)
+    return judge(evidence, FAMILY[mapper]).probability
 
 
 def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:

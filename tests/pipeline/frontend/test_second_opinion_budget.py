@@ -14,6 +14,7 @@ from pipeline.frontend.registry import FRONT_ENDS
 from pipeline.frontend.second_opinion import (
     known_lens,
 )
+from pipeline.input.endomapper_scopes import colonoscope_across
 from pipeline.matching.sift_cache import SiftCache
 from tests.helpers.candidates import DARK, GOOD, Given, many_frames, map_of
 from tests.helpers.tubes.textured_tube import CAMERA
@@ -196,6 +197,13 @@ def test_a_lens_is_known_that_was_given_or_that_a_sure_map_determines(monkeypatc
     assert known_lens([with_focal(GOOD, 140.0, (20.0,))], frames) is None
     assert known_lens([with_focal(DARK, 140.0, (1.0,))], frames) is None
     assert known_lens([DARK], many_frames(100)) == (CAMERA, ())
+
+
+def test_the_mean_colonoscope_is_not_refined_by_maps_in_doubt():
+    mean = colonoscope_across(CAMERA.width, CAMERA.height, (0, 0, CAMERA.width, CAMERA.height))
+    frames = replace(many_frames(100), camera=mean)
+    assert known_lens([with_focal(DARK, 140.0, (1.0,))], frames) == (replace(mean, trusted=True), ())
+    assert known_lens([], frames) is None
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -161,6 +161,7 @@ def test_the_lens_of_the_whole_picture_is_trusted_where_a_map_that_is_hardly_in_
     workspace, working = Workspace(tmp_path), replace(CAMERA, trusted=given)
     size = 20 + 2 * working.width, 10 + 2 * working.height
     box = [20, 10, 2 * working.width, 2 * working.height]
+
     workspace.record["stages"]["frames"] = {"content_box": box, "source_size": list(size)}
     focal, centre = 1.1 * working.focal[0], working.centre
     submap = SimpleNamespace(camera_params=(focal, focal, *centre), camera_sigma=(sigma,))
@@ -197,5 +198,5 @@ def test_choices_that_cannot_work_are_refused_at_once():
 def test_a_guess_that_nothing_asked_is_not_called_undetermined_by_motion(given):
     submap = SimpleNamespace(camera_params=CAMERA.params, camera_sigma=())
     said = structure_stage.camera_trust(CAMERA, submap, given)
-    assert ("the motion does not determine it" in said) != given
+    assert ("no trusted map determines it" in said) != given
     assert ("do not trust shapes and lengths" in said) == given

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from pipeline.report.cautions import reasons_for_doubt
 
-FREE = "camera: focal length 99 px guessed and kept; the motion does not determine it: shapes may be stretched"
+FREE = "camera: focal length 99 px guessed and kept; no trusted map determines it: shapes may be stretched"
 FIXED = "camera: focal length 99 px guessed, 98 px after adjustment (sigma 0.2 px for 1 px of noise)"
 
 

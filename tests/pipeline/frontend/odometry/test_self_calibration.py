@@ -20,6 +20,7 @@ from pipeline.frontend.odometry.self_calibration import (
     refine_lens,
     thinned,
 )
+from pipeline.input.endomapper_scopes import colonoscope_across
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
 
@@ -219,6 +220,36 @@ def test_maps_that_are_not_asked_for_the_lens_are_adjusted_once_and_with_it(monk
     found = self_calibration.refine_intrinsics(maps, GUESS, 0, None, SimpleNamespace(log=None), SilentProgress())
     assert adjusted == [("guess", [2]), ("guess", [0]), (150.0, [0], True), (150.0, [1, 2, 3], True)]
     assert (found[0].params[0], found[1], found[2]) == (150.0, (0.1,), [150.0] * 4)
+
+
+@pytest.mark.parametrize(
+    ("doubts", "asked", "focal"),
+    [((0.1, 0.1), 3, 141.0), ((0.4, 0.1), 3, 141.0), ((0.1, 0.3), 3, 160.0), ((0.6, 0.1), 1, 160.0)],
+)
+def test_the_mean_colonoscope_stays_where_the_map_that_determines_another_is_in_doubt(
+    monkeypatch, doubts, asked, focal
+):
+    mean, maps = colonoscope_across(305, 228, (0, 0, 305, 228)), [SimpleNamespace(tracked_frames=[1], keyframes=[])]
+    mean = replace(mean, params=(160.0, *mean.params[1:]))
+    focals, doubts, seen = iter([150.0, 141.0, 141.0]), iter(doubts), []
+
+    def lens_of(local_map, camera, *_):
+        seen.append(camera.params[0])
+        return Lens(replace(camera, params=(next(focals), *camera.params[1:])), (0.1,), True)
+
+    def with_lens(maps, numbers, camera, *_):
+        return dict.fromkeys(numbers, camera.params[0])
+
+    monkeypatch.setattr(self_calibration, "_lens_of", lens_of)
+    monkeypatch.setattr(self_calibration, "_doubt_of", lambda *_: next(doubts))
+    monkeypatch.setattr(self_calibration, "_with_lens", with_lens)
+    monkeypatch.setattr(self_calibration, "adjust_maps", lambda some, *_: [None] * len(some))
+    camera, sigma, held = self_calibration.refine_intrinsics(
+        maps, mean, 0, None, SimpleNamespace(log=None), SilentProgress()
+    )
+    assert len(seen) == asked
+    assert camera.params[0] == held[0] == focal
+    assert np.isnan(sigma[0]) == (focal == mean.params[0])
 
 
 @pytest.mark.parametrize(
