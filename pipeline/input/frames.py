@@ -110,7 +110,7 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
 
 
 def write_lens(camera: Camera, workspace: Workspace) -> None:
-    """`lens.json`: `camera`, of working frames, as that of the source's whole pictures; none of frames from elsewhere."""
+    """`lens.json`: `camera`, of working frames, as that of the source's whole pictures; not of frames from others."""
     if not workspace.is_done(STAGE):
         return
     record = workspace.result(STAGE)
