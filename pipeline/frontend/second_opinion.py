@@ -23,7 +23,6 @@ from haustra.core.text import counted
 from pipeline.frontend.base import is_determined
 from pipeline.frontend.frames_between import every_nth
 from pipeline.frontend.scoring import DOUBTED_FROM, MAX_INCONSISTENT, Candidate, best_mapper, score, sure_of
-from pipeline.input.endomapper_scopes import is_mean_colonoscope
 from pipeline.input.frames import Frames
 from pipeline.mapping.colmap_io import write_camera_sigma
 from pipeline.mapping.submap import MIN_FRAMES, refined_camera
@@ -124,15 +123,16 @@ def at_once(stretches: list[Stretch]) -> list[Stretch]:
 
 
 def known_lens(found: list[Candidate], frames: Frames) -> tuple[Camera, tuple[float, ...]] | None:
-    """The lens, and its sigmas where it was a guess that the sure maps determine; the guess itself where it is the mean
-    colonoscope, of which maps in doubt know no better (`self_calibration`); None where nobody knows it."""
+    """The lens, and its sigmas where it was a guess that the sure maps determine; where the guess knew more than an
+    angle across the picture, the one that the first front end's maps have, whether they refined it or not
+    (`self_calibration`); None where nobody knows it."""
     if frames.camera.trusted:
         return frames.camera, ()
     for submap in (one.submap for one in sure_of(found, len(frames.index))):
         if is_determined(submap.camera_params[0], submap.camera_sigma):
             return replace(refined_camera(frames.camera, submap), trusted=True), submap.camera_sigma
-    if found and is_mean_colonoscope(frames.camera):
-        return replace(frames.camera, trusted=True), ()
+    if found and any(frames.camera.distortion):
+        return replace(refined_camera(frames.camera, found[0].submap), trusted=True), found[0].submap.camera_sigma
     return None
 
 

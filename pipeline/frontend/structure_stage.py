@@ -4,7 +4,6 @@ What `auto` runs, `automatic.py` says.
 """
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from pipeline.frontend.map_cautions import (
     few_posed,
 )
 from pipeline.frontend.registry import FIRST, FRONT_ENDS, SECOND, chosen
-from pipeline.frontend.scoring import DOUBTED_FROM, Candidate, accepted, best_mapper, frames_posed, uncovered
+from pipeline.frontend.scoring import Candidate, accepted, best_mapper, frames_posed, uncovered
 from pipeline.input.frames import Frames, write_lens
 from pipeline.mapping.feature_triangulation import frames_of_features
 from pipeline.mapping.submap import Submap, read_submap, refined_camera
@@ -126,7 +125,7 @@ def _solve(
         kept = uncovered(accepted(found))
         _keep(kept, workspace)
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
-    _keep_lens(kept[0], frames.camera, workspace)
+    write_lens(refined_camera(frames.camera, kept[0].submap), workspace)
     advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
     warnings += few_posed(frames_posed(kept), total, advice)
     warnings += doubts_of_submaps(kept, advice)
@@ -158,13 +157,6 @@ def _begin_features(
     for candidate in candidates:
         for frame in frames_of_features(candidate.submap, frames.camera, motion_px):
             features.begin(frame)
-
-
-def _keep_lens(largest: Candidate, camera: Camera, workspace: Workspace) -> None:
-    """As the largest submap has it; trusted where it was given, or that submap determines it and is hardly in doubt."""
-    found = is_determined(largest.submap.camera_params[0], largest.submap.camera_sigma)
-    trusted = camera.trusted or (found and largest.wrong < DOUBTED_FROM)
-    write_lens(replace(refined_camera(camera, largest.submap), trusted=trusted), workspace)
 
 
 def _keep(candidates: list[Candidate], workspace: Workspace) -> None:

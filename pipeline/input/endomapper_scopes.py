@@ -16,8 +16,8 @@ from haustra.core.camera import Camera
 
 SIZE = (1440, 1080)
 HALF_PIXEL = 0.5
-# One focal length and one term, which fit each of the 18 to 3 px of 1440 (RMS). Six free numbers follow a wall that
-# moves to lenses that nobody makes (docs/lab/unknown_lens.md).
+# One focal length and one term, which follow the radius of each of the 18 to 3 px of 1440 (RMS) as far as the picture's
+# corners. A lens has no two focal lengths, and nothing to tell four terms apart by.
 MEAN_MODEL = "SIMPLE_RADIAL_FISHEYE"
 FIT_TO, FIT_STEPS = 1.3, 1000  # rad off the axis
 TABLE = json.loads(Path(haustra.core.errors.__file__).with_name("endomapper_scopes.json").read_text())
@@ -41,11 +41,6 @@ def mean_colonoscope() -> Camera:
     linear, cubic = np.linalg.lstsq(powers, weight * radius, rcond=None)[0]
     cx, cy = np.mean([one.centre for one in scopes], axis=0)
     return Camera(MEAN_MODEL, *SIZE, (float(linear), float(cx), float(cy), float(cubic / linear)), trusted=False)
-
-
-def is_mean_colonoscope(camera: Camera) -> bool:
-    """Whether it is that guess, of whatever size, or was refined from it and is not trusted."""
-    return camera.model == MEAN_MODEL and not camera.trusted
 
 
 def colonoscope_across(width: int, height: int, content: tuple[int, int, int, int]) -> Camera:

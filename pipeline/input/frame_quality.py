@@ -22,7 +22,9 @@ MIN_TEXTURE = 1.2  # grey levels
 # which nothing of the wall is left are redder by 0.24 and more, all others by 0.14 at most.
 REDDER = 0.2  # log2 of red over green, above the usual
 LESS_TEXTURE = 0.5  # of the usual
-USUAL, LEAST_USUAL = 600, 15  # latest used frames whose medians are the usual, and how many it takes
+# Latest frames whose medians are the usual, and how many it takes. Red-out is among them: where a film turns red for
+# good, as one that begins outside the patient, that is the usual after as many frames again.
+USUAL, LEAST_USUAL = 300, 60
 DIM, COLOUR_STEP = 30, 4  # grey level below which colour is noise, and pixels between those that are looked at
 GLINT = 240  # grey level of the brightest channel; a glint is structure of its own
 LEAST_LEFT = 0.1  # share of the content that must be left without glints and border for them to be left out
@@ -52,7 +54,9 @@ class FrameJudge:
         if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
             return "duplicate"
         redness, texture = _redness(rgb, channels, inside), _texture(grey, inside, channels >= GLINT)
-        if self._is_red_out(redness, texture):
+        red_out = self._is_red_out(redness, texture)
+        self._usual.append((redness, texture))
+        if red_out:
             return "red-out"
         if texture < MIN_TEXTURE:
             return "no texture"
@@ -62,7 +66,6 @@ class FrameJudge:
         if sharpness < MIN_RELATIVE_SHARPNESS * float(np.median(self._sharpness)):
             return "blurred"
         self._last = thumbnail
-        self._usual.append((redness, texture))
         return "used"
 
     def _is_red_out(self, redness: float, texture: float) -> bool:

@@ -110,13 +110,13 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
 
 
 def write_lens(camera: Camera, workspace: Workspace) -> None:
-    """`lens.json`: `camera`, of working frames, as that of the source's whole pictures; not of frames from others."""
+    """`lens.json`: `camera`, of working frames, as that of the source's whole pictures; nothing without a source."""
     if not workspace.is_done(STAGE):
         return
     record = workspace.result(STAGE)
-    x0, y0, width, _ = record["content_box"]
-    whole_width, whole_height = record["source_size"]
-    write_json(workspace.lens, camera.of_whole(x0, y0, whole_width, whole_height, camera.width / width).to_dict())
+    (x0, y0, *box), (width, height) = record["content_box"], record["source_size"]
+    scale = max(camera.width, camera.height) / max(box)  # the longer side's is exact
+    write_json(workspace.lens, camera.of_whole(x0, y0, width, height, scale).to_dict())
 
 
 def working_scale(box: tuple[int, int], long_side: int) -> float:

@@ -15,7 +15,7 @@ def reasons_for_doubt(
     submaps: their records in `metrics.json`, with "camera" and "contradicted_keyframes".
     """
     lens = [submap["camera"]["trust"] for submap in submaps]
-    of_lens = [text for text in lens if "trust" in text or "does not determine" in text]
+    of_lens = [text for text in lens if "trust" in text]
     of_scale = _of_each_kind(surface.scale.doubt for surface in surfaces)
     of_clock = _of_each_kind(surface.scale.clock_doubt for surface in surfaces)
     of_depth = [

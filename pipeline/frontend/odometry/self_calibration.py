@@ -3,8 +3,8 @@
 Tracking needs no more than a guess: a focal length that is a sixth off bends the map smoothly. Once the map is there,
 one bundle adjustment with the lens free finds it, if the camera moved enough; where it did not, the guess stays.
 
-A wall that moves drives the lens away by far more than its standard deviations say (docs/lab/unknown_lens.md). The mean
-colonoscope is nearer to those that were measured, and stays where the map that determines another lens is in doubt.
+A wall that moves drives the lens away by far more than its standard deviations say (docs/lab/unknown_lens.md). So a
+guess that knows more than an angle across the picture stays where the map that determines another lens is in doubt.
 """
 
 import json
@@ -20,8 +20,7 @@ from haustra.core.progress import Progress, SilentProgress
 from haustra.core.ray_table import ray_table
 from pipeline.frontend.base import COLMAP_WORKER, is_determined
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.scoring import DOUBTED_FROM, MIN_JUDGED
-from pipeline.input.endomapper_scopes import is_mean_colonoscope
+from pipeline.frontend.scoring import DOUBTED_FROM, MIN_JUDGED, WRONG_OF_UNKNOWN
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.lighting_check import check_lighting
@@ -74,8 +73,10 @@ def refine_intrinsics(
 
     Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
     for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
-    it, until it stays. The other maps wait for it, and are adjusted once. The mean colonoscope gives way to none but a
-    lens with which that map is wrong with a probability below `DOUBTED_FROM`.
+    it, until it stays. The other maps wait for it, and are adjusted once.
+
+    A guess with distortion (the mean colonoscope, or an untrusted camera file) gives way only where that map, adjusted
+    with the new lens, is wrong with a probability below `DOUBTED_FROM`; else it stays, and no other map is asked.
     """
     asked = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))[:MOST_ASKED]
     camera = guess
@@ -99,12 +100,13 @@ def refine_intrinsics(
             break
         camera = lens.camera
         held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress)
-        if is_mean_colonoscope(guess) and (wrong := _doubt_of(maps[asked[0]], camera, workspace)) >= PROBABLE:
+        if any(guess.distortion) and (wrong := _doubt_of(maps[asked[0]], camera, workspace)) >= PROBABLE:
             break
     if camera != guess and wrong >= DOUBTED_FROM:
-        doubt = f"the map that determines another is wrong with a probability of {100 * wrong:.0f} %"
-        progress.log(f"the lens stays that of the mean colonoscope: {doubt}")
-        held |= _with_lens(maps, asked, guess, lens_shift(camera, guess) > LENS_RESTART, find, progress)
+        progress.log(
+            "the lens stays as guessed: the map that determines another is in doubt, or too short to be judged"
+        )
+        held |= _with_lens(maps, asked, guess, True, find, progress)  # anew: what fits the guess may have been dropped
         camera, sigma = guess, (float("nan"),)
     if camera == guess:
         held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)
@@ -115,13 +117,15 @@ def refine_intrinsics(
 
 
 def _doubt_of(local_map: LocalMap, camera: Camera, workspace: Workspace) -> float:
-    """Probability that one map, adjusted with this lens, is wrong; 1 of a map that is too short to be judged."""
-    (submap, *_), (read, mapper) = submaps_of([local_map], camera.params), (frame_reader(workspace), "odometry")
-    if len(submap.frames) < MIN_JUDGED:
-        return 1.0
-    check, asked = check_lighting(submap, lambda index: read(index)[0]), coefficients()[FAMILY[mapper]]["weights"]
-    evidence = gather_evidence(submap, camera, check, len(submap.frames), 1, asked=asked)
-    return judge(evidence, FAMILY[mapper]).probability
+    """Probability that one map, adjusted with this lens, is wrong; that of others, if it is too short to be judged."""
+    submaps, read, family = submaps_of([local_map], camera.params), frame_reader(workspace), FAMILY["odometry"]
+    if not submaps or len(submaps[0].frames) < MIN_JUDGED:
+        return WRONG_OF_UNKNOWN
+    (submap,) = submaps
+    check = check_lighting(submap, lambda index: read(index)[0])
+    # How much of the film it holds, and in how many submaps, is not among the figures that are asked.
+    evidence = gather_evidence(submap, camera, check, len(submap.frames), 1, asked=coefficients()[family]["weights"])
+    return judge(evidence, family).probability
 
 
 def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:

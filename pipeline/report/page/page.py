@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from haustra.core.text import counted
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
@@ -119,7 +120,8 @@ def _coverage_in_words(rest: dict[int, CoverageResult]) -> str:
     items = "".join(f"<li>submap {number}: {html.escape(of.sentence)}</li>" for number, of in rest.items())
     without = sum(of.picture is not None for of in rest.values())
     elsewhere = (
-        f"<p>To keep this page small, {without} further maps are in the run folder, as coverage_*.png; metrics.json "
+        f"<p>To keep this page small, {counted(without, 'further map is', 'further maps are')} in the run folder, as "
+        "coverage_*.png; metrics.json "
         "lists all missed regions.</p>"
     )
     return f"<h2>Coverage of the other submaps</h2>{elsewhere if without else ''}<ul>{items}</ul>"

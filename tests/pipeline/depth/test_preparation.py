@@ -20,6 +20,7 @@ def test_the_network_is_the_one_that_is_named(monkeypatch) -> None:
     rgb = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
     with Preparation("mscsa", "cpu", None) as later:
         later.begin(with_network=True)
+        assert gc.get_threshold()[0] == preparation.OBJECTS_BETWEEN_SEARCHES
         made = later.completer()(rgb, sparse)
         assert later.completer() is later.completer()
     for one, other in zip(made, DepthCompleter.load("mscsa", "cpu")(rgb, sparse), strict=True):

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, OdometrySettings
@@ -18,7 +17,6 @@ from pipeline.frontend.colmap import front_end as colmap
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.scoring import Candidate, best_mapper
 from pipeline.matching.sift_cache import SiftCache
-from pipeline.run_folder.workspace import Workspace
 from tests.helpers.candidates import DARK, GOOD, many_frames, map_of
 from tests.helpers.tubes.textured_tube import CAMERA
 
@@ -149,27 +147,6 @@ def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_no_probability
     other = replace(other, doubt=doubt)
     assert scoring.accepted([GOOD, other]) == ([GOOD, other] if stays else [GOOD])
     assert scoring.accepted([other]) == [other], "the largest always stays"
-
-
-@pytest.mark.parametrize(
-    ("given", "sigma", "probability", "trusted"),
-    [(False, 1.0, 0.1, True), (False, 1.0, 0.3, False), (False, 50.0, 0.1, False), (True, 50.0, 0.3, True)],
-)
-def test_the_lens_of_the_whole_picture_is_trusted_where_a_map_that_is_hardly_in_doubt_determines_it(
-    tmp_path, given, sigma, probability, trusted
-):
-    workspace, working = Workspace(tmp_path), replace(CAMERA, trusted=given)
-    size = 20 + 2 * working.width, 10 + 2 * working.height
-    box = [20, 10, 2 * working.width, 2 * working.height]
-
-    workspace.record["stages"]["frames"] = {"content_box": box, "source_size": list(size)}
-    focal, centre = 1.1 * working.focal[0], working.centre
-    submap = SimpleNamespace(camera_params=(focal, focal, *centre), camera_sigma=(sigma,))
-    largest = replace(GOOD, submap=submap, doubt=SimpleNamespace(probability=probability))
-    structure_stage._keep_lens(largest, working, workspace)
-    found = read_camera(tmp_path / "lens.json")
-    assert (found.width, found.height, found.trusted) == (*size, trusted)
-    np.testing.assert_allclose(found.params, [2 * focal, 2 * focal, 20 + 2 * centre[0], 10 + 2 * centre[1]])
 
 
 def test_only_long_submaps_of_mappers_with_coefficients_are_given_a_probability(monkeypatch):

@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
+from haustra.core.camera import Camera, read_camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge
-from pipeline.input.frames import read_frames
+from pipeline.input.frames import read_frames, write_lens
 from pipeline.input.video import Source
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.workspace import Workspace, create_workspace
 from tests.helpers.real_data import shared
 from tests.helpers.videos import textured_frames, write_video
 
@@ -27,6 +28,16 @@ def on_black(frames, shape, top_left, mask=None):
         canvas[y : y + height, x : x + width] = frame if mask is None else np.where(mask[..., None], frame, 0)
         canvases.append(canvas)
     return canvases
+
+
+def test_the_lens_of_whole_pictures_is_that_of_working_frames(tmp_path):
+    """The content is cut out at (20, 10) of a picture twice as large; frames that no stage read have no such lens."""
+    workspace, working = Workspace(tmp_path), Camera("RADIAL", 60, 45, (50.0, 29.0, 23.0, -0.1, 0.01), False)
+    write_lens(working, workspace)
+    assert not workspace.lens.exists()
+    workspace.record["stages"]["frames"] = {"content_box": [20, 10, 120, 90], "source_size": [160, 120]}
+    write_lens(working, workspace)
+    assert read_camera(workspace.lens) == Camera("RADIAL", 160, 120, (100.0, 78.0, 56.0, -0.1, 0.01), False)
 
 
 def disc(size):
@@ -190,13 +201,24 @@ def on_the_lens(frame, red):
 
 def test_red_out_is_redder_than_the_film_and_has_little_texture():
     """By the film's own colour: a film that is so red all along has none, and red wall with texture is wall."""
-    wall = [(0.8 * frame * [1.0, 0.6, 0.5]).astype(np.uint8) for frame in textured_frames(60)]
-    covered = on_the_lens(wall[40], (230, 80, 40))
-    redder = (wall[41] * [1.0, 0.6, 0.6]).astype(np.uint8)
-    paler = on_the_lens(wall[42], (200, 120, 100))
-    assert judge_all([*wall[:40], covered, redder]) == ["used"] * 40 + ["red-out", "used"]
-    assert judge_all([*wall[:40], paler])[-1] != "red-out"
+    wall = [(0.8 * frame * [1.0, 0.6, 0.5]).astype(np.uint8) for frame in textured_frames(80)]
+    covered = on_the_lens(wall[70], (230, 80, 40))
+    redder = (wall[71] * [1.0, 0.6, 0.6]).astype(np.uint8)
+    paler = on_the_lens(wall[72], (200, 120, 100))
+    assert judge_all([*wall[:70], covered, redder]) == ["used"] * 70 + ["red-out", "used"]
+    assert judge_all([*wall[:70], paler])[-1] != "red-out"
     assert "red-out" not in judge_all([on_the_lens(frame, (230, 80, 40)) for frame in wall] + wall[:10])
+
+
+@pytest.mark.parametrize(("before", "lost"), [(30, 0), (40, 20), (100, 100), (400, 150)])
+def test_a_film_that_turns_red_for_good_is_used_after_as_many_frames_again(before, lost):
+    """It began outside the patient: grey, and with more texture than the wall."""
+    grey = np.stack([frame.mean(axis=2) for frame in textured_frames(before)])
+    room = [np.repeat(one[..., None], 3, axis=2).astype(np.uint8) for one in np.clip(1.2 * (grey - 100) + 100, 0, 235)]
+    wall = [(0.8 * frame * [1.0, 0.4, 0.3]).astype(np.uint8) for frame in textured_frames(200)]
+    verdicts = judge_all([*room, *wall])[before:]
+    assert abs(verdicts.count("red-out") - lost) <= 2
+    assert set(verdicts[160:]) == {"used"}
 
 
 @pytest.mark.parametrize("noise", [0, 2, 5])
