@@ -29,8 +29,8 @@ LIBRARIES = (
 # An import holds the interpreter for as long as this, and reading frames asks for it many times a frame.
 SWITCH_S = 5e-4
 
-# Libraries come with 400,000 objects, none of them garbage. Python goes through all of them for a quarter more, which
-# takes 0.6 s in all. An array of numbers is no such object.
+# Libraries come with 400,000 objects, none of them garbage. Python goes through all of them for a quarter more. An
+# array of numbers is no such object.
 OBJECTS_BETWEEN_SEARCHES = 50_000
 
 LoadCompleter = Callable[[], "DepthCompleter"]

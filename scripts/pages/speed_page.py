@@ -52,7 +52,8 @@ READ = """
   ([completion.md](completion.md)).
 - **The support of the mesh by depth maps** is one compiled loop over its vertices.
 - **Loaded while frames are read**: torch, the network, Open3D, trimesh, Matplotlib. An import holds Python's
-  interpreter, so that reading slows meanwhile.
+  interpreter, so that reading slows meanwhile. While libraries load, Python looks for garbage cycles seldom, and as the
+  program ends not at all.
 - **Decimation by pyfqmr**, which keeps the borders of a mesh where it can: {decimation}.
 
 ## What was not
