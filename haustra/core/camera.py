@@ -190,7 +190,7 @@ def read_camera(path: Path) -> Camera:
             int(fields["width"]),
             int(fields["height"]),
             tuple(float(p) for p in fields["params"]),
-            bool(fields.get("trusted", True)),
+            _is_true(fields.get("trusted", True)),
         )
     except HaustraError as error:
         raise HaustraError(f"{path}: {error}") from error
@@ -200,6 +200,12 @@ def read_camera(path: Path) -> Camera:
         raise HaustraError(
             f"{path} is not a camera file: it must be JSON with model, width, height and params ({error})"
         ) from error
+
+
+def _is_true(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"trusted is {value!r}, and must be true or false")
+    return value
 
 
 def guess_camera(width: int, height: int, content: tuple[int, int, int, int], fov_deg: float = 100.0) -> Camera:

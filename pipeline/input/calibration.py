@@ -53,9 +53,22 @@ def check_choice(choice: str, source: Path) -> None:
         if source.is_dir() and beside.exists():
             read_lens(beside)
     elif choice not in PRESETS:
+        _check_not_of_run(Path(choice))
         if not Path(choice).is_file():
             raise HaustraError(f"--camera '{choice}' is neither 'auto', a file, nor a preset ({', '.join(PRESETS)})")
         read_lens(Path(choice))
+
+
+def _check_not_of_run(path: Path) -> None:
+    """A run has more than one camera file, and one of them is that of its film."""
+    folder = path if path.is_dir() else path.parent
+    lens = folder / "lens.json"
+    if not (folder / "run.yaml").is_file() or not lens.is_file() or path == lens:
+        return
+    if path.is_dir():
+        raise HaustraError(f"--camera {path} is the folder of a run; its lens is {lens}")
+    if path.name.startswith("camera"):
+        raise HaustraError(f"{path} is the pinhole of that run's depth maps, and not its film's lens, which is {lens}")
 
 
 def _from_file(path: Path, size: tuple[int, int]) -> Calibration:

@@ -8,6 +8,8 @@ import statistics
 from pathlib import Path
 from typing import Any
 
+from pipeline.frontend.lens_guess import CLOSE
+
 RECORDS = Path(__file__).parents[2] / "benchmarks/results"
 SIX = "eeaa424"  # the last commit that refined six numbers of the mean colonoscope
 STARTS = NARROW, MEAN, FILM = "100 degrees", "mean colonoscope", "by the first frames"
@@ -21,7 +23,7 @@ HEAD = """# What an unknown lens is guessed to be
 - **Question:** From which guess does `--camera auto` find the lens: from the mean of EndoMapper's 18 colonoscopes (a
   fisheye of some 130 degrees across, with one radial term), or from 100 degrees with two radial terms?
 - **Answer:** Either, by the film: both are tried on its first frames, and the one that fits them better is taken
-  (`pipeline/frontend/lens_guess.py`; of two within 5 % the mean, by judgement: no film here is so close). On {right}
+  (`pipeline/frontend/lens_guess.py`; of two within 5 % the mean, by judgement; so close here: {close}). On {right}
   of {count} films the one that was taken posed no fewer frames in no more maps, with an ATE no more than a tenth above
   the other's; of the {reported} reported on, {right_reported}.
   With no tenth allowed it is {strict} of {count}. Where there is truth, its lens was nearer the true one on {nearer} of
@@ -76,6 +78,11 @@ def _cell(run: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
+def _are_close(by: dict[str, dict[str, Any]]) -> bool:
+    low, high = sorted(by[FILM]["scores"].values())
+    return bool(0 < high <= CLOSE * low)
+
+
 def _is_no_worse(run: dict[str, Any], other: dict[str, Any], slack: float) -> bool:
     """Frames posed, maps and ATE, where there is truth, up to `slack` times the other's."""
     if not other["submaps"]:
@@ -121,6 +128,7 @@ def guesses(record: dict[str, Any]) -> str:
         commit=about["commit"][:7],
         machine=f"{about['processor']}, {about['cores']} cores",
         beyond=100 * BEYOND_USE,
+        close=", ".join(name.removesuffix(".mp4") for name in films if _are_close(films[name])) or "none",
     )
     return "\n".join([head, *rows, READ])
 

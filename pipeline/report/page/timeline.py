@@ -104,13 +104,19 @@ def _verdict_column(states: FrameStates, mine: NDArray[np.bool_]) -> tuple[Piece
 
 
 def _posed_column(states: FrameStates, mine: NDArray[np.bool_]) -> tuple[Piece, ...]:
-    posed = states.submap[mine & (states.submap != UNPOSED)]
-    if not len(posed):
+    """A column split by what became of its frames; the posed ones at the bottom, above them those that were used."""
+    posed, total, (top, height) = states.submap[mine & (states.submap != UNPOSED)], int(mine.sum()), POSED_LANE
+    if not total:
         return ()
-    number = int(np.bincount(posed).argmax())
-    top, height = POSED_LANE
-    share = len(posed) / mine.sum()
-    return ((f"s-{number % HUES}", f"posed in submap {number}", top + height * (1 - share), round(height * share, 2)),)
+    lost = sum(states.verdicts[k] == "used" for k in np.flatnonzero(mine & (states.submap == UNPOSED)))
+    share, place, pieces = height * len(posed) / total, float(top + height), []
+    if len(posed):
+        number, place = int(np.bincount(posed).argmax()), place - share
+        pieces.append((f"s-{number % HUES}", f"posed in submap {number}", place, round(share, 2)))
+    if lost:
+        share = height * lost / total
+        pieces.append(("s-none", "used, but not posed", place - share, round(share, 2)))
+    return tuple(pieces)
 
 
 def _merged(columns: list[tuple[Piece, ...]], width: float) -> str:

@@ -11,7 +11,7 @@ import pytest
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.frontend.colmap.front_end import colmap_job
-from pipeline.input.calibration import calibrate
+from pipeline.input.calibration import calibrate, check_choice
 from pipeline.input.camera_files.registry import read_lens
 from tests.helpers.camera_files import FISHEYE, PINHOLE_RAYS, TERMS, K, fisheye_pixels, opencv_pixels, ray_error
 from tests.helpers.camera_texts import (
@@ -204,3 +204,24 @@ def test_a_lens_that_colmap_lacks_is_kept_from_it():
     camera = Camera("SCARAMUZZA", 10, 10, (5.0, 5.0, 5.0, 0, 0, 0, 1, 0, 0))
     with pytest.raises(HaustraError, match="no lens model SCARAMUZZA; take --front-end odometry"):
         colmap_job(SimpleNamespace(camera=camera), 0, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("", "is the folder of a run; its lens is"), ("camera.json", "is the pinhole of that run's depth")],
+)
+def test_of_a_run_only_its_lens_is_a_camera_file(tmp_path, name, said):
+    camera = {"model": "PINHOLE", "width": 64, "height": 48, "params": [30, 30, 32, 24]}
+    for file in ("camera.json", "lens.json", "run.yaml"):
+        (tmp_path / file).write_text(json.dumps(camera))
+    check_choice(str(tmp_path / "lens.json"), tmp_path / "film.mp4")
+    with pytest.raises(HaustraError, match=said):
+        check_choice(str(tmp_path / name), tmp_path / "film.mp4")
+
+
+@pytest.mark.parametrize("value", ["false", "yes", 1, None])
+def test_trusted_is_true_or_false(tmp_path, value):
+    camera = {"model": "PINHOLE", "width": 64, "height": 48, "params": [30, 30, 32, 24], "trusted": value}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    with pytest.raises(HaustraError, match="must be true or false"):
+        read_lens(tmp_path / "camera.json")

@@ -174,6 +174,8 @@ def test_the_timeline_counts_every_frame(page):
     for words in ("used (125)", "blurred (2)", "black (2)", "overexposed (1)", "duplicate (1)", "posed, submap 1 (30)"):
         assert words in film, words
     assert "used, but not posed (5)" in film
+    drawn = re.findall(r'<rect class="s-none"[^>]*width="([0-9.]+)"', film)
+    assert 0 < sum(map(float, drawn)) < 0.2 * 1000
     assert film.count('class="shown"') == 60
 
 
