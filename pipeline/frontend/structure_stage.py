@@ -125,7 +125,7 @@ def _solve(
         kept = uncovered(accepted(found))
         _keep(kept, workspace)
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
-    write_lens(refined_camera(frames.camera, kept[0].submap), workspace)
+    _keep_lens(frames.camera, refined_camera(frames.camera, kept[0].submap), workspace)
     advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
     warnings += few_posed(frames_posed(kept), total, advice)
     warnings += doubts_of_submaps(kept, advice)
@@ -157,6 +157,11 @@ def _begin_features(
     for candidate in candidates:
         for frame in frames_of_features(candidate.submap, frames.camera, motion_px):
             features.begin(frame)
+
+
+def _keep_lens(began: Camera, ended: Camera, workspace: Workspace) -> None:
+    origin = "given" if began.trusted else "guessed" if ended.params == began.params else "refined by the film"
+    write_lens(ended, origin, workspace)
 
 
 def _keep(candidates: list[Candidate], workspace: Workspace) -> None:

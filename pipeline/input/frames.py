@@ -109,14 +109,14 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
         progress.log(note)
 
 
-def write_lens(camera: Camera, workspace: Workspace) -> None:
+def write_lens(camera: Camera, origin: str, workspace: Workspace) -> None:
     """`lens.json`: `camera`, of working frames, as that of the source's whole pictures; nothing without a source."""
     if not workspace.is_done(STAGE):
         return
     record = workspace.result(STAGE)
     (x0, y0, *box), (width, height) = record["content_box"], record["source_size"]
     scale = max(camera.width, camera.height) / max(box)  # the longer side's is exact
-    write_json(workspace.lens, camera.of_whole(x0, y0, width, height, scale).to_dict())
+    write_json(workspace.lens, camera.of_whole(x0, y0, width, height, scale).to_dict() | {"origin": origin})
 
 
 def working_scale(box: tuple[int, int], long_side: int) -> float:

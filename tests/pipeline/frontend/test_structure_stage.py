@@ -149,6 +149,18 @@ def test_a_smaller_submap_goes_where_the_light_contradicts_it_and_no_probability
     assert scoring.accepted([other]) == [other], "the largest always stays"
 
 
+@pytest.mark.parametrize(
+    ("given", "factor", "origin"), [(True, 1.0, "given"), (False, 1.0, "guessed"), (False, 1.1, "refined by the film")]
+)
+def test_a_kept_lens_says_where_it_is_from(monkeypatch, given, factor, origin):
+    told = []
+    monkeypatch.setattr(structure_stage, "write_lens", lambda *of: told.append(of))
+    began = replace(CAMERA, trusted=given)
+    ended = replace(began, params=(factor * CAMERA.params[0], *CAMERA.params[1:]))
+    structure_stage._keep_lens(began, ended, None)
+    assert told == [(ended, origin, None)]
+
+
 def test_only_long_submaps_of_mappers_with_coefficients_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
     monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")

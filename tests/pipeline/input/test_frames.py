@@ -1,5 +1,6 @@
 """Decoding, content area, highlights and the judgement of frames."""
 
+import json
 from fractions import Fraction
 
 import cv2
@@ -33,11 +34,12 @@ def on_black(frames, shape, top_left, mask=None):
 def test_the_lens_of_whole_pictures_is_that_of_working_frames(tmp_path):
     """The content is cut out at (20, 10) of a picture twice as large; frames that no stage read have no such lens."""
     workspace, working = Workspace(tmp_path), Camera("RADIAL", 60, 45, (50.0, 29.0, 23.0, -0.1, 0.01), False)
-    write_lens(working, workspace)
+    write_lens(working, "guessed", workspace)
     assert not workspace.lens.exists()
     workspace.record["stages"]["frames"] = {"content_box": [20, 10, 120, 90], "source_size": [160, 120]}
-    write_lens(working, workspace)
+    write_lens(working, "guessed", workspace)
     assert read_camera(workspace.lens) == Camera("RADIAL", 160, 120, (100.0, 78.0, 56.0, -0.1, 0.01), False)
+    assert json.loads(workspace.lens.read_text())["origin"] == "guessed"
 
 
 def disc(size):
