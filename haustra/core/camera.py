@@ -190,7 +190,7 @@ def read_camera(path: Path) -> Camera:
             int(fields["width"]),
             int(fields["height"]),
             tuple(float(p) for p in fields["params"]),
-            _is_true(fields.get("trusted", True)),
+            _boolean(fields.get("trusted", True)),
         )
     except HaustraError as error:
         raise HaustraError(f"{path}: {error}") from error
@@ -202,7 +202,7 @@ def read_camera(path: Path) -> Camera:
         ) from error
 
 
-def _is_true(value: Any) -> bool:
+def _boolean(value: Any) -> bool:
     if not isinstance(value, bool):
         raise ValueError(f"trusted is {value!r}, and must be true or false")
     return value

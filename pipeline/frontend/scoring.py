@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera
 from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_arrays
@@ -58,7 +59,7 @@ def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -
     Of a submap that the light contradicts, ends that mostly contradict it are cut off, if more is left than that.
     """
     ordered = sorted(found, key=lambda one: -len(one.submap.frames))
-    images, candidates = _image_reader(workspace), []
+    images, candidates = image_reader(workspace), []
     for number, (one, found_submap) in enumerate(zip(ordered, disjoint(o.submap for o in ordered), strict=True)):
         submap = without_wild_points(found_submap)
         if _sees_enough(submap).sum() < MIN_FRAMES:
@@ -142,19 +143,19 @@ def frames_posed(candidates: list[Candidate]) -> int:
 
 
 def with_doubts(found: list[Candidate], frames: Frames) -> list[Candidate]:
-    """Each submap with its doubt; without one those of mappers of which the probability is not known, and those that
-    are too short for it."""
-    total, known = len(frames.index), coefficients()
+    """Each submap with its doubt, as of `with_doubt`."""
+    return [with_doubt(one, frames.camera, len(frames.index), len(found)) for one in found]
 
-    def doubted(one: Candidate) -> Candidate:
-        family = FAMILY.get(one.mapper, "")
-        if family not in known or len(one.submap.frames) < MIN_JUDGED:
-            return one
-        camera, asked = refined_camera(frames.camera, one.submap), known[family]["weights"]
-        evidence = gather_evidence(one.submap, camera, one.check, total, len(found), asked=asked)
-        return replace(one, doubt=judge(evidence, family))
 
-    return [doubted(one) for one in found]
+def with_doubt(one: Candidate, camera: Camera, total: int, submaps: int) -> Candidate:
+    """One of `submaps` of `total` frames with its doubt; without one where it is of a mapper of which the probability
+    is not known, or too short for it. camera: before it was refined."""
+    family, known = FAMILY.get(one.mapper, ""), coefficients()
+    if family not in known or len(one.submap.frames) < MIN_JUDGED:
+        return one
+    refined, asked = refined_camera(camera, one.submap), known[family]["weights"]
+    evidence = gather_evidence(one.submap, refined, one.check, total, submaps, asked=asked)
+    return replace(one, doubt=judge(evidence, family))
 
 
 def best_mapper(candidates: dict[str, list[Candidate]], total: int) -> str:
@@ -183,5 +184,6 @@ def inconsistent_share(candidates: list[Candidate]) -> float:
     return sum(c.check.inconsistent_share * c.check.n_checked for c in candidates) / max(checked, 1)
 
 
-def _image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
+def image_reader(workspace: Workspace) -> Callable[[int], NDArray[np.uint8]]:
+    """Pictures (H,W,3) of the stored working frames, by their number."""
     return lambda index: read_image(workspace.image_path(index))

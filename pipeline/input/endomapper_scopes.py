@@ -17,7 +17,7 @@ from haustra.core.camera import Camera
 SIZE = (1440, 1080)
 HALF_PIXEL = 0.5
 # One focal length and one term, which follow the radius of each of the 18 to 3 px of 1440 (RMS) as far as the picture's
-# corners. A lens has no two focal lengths, and nothing to tell four terms apart by.
+# corners. Pixels are square, and a film hardly tells four terms apart.
 MEAN_MODEL = "SIMPLE_RADIAL_FISHEYE"
 FIT_TO, FIT_STEPS = 1.3, 1000  # rad off the axis
 TABLE = json.loads(Path(haustra.core.errors.__file__).with_name("endomapper_scopes.json").read_text())

@@ -19,14 +19,13 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SilentProgress
 from haustra.core.ray_table import ray_table
 from pipeline.frontend.base import COLMAP_WORKER, is_determined
-from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.scoring import DOUBTED_FROM, MIN_JUDGED, WRONG_OF_UNKNOWN
+from pipeline.frontend.scoring import DOUBTED_FROM, WRONG_OF_UNKNOWN, Candidate, image_reader, with_doubt
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.lighting_check import check_lighting
 from pipeline.mapping.local_map import LocalMap, TrackKind
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_all
-from pipeline.mapping.map_doubt import FAMILY, PROBABLE, coefficients, gather_evidence, judge
+from pipeline.mapping.map_doubt import PROBABLE
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_of_map import submaps_of
 from pipeline.matching.sift import FindFeatures
@@ -118,14 +117,12 @@ def refine_intrinsics(
 
 def _doubt_of(local_map: LocalMap, camera: Camera, workspace: Workspace) -> float:
     """Probability that one map, adjusted with this lens, is wrong; that of others, if it is too short to be judged."""
-    submaps, read, family = submaps_of([local_map], camera.params), frame_reader(workspace), FAMILY["odometry"]
-    if not submaps or len(submaps[0].frames) < MIN_JUDGED:
+    submaps = submaps_of([local_map], camera.params)
+    if not submaps:
         return WRONG_OF_UNKNOWN
-    (submap,) = submaps
-    check = check_lighting(submap, lambda index: read(index)[0])
+    one = Candidate(submaps[0], check_lighting(submaps[0], image_reader(workspace)), Path(), "odometry")
     # How much of the film it holds, and in how many submaps, is not among the figures that are asked.
-    evidence = gather_evidence(submap, camera, check, len(submap.frames), 1, asked=coefficients()[family]["weights"])
-    return judge(evidence, family).probability
+    return with_doubt(one, camera, len(one.submap.frames), 1).wrong
 
 
 def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:

@@ -121,7 +121,6 @@ def _coverage_in_words(rest: dict[int, CoverageResult]) -> str:
     without = sum(of.picture is not None for of in rest.values())
     elsewhere = (
         f"<p>To keep this page small, {counted(without, 'further map is', 'further maps are')} in the run folder, as "
-        "coverage_*.png; metrics.json "
-        "lists all missed regions.</p>"
+        "coverage_*.png; metrics.json lists all missed regions.</p>"
     )
     return f"<h2>Coverage of the other submaps</h2>{elsewhere if without else ''}<ul>{items}</ul>"

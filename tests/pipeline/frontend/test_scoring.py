@@ -43,7 +43,7 @@ def test_nothing_is_left_of_a_model_that_is_wild_throughout():
 @pytest.mark.parametrize(("points", "kept"), [(2, 0), (MIN_SEEN, 1)])
 def test_a_model_whose_frames_see_next_to_nothing_is_none(monkeypatch, tmp_path, points, kept):
     monkeypatch.setattr(scoring, "lighting_correlations", lambda *_: np.full(5, np.nan))
-    monkeypatch.setattr(scoring, "_image_reader", lambda _: None)
+    monkeypatch.setattr(scoring, "image_reader", lambda _: None)
     monkeypatch.setattr(scoring, "write_arrays", lambda *_: None)
     whole = submap([0.4] * points)
     found = scoring.candidates_of("global", [FoundSubmap(whole)], SimpleNamespace(log=tmp_path))
