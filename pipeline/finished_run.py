@@ -171,9 +171,11 @@ def open_run(folder: Path | str) -> Run:
 
 def summary(metrics: dict[str, Any], mesh: Path) -> str:
     """One line for a person: frames posed, surface, coverage, and any reason not to trust it."""
-    main = metrics["submaps"][0]
+    main, count = metrics["submaps"][0], len(metrics["submaps"])
+    parts = f" in {count} submaps; the largest: {main['frames']} frames" if count > 1 else ""
     return (
-        f"{metrics['frames']['posed']} of {metrics['frames']['total']} frames posed, {main['keyframes']} keyframes, "
+        f"{metrics['frames']['posed']} of {metrics['frames']['total']} frames posed{parts}, "
+        f"{main['keyframes']} keyframes, "
         f"{main['faces']} triangles, {main['area']:.4g} {unit_label(main['unit'])}^2 of surface; {_coverage(metrics)}: "
         f"{mesh}{_caution(metrics)}"
     )

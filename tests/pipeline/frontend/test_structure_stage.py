@@ -189,3 +189,4 @@ def test_a_guess_that_nothing_asked_is_not_called_undetermined_by_motion(given):
     said = structure_stage.camera_trust(CAMERA, submap, given)
     assert ("no trusted map determines it" in said) != given
     assert ("do not trust shapes and lengths" in said) == given
+    assert f"{CAMERA.width} px wide working frames" in said

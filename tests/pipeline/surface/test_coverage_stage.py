@@ -129,9 +129,14 @@ def test_a_listed_region_shows_on_the_map_even_beneath_a_fold():
 def test_the_headline_names_the_submap_that_it_speaks_of(tmp_path):
     seen = {"judged": True, "covered_percent": 90.0, "stretch": 80.0, "unit": "mm"}
     one = {"coverage": seen, "keyframes": 3, "faces": 5, "area": 2.0, "unit": "mm", "camera": {"trust": "given"}}
+    one["frames"] = 4
     metrics = {"frames": {"posed": 5, "total": 9}, "submaps": [one], "warnings": []}
+    assert summary(metrics, tmp_path).startswith("5 of 9 frames posed, 3 keyframes, ")
     assert "of 1 submaps" not in summary(metrics, tmp_path)
     metrics["submaps"] = [one, one, one]
+    assert summary(metrics, tmp_path).startswith(
+        "5 of 9 frames posed in 3 submaps; the largest: 4 frames, 3 keyframes, "
+    )
     assert "90 % of the wall along 80 mm of visited lumen was seen in the largest of 3 submaps" in summary(
         metrics, tmp_path
     )
@@ -149,6 +154,7 @@ def test_the_share_seen_is_said_with_its_error_and_regions_with_how_many_are_lik
 def test_three_cautions_are_said_with_success_and_the_others_are_counted(tmp_path):
     seen = {"judged": True, "covered_percent": 90.0, "stretch": 80.0, "unit": "mm"}
     one = {"coverage": seen, "keyframes": 3, "faces": 5, "area": 2.0, "unit": "mm", "camera": {"trust": "given"}}
+    one["frames"] = 4
     warnings = ["the lens may be another endoscope's", "points miss a still wall", "do not trust the millimetres"]
     metrics = {"frames": {"posed": 5, "total": 9}, "submaps": [one, one], "warnings": warnings}
     assert summary(metrics, tmp_path).endswith("; CAUTION: " + "; ".join(warnings))
