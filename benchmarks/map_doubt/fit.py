@@ -61,7 +61,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _rows_of(film: Path, role: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    folder, ways = arguments.maps / role, list(FAMILIES[arguments.family])
+    folder, ways = arguments.maps / role, list(FAMILIES[arguments.family][role])
     if not arguments.made:
         make_maps(film, ways, folder)
     rows = []
