@@ -19,7 +19,7 @@ from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
 from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_surfaces
 from pipeline.report.page.scene import scene_data
-from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details, source_name
+from pipeline.report.page.summary import cards, cautions, coverage_section, details, source_name
 from pipeline.report.page.timeline import frame_states, timeline_section
 from pipeline.run_folder.workspace import Workspace, write_text
 from pipeline.surface.coverage_stage import CoverageResult
@@ -42,14 +42,9 @@ def write_page(
     """Write the report of a run; pictures: where they are drawn already."""
     pictures = pictures or draw_pictures(frames, submaps, surfaces)
     surfaces, shown = finite_surfaces(surfaces), pictures.shown
-    frame_of = np.array([keyframe.frame for keyframe in shown])
-
-    def link(frame: int) -> str:
-        return f"#keyframe-{int(np.abs(frame_of - frame).argmin()) if len(frame_of) else 0}"
-
-    states = frame_states(workspace, submaps)
+    scene, states = scene_data(frames, submaps, surfaces, coverage, shown), frame_states(workspace, submaps)
     data = {
-        "submaps": scene_data(frames, submaps, surfaces, coverage, shown),
+        "submaps": scene,
         "shown": [{"submap": k.submap, "frame": k.frame, "seconds": k.seconds} for k in shown],
         "seconds": states.range,
     }
@@ -65,7 +60,7 @@ def write_page(
         "COUNT": html.escape(count_sentence(shown, submaps)),
         "BROWSER": pictures.browser,
         "TIMELINE": timeline_section(states, shown, submaps),
-        "COVERAGE": _coverage(coverage, link),
+        "COVERAGE": _coverage(coverage, [_links(of["missed"]["regions"]) for of in scene]),
         "DETAILS": details(metrics),
         "STYLE": _asset("report.css"),
         "DATA": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
@@ -94,13 +89,18 @@ def _asset(name: str) -> str:
     return (resources.files("pipeline.report.page") / name).read_text(encoding="utf-8")
 
 
-def _coverage(coverage: list[CoverageResult], link: Link) -> str:
+def _links(regions: list[dict[str, Any]]) -> dict[int, str]:
+    """Of each region by its number: the article of the keyframe that shows it."""
+    return {of["number"]: f"#keyframe-{of['keyframe']}" for of in regions if of["keyframe"] is not None}
+
+
+def _coverage(coverage: list[CoverageResult], links: list[dict[int, str]]) -> str:
     """The first submap and those with a map, as far as there is room for it; the others in words."""
     if len(coverage) == 1:
-        return coverage_section(coverage[0], link)
+        return coverage_section(coverage[0], links[0])
     mapped = _mapped(coverage)
     named = [
-        coverage_section(coverage[k], link).replace("<h2>Coverage</h2>", f"<h2>Coverage of submap {k}</h2>", 1)
+        coverage_section(coverage[k], links[k]).replace("<h2>Coverage</h2>", f"<h2>Coverage of submap {k}</h2>", 1)
         for k in mapped
     ]
     return "".join(named) + _coverage_in_words({k: of for k, of in enumerate(coverage) if k not in mapped})

@@ -27,6 +27,22 @@ function nearest(value, of, within) {
   return run.shown.reduce((best, shown, k) => distance(shown) < distance(run.shown[best]) ? k : best, 0);
 }
 
+// Rings in the keyframes' pictures towards the middle of missed regions, whatever hides it there.
+function markRegions() {
+  run.submaps.forEach(map => map.missed.regions.filter(region => region.at).forEach(region => {
+    const image = articles[region.keyframe].querySelector("img"), figure = image.closest("figure");
+    if (image.parentElement === figure) {
+      const frame = Object.assign(document.createElement("div"), { className: "marked" });
+      image.replaceWith(frame);
+      frame.append(image);
+      figure.querySelector("figcaption").append(", with the direction of missed regions");
+    }
+    const ring = Object.assign(document.createElement("span"), { className: "ring", textContent: region.number, title: region.words });
+    [ring.style.left, ring.style.top] = region.at.map(share => `${100 * share}%`);
+    image.parentElement.append(ring);
+  }));
+}
+
 function showSubmap(number) {
   submap = number;
   const map = run.submaps[number];
@@ -46,7 +62,7 @@ function startScene() {
   scene = new Scene(page("view3d"), run.submaps, frame => {
     // Of a small submap the page shows no keyframes.
     if (run.shown.some(shown => shown.submap === submap)) select(nearest(frame, shown => shown.frame, submap));
-  });
+  }, select);
   run.submaps.forEach((map, k) => page("submap").add(new Option(String(k), k)));
   page("submap-choice").hidden = run.submaps.length < 2;
   page("static").open = false;
@@ -84,6 +100,7 @@ function listen() {
 
 document.documentElement.classList.add("js");
 listen();
+markRegions();
 startScene().then(() => {
   select(0);
   document.documentElement.dataset.ready = "yes"; // for those who wait for the first picture

@@ -16,8 +16,9 @@ const add = (a, b, s) => [0, 1, 2].map(k => a[k] + s * b[k]);
 const point = ([x, y, z]) => ({ x, y, z });
 
 class Scene {
-  constructor(element, submaps, onPick) {
-    Object.assign(this, { element, submaps, onPick, wall: "open", paint: "tissue", hidden: new Set() });
+  // onFrame, onKeyframe: what a click on a frame of the path, and one on a missed region, calls.
+  constructor(element, submaps, onFrame, onKeyframe) {
+    Object.assign(this, { element, submaps, onFrame, onKeyframe, wall: "open", paint: "tissue", hidden: new Set() });
     new ResizeObserver(() => this.map && Plotly.Plots.resize(element)).observe(element);
   }
 
@@ -62,15 +63,15 @@ class Scene {
       { type: "mesh3d", hoverinfo: "skip", ...xyz(missed.vertices), ...triangles(missed.faces), color: MISSED, opacity: 0.55, lighting: { ambient: 0.85, diffuse: 0.25, specular: 0, fresnel: 0 } },
       { type: "scatter3d", mode: "markers+text", x: centres.map(c => c[0]), y: centres.map(c => c[1]), z: centres.map(c => c[2]),
         text: map.missed.regions.map(region => String(region.number)), textposition: "middle center", textfont: { size: 10, color: "#ffffff" },
-        customdata: map.missed.regions.map(region => [region.frame, region.words.replace(/; /g, "<br>")]),
+        customdata: map.missed.regions.map(region => [region.keyframe, region.words.replace(/; /g, "<br>")]),
         hovertemplate: "%{customdata[1]}<extra></extra>", marker: { size: 9, color: "#1d4fb8", line: { color: "#ffffff", width: 1 } } },
       { type: "scatter3d", mode: "lines", x: [], y: [], z: [], hoverinfo: "skip", line: { color: "#ffd166", width: 4 } },
     ].map((trace, k) => ({ ...trace, visible: !this.hidden.has(k) }));
   }
 
   clicked(picked) {
-    const frame = picked.data.customdata && picked.data.customdata[picked.pointNumber];
-    if (frame !== undefined) this.onPick(Array.isArray(frame) ? frame[0] : frame);
+    const data = picked.data.customdata && picked.data.customdata[picked.pointNumber];
+    if (Array.isArray(data)) { if (data[0] !== null) this.onKeyframe(data[0]); } else if (data !== undefined) this.onFrame(data);
   }
 
   // A camera square to the longest axis, far enough away for everything; the path runs from left to right.

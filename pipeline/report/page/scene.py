@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
+from pipeline.mapping.submap import Submap
 from pipeline.report.page.keyframe_gallery import Shown
+from pipeline.report.page.region_marks import mark_region
 from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
@@ -57,7 +59,7 @@ def scene_data(
                 min(MOST_PATCH_TRIANGLES, PATCH_TRIANGLES // count),
                 max(2, min(MOST_PATH_POINTS, PATH_POINTS // count)),
             ),
-            [(place, keyframe.row) for place, keyframe in enumerate(shown) if keyframe.submap == number],
+            {place: keyframe.row for place, keyframe in enumerate(shown) if keyframe.submap == number},
         )
         for number, (completed, surface, result) in enumerate(zip(submaps, surfaces, coverage, strict=True))
     ]
@@ -75,7 +77,7 @@ def _submap(
     surface: Surface,
     result: CoverageResult,
     limits: Limits,
-    shown: list[tuple[int, int]],
+    shown: dict[int, int],
 ) -> dict[str, Any]:
     submap, unit = completed.submap.scaled(surface.scale.factor), unit_label(surface.scale.unit)
     coarse = decimated(surface.mesh, limits.triangles)
@@ -88,6 +90,7 @@ def _submap(
         axes = axes * [[-1.0], [1.0], [-1.0]]  # wall that is open to the other side is seen from there
     seen = points @ axes.T  # as the first view shows them
     (fx, fy), (width, height) = completed.camera.focal, (completed.camera.width, completed.camera.height)
+    half_view = [width / 2 / fx, height / 2 / fy]
     return {
         "unit": unit,
         "triangles": len(coarse.faces),
@@ -99,7 +102,7 @@ def _submap(
             "middle": ((seen.min(axis=0) + seen.max(axis=0)) / 2 @ axes).tolist(),
             "size": np.ptp(seen, axis=0).tolist(),
         },
-        "half_view": [width / 2 / fx, height / 2 / fy],
+        "half_view": half_view,
         "mesh": _packed(coarse, brightened(coarse.colours)) if len(coarse.faces) else None,
         "path": {
             "places": _floats(submap.centres[rows]),
@@ -110,8 +113,9 @@ def _submap(
             "places": _floats(submap.centres[completed.rows]),
             "frames": submap.frames[completed.rows].tolist(),
         },
-        "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown],
-        "missed": _missed(result, unit, limits.patch_triangles),
+        "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown.items()],
+        "missed": _missed(result, unit, limits.patch_triangles)
+        | {"regions": [_region(region, unit, submap, shown, half_view) for region in _listed(result)]},
     }
 
 
@@ -131,8 +135,7 @@ def _packed(mesh: SurfaceMesh, colours: NDArray[Any]) -> dict[str, Any]:
 
 
 def _missed(result: CoverageResult, unit: str, triangles: int) -> dict[str, Any]:
-    """The listed regions: number, words and middle, and the closing surface over them where it is known."""
-    regions = result.record.get("missed_regions", [])
+    """The closing surface over the listed regions where it is known."""
     patches = [decimated(finite(patch), max(1, triangles // len(result.missed))) for patch in result.missed]
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     vertices = [patch.vertices for patch in patches] or [np.empty((0, 3))]
@@ -140,17 +143,31 @@ def _missed(result: CoverageResult, unit: str, triangles: int) -> dict[str, Any]
     return {
         "vertices": _floats(np.concatenate(vertices)),
         "faces": _text(np.concatenate(faces).astype("<u4")),
-        "regions": [
-            {
-                "number": region["number"],
-                "centre": region["centre"],
-                "frame": region["frame"],
-                "words": f"missed region {region['number']}: {region['area']:.3g} {unit}², as a disc "
-                f"{region['diameter']:.3g} {unit} across; {region['arc']:.3g} {unit} along, {clock_words(region)}; "
-                f"nearest frame {region['frame']} ({region['seconds']:.2f} s)",
-            }
-            for region in regions
-        ],
+    }
+
+
+def _listed(result: CoverageResult) -> list[dict[str, Any]]:
+    return list(result.record.get("missed_regions", []))
+
+
+def _region(
+    region: dict[str, Any], unit: str, submap: Submap, shown: dict[int, int], half_view: list[float]
+) -> dict[str, Any]:
+    """Number, words and middle; `keyframe`: place of the page's keyframe that shows it, None without one; `at`: where
+    in its picture, None outside of it."""
+    rows, place, at = list(shown.values()), None, None
+    if rows:
+        poses, frames = submap.world_from_camera[rows], submap.frames[rows]
+        mark = mark_region(np.array(region["centre"]), region["frame"], poses, frames, np.array(half_view))
+        place, at = list(shown)[mark.row], mark.at
+    return {
+        "number": region["number"],
+        "centre": region["centre"],
+        "keyframe": place,
+        "at": at,
+        "words": f"missed region {region['number']}: {region['area']:.3g} {unit}², as a disc "
+        f"{region['diameter']:.3g} {unit} across; {region['arc']:.3g} {unit} along, {clock_words(region)}; "
+        f"nearest frame {region['frame']} ({region['seconds']:.2f} s)",
     }
 
 

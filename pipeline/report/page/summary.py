@@ -1,7 +1,7 @@
 """The page's figures: cards and cautions at its head, coverage's table, and every detail at its foot."""
 
 import html
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from pipeline.surface.scale import unit_label
 
 STRUCTURE = {"odometry": "visual odometry", "global": "COLMAP, all frames at once", "incremental": "COLMAP, one by one"}
 MOST_OPEN = 4  # cautions that are not folded
-Link = Callable[[int], str]  # from a frame number to the address of the nearest keyframe that the page shows
 
 
 def _unmeasured(seen: dict[str, Any]) -> str:
@@ -181,8 +180,9 @@ def _cut(kept: float) -> str:
     return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
-def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
-    """The unrolled map and the table of what was missed; one sentence where nothing can be judged."""
+def coverage_section(result: CoverageResult, links: Mapping[int, str]) -> str:
+    """The unrolled map and the table of what was missed; one sentence where nothing can be judged. links: of regions by
+    number, the address of the keyframe that shows them."""
     record = result.record
     if result.picture is None:
         reason = result.sentence
@@ -199,7 +199,7 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
                 f"{region['arc']:.3g}",
                 clock_words(region).removesuffix(" o'clock"),
                 f"{100 * region['probability']:.0f} %" if "probability" in region else "",
-                _frame(region, link),
+                _frame(region, links.get(region["number"])),
             )
         )
         for region in record["missed_regions"]
@@ -214,7 +214,7 @@ def coverage_section(result: CoverageResult, link: Link | None = None) -> str:
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
         f"begins, carried along without twisting. {_meanings(record)}"
         "Look at the nearest frame before you believe one: the region may lie behind a fold there. A click opens the "
-        "keyframe next to it.</p>"
+        "keyframe next to it that has the region's middle in its picture, with a ring there, or the next one.</p>"
     )
 
 
@@ -234,6 +234,6 @@ def _meanings(record: dict[str, Any]) -> str:
     return told + tested if told else ""
 
 
-def _frame(region: dict[str, Any], link: Link | None) -> str:
+def _frame(region: dict[str, Any], link: str | None) -> str:
     words = f"{region['frame']} ({region['seconds']:.2f} s)"
-    return words if link is None else f'<a class="goto" href="{html.escape(link(region["frame"]))}">{words}</a>'
+    return words if link is None else f'<a class="goto" href="{html.escape(link)}">{words}</a>'

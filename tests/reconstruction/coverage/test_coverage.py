@@ -252,26 +252,27 @@ def test_the_edge_tolerance_gives_back_what_voxels_take(holed):
 
 
 def test_the_report_has_a_table_or_one_sentence(tmp_path):
-    section = coverage_section(CoverageResult({"judged": False, "reason": "there is < no surface"}, None))
+    section = coverage_section(CoverageResult({"judged": False, "reason": "there is < no surface"}, None), {})
     assert section == "<h2>Coverage</h2><p>There is &lt; no surface.</p>"
     (tmp_path / "coverage.png").write_bytes(b"")
     row = {"number": 1, "area": 50, "diameter": 8, "arc": 3, "clock": 2, "frame": 7, "seconds": 0.2}
     record = {"judged": True, "unit": "mm", "covered_percent": 90.0, "stretch": 80.0, "listed_from": 5.0}
     record |= {"smaller_regions": 4, "missed_regions": [row, row]}
-    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: "#keyframe-5"})
     assert section.count("<tr>") == 3
+    assert section.count('href="#keyframe-5"') == 2
     assert "90.0 % of the wall" in section
     assert "±" not in section  # a run made before its error and the regions' probabilities were told
     record |= {
         "covered_error_points": 3.6,
         "missed_regions": [row | {"probability": 0.826}, row | {"probability": 0.2}],
     }
-    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: "#keyframe-5"})
     assert "90.0 ± 3.6 % of the wall" in section
     assert "(1 of them more likely hidden than not)" in section
     assert "<td>83 %</td>" in section
     assert "root mean square" in section
     del record["covered_error_points"]  # the lens was not given
-    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: "#keyframe-5"})
     assert "±" not in section
     assert "Hidden: how likely" in section

@@ -148,7 +148,8 @@ def test_the_scene_holds_what_the_run_holds(run, page):
     np.testing.assert_allclose(packed["low"] + steps * packed["span"], mesh.vertices, atol=0.01)
     assert np.frombuffer(base64.b64decode(packed["faces"]), "<u4").reshape(-1, 3).tolist() == mesh.faces.tolist()
     (region,) = first["missed"]["regions"]
-    assert region["frame"] == run.coverage[0].record["missed_regions"][0]["frame"]
+    assert f"nearest frame {run.coverage[0].record['missed_regions'][0]['frame']} (" in region["words"]
+    assert region["keyframe"] in {view["keyframe"] for view in first["shown"]}
     assert second["missed"]["regions"] == []
     assert sum(len(s["shown"]) for s in data["submaps"]) == len(data["shown"]) == 60
 
