@@ -3,7 +3,8 @@
 Completed depth closes the dark mouth of a diverticulum with a lid in the plane of the wall, where no point says
 otherwise. With the lamp divided out (`photometry`) wall keeps its albedo, but the lid's brightness is that of the
 pouch's bottom, which lies farther away and in shadow. Its rounded lip faces the lamp. So a small spot much darker than
-the wall around it, with a rim that is brighter, is more likely a mouth than wall. Light that the fitted lamp does not
+the wall around it, with a rim that is brighter, is more likely a mouth than wall. It reaches from its dark middle as
+far as the wall stays darker than usual, as Canny follows an edge by two thresholds. Light that the fitted lamp does not
 explain fades into the wall around, and has no such rim.
 
 A picture alone does not tell a mouth from a dark patch with a bright rim, as residue or pigment may be. The limits were
@@ -21,15 +22,17 @@ from scipy.spatial import cKDTree
 from reconstruction.fusion.photometry import GAMMA, LUMA
 from reconstruction.mesh.surface_mesh import SurfaceMesh, boundary_sides
 
-LOG_DARKER = -0.5  # of luminance: a spot has less than 0.61 of what the wall around it has
+LOG_DARKER = -0.5  # of luminance: the middle of a spot has less than 0.61 of what the wall around it has,
+LOG_DARK = -0.3  # and all of it less than 0.74
 AVERAGES = 10  # over each vertex and its neighbours: vessels of some voxels vanish, a mouth does not
 GRID, AROUND = 4.0, 30.0  # voxels: spacing of the samples of the wall around, and how far it reaches
-SPOT_VERTICES = 20, 800  # of a spot; a vertex stands for about one square voxel
+MIDDLE_VERTICES = 20  # at least, of a spot's middle; a vertex stands for about one square voxel
+SPOT_VERTICES = 800  # at most, of all of it
 RIM_EDGES = 6  # from a spot to its rim; averages spread a step by some three edges (standard deviation)
 RIM_LOG = 0.03  # least mean of the rim, over the wall around
 LONGEST_HOLE = 100  # edges around a hole that a lid may have already; longer ones are where the mesh ends
 CHUNK = 4000  # samples whose surroundings are held at once: some twenty megabytes
-MOST_DARK = 0.03  # share of the vertices that are dark beyond which the tissue itself is uneven, and no spot is found
+MOST_DARK = 0.03  # share of vertices as dark as a spot's middle beyond which the tissue is uneven, and no spot is found
 
 
 def dark_spots(mesh: SurfaceMesh, voxel_size: float, gamma: float = GAMMA) -> NDArray[np.bool_]:
@@ -38,14 +41,14 @@ def dark_spots(mesh: SurfaceMesh, voxel_size: float, gamma: float = GAMMA) -> ND
         return np.zeros(len(mesh.vertices), bool)
     links = _links(mesh)
     relative = _relative_luminance(mesh, links, voxel_size, gamma)
-    dark = relative < LOG_DARKER
-    if not dark.any() or dark.mean() > MOST_DARK:
+    middle, dark = relative < LOG_DARKER, relative < LOG_DARK
+    if not middle.any() or middle.mean() > MOST_DARK:
         return np.zeros(len(dark), bool)
     rows = np.flatnonzero(dark)
     spot = np.full(len(dark), -1)
     spot[rows] = connected_components(links[rows][:, rows], directed=False)[1]
     vertices = np.bincount(spot[rows])
-    holes = (vertices >= SPOT_VERTICES[0]) & (vertices <= SPOT_VERTICES[1])
+    holes = (np.bincount(spot[rows], middle[rows]) >= MIDDLE_VERTICES) & (vertices <= SPOT_VERTICES)
     rims, near = _rims(spot, links, relative, len(vertices))
     holes &= rims >= RIM_LOG
     at_end = near[_ends(mesh)]

@@ -59,6 +59,16 @@ def test_two_mouths_are_two_holes() -> None:
     assert not spots[60:65, 60:65].any()
 
 
+def test_the_hole_reaches_as_far_as_the_wall_stays_darker_than_usual() -> None:
+    """A mouth that is lit on one side has a middle that is half as wide as it is."""
+    rows, columns = np.mgrid[:SIDE, :SIDE] - SIDE // 2
+    lit_half = np.where((away() < 10) & (columns > 0), 0.65, mouth(10, away()))
+    spots = dark_spots(wall(lit_half * lit()), 1.0).reshape(SIDE, SIDE)
+    assert spots[(np.hypot(rows, columns - 5) < 2)].all()
+    faint = np.where(away() < 10, 0.65, mouth(10, away()))
+    assert not dark_spots(wall(faint * lit()), 1.0).any()
+
+
 def test_what_fades_into_the_wall_around_is_no_hole() -> None:
     shade = np.exp(-1.2 * np.exp(-((away() / 14) ** 2)))
     assert not dark_spots(wall(shade * lit()), 1.0).any()
@@ -81,11 +91,11 @@ def test_what_is_larger_or_smaller_than_mouths_is_none() -> None:
     broad, speck = mouth(18, away()), mouth(1.8, away())
     speck[speck < 0.5] = 0.05
     assert (broad < 0.5).mean() < MOST_DARK
-    for luminance, changed in ((broad, (20, 2000)), (speck, (1, 800))):
+    for luminance, limit, changed in ((broad, "SPOT_VERTICES", 2000), (speck, "MIDDLE_VERTICES", 1)):
         mesh = wall(luminance * lit())
         assert not dark_spots(mesh, 1.0).any()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("reconstruction.fusion.dark_spots.SPOT_VERTICES", changed)
+            patch.setattr(f"reconstruction.fusion.dark_spots.{limit}", changed)
             assert dark_spots(mesh, 1.0).any()  # for its size alone it was none
 
 
