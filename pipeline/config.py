@@ -142,7 +142,7 @@ class FusionSettings(Settings):
     max_error_voxels: float = Field(3.0, gt=0, description="greatest expected error of depth that is fused, in voxels")
     delight: bool = Field(True, description="divide the lamp out of the colours; False keeps them as filmed")
     open_dark_spots: bool = Field(
-        True, description="leave small spots open that are far darker than the wall around, with `delight`"
+        True, description="leave small dark spots with a bright rim open, as lids over mouths are, with `delight`"
     )
     lamp: str = Field(
         "auto",

@@ -27,6 +27,7 @@ LOG_DARK = -0.3  # and all of it less than 0.74
 AVERAGES = 10  # over each vertex and its neighbours: vessels of some voxels vanish, a mouth does not
 GRID, AROUND = 4.0, 30.0  # voxels: spacing of the samples of the wall around, and how far it reaches
 MIDDLE_VERTICES = 20  # at least, of a spot's middle; a vertex stands for about one square voxel
+MIDDLE_SHARE = 0.25  # of a spot, at least: a faint patch with a dark speck in it is no mouth
 SPOT_VERTICES = 800  # at most, of all of it
 RIM_EDGES = 6  # from a spot to its rim; averages spread a step by some three edges (standard deviation)
 RIM_LOG = 0.03  # least mean of the rim, over the wall around
@@ -48,7 +49,8 @@ def dark_spots(mesh: SurfaceMesh, voxel_size: float, gamma: float = GAMMA) -> ND
     spot = np.full(len(dark), -1)
     spot[rows] = connected_components(links[rows][:, rows], directed=False)[1]
     vertices = np.bincount(spot[rows])
-    holes = (np.bincount(spot[rows], middle[rows]) >= MIDDLE_VERTICES) & (vertices <= SPOT_VERTICES)
+    middles = np.bincount(spot[rows], middle[rows])
+    holes = (middles >= np.maximum(MIDDLE_VERTICES, MIDDLE_SHARE * vertices)) & (vertices <= SPOT_VERTICES)
     rims, near = _rims(spot, links, relative, len(vertices))
     holes &= rims >= RIM_LOG
     at_end = near[_ends(mesh)]

@@ -207,8 +207,9 @@ def lids(record: dict[str, Any], chosen: dict[str, Any]) -> list[str]:
     """Mouths of diverticula that are closed, and what opening dark spots does to the F-score."""
     lines = [
         "\n## Lids over diverticula\n",
-        "Completed depth closes dark mouths. Small spots of the mesh that are much darker than the wall around, with a",
-        "rim that is brighter, are left open (`reconstruction/fusion/dark_spots.py`). *Opened*: share of the mesh, and",
+        "Completed depth closes dark mouths. Small spots of the mesh that are darker than the wall around, much darker",
+        "in their middle and with a brighter rim, are left open (`reconstruction/fusion/dark_spots.py`). *Opened*:",
+        "share of the mesh, and",
         "how much of it lay within 1 mm of the true wall: shallow lips of mouths, and wall opened wrongly. All",
         "mouths have one model of lip; dark residue or pigment with a bright rim was not tested.",
         "`python -m benchmarks.lids FILMS/*`, lens given, seed 0: mouths that are closed, and F at 1 mm in percent,",

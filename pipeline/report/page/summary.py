@@ -157,7 +157,7 @@ def _opened_rows(share: float) -> list[tuple[str, str]]:
     return [
         (
             "left open",
-            f"{100 * share:.2f} % of the surface, small spots much darker than the wall around, with a bright rim: "
+            f"{100 * share:.2f} % of the surface, small dark spots with a much darker middle and a bright rim: "
             "they may be mouths of pouches, or dark tissue or residue (fusion.open_dark_spots)",
         )
     ]

@@ -69,6 +69,23 @@ def test_the_hole_reaches_as_far_as_the_wall_stays_darker_than_usual() -> None:
     assert not dark_spots(wall(faint * lit()), 1.0).any()
 
 
+@pytest.mark.parametrize("radius", [12, 15])
+def test_a_dark_speck_does_not_open_the_faint_patch_around_it(radius: float) -> None:
+    patch = np.select([away() < 4, away() < radius, away() < radius + 10], [0.5, 0.68, 1.15], 1.0)
+    assert not dark_spots(wall(patch * lit()), 1.0).any()
+    with pytest.MonkeyPatch.context() as change:
+        change.setattr("reconstruction.fusion.dark_spots.MIDDLE_SHARE", 0.0)
+        assert dark_spots(wall(patch * lit()), 1.0).any()
+
+
+def test_faint_shades_elsewhere_do_not_keep_a_mouth_closed() -> None:
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    shades = np.where(np.hypot(rows % 50 - 25, columns % 50 - 25) < 10, 0.66, 1.0) * np.ones((SIDE, SIDE))
+    shades[75:125, 75:125] = 1.0
+    assert (shades < 0.7).mean() > MOST_DARK
+    assert dark_spots(wall(shades * mouth(9, away()) * lit()), 1.0).any()
+
+
 def test_what_fades_into_the_wall_around_is_no_hole() -> None:
     shade = np.exp(-1.2 * np.exp(-((away() / 14) ** 2)))
     assert not dark_spots(wall(shade * lit()), 1.0).any()

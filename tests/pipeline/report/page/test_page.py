@@ -94,7 +94,7 @@ def test_units_and_numbers_are_in_words(run):
     assert "left open" not in details(metrics)
     metrics["submaps"][0]["opened_area_share"] = 0.0123
     text = details(metrics)
-    assert text.count("<th>left open</th><td>1.23 % of the surface, small spots much darker") == 1
+    assert text.count("<th>left open</th><td>1.23 % of the surface, small dark spots") == 1
     assert "scene units² of surface" in text
     assert " scene²" not in text
     assert "visual odometry" in text
