@@ -85,16 +85,14 @@ def scene_units(workspace: Workspace) -> list[float]:
 def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
     """What became of a guessed camera, and how far to trust it."""
     focal, start = submap.camera_params[0], guess.focal[0]
-    of = f"of the {guess.width} px wide working frames"
+    guessed = f"camera: focal length guessed as {start:.1f} px for working frames {guess.width} px wide"
     if poses_given:
         return (
-            f"camera: focal length {start:.1f} px {of} guessed and not refined, because the poses were "
-            "given; do not trust shapes and lengths before the lens is given, too (--camera)"
+            f"{guessed}, and not refined, because the poses were given; do not trust shapes and lengths before the "
+            "lens is given, too (--camera)"
         )
     sigma = submap.camera_sigma[0] if submap.camera_sigma else float("nan")
-    text = f"camera: focal length {start:.1f} px {of} guessed, {focal:.1f} px after adjustment"
-    if focal == start:
-        text = f"camera: focal length {start:.1f} px {of} guessed and kept"
+    text = f"{guessed}, and kept" if focal == start else f"{guessed}, {focal:.1f} px after adjustment"
     if not np.isfinite(sigma):
         return text + "; no trusted map determines it: shapes may be stretched along the view"
     text += f" (sigma {sigma:.2g} px for 1 px of noise)"

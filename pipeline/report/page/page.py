@@ -1,7 +1,8 @@
 """`report.html`: one file that shows a run in any browser, offline; every picture and script is inside it.
 
-Everything is in the page before a script runs: figures, map, timeline, keyframes. The scripts add the 3-D view and
-show the keyframes one at a time. A content security policy forbids the page to fetch anything at all.
+Everything is in the page before a script runs: figures, map, timeline, keyframes. The scripts add the 3-D view and the
+rings for missed regions, and show the keyframes one at a time. A content security policy forbids the page to fetch
+anything at all.
 """
 
 import base64
@@ -19,7 +20,7 @@ from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
 from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_surfaces
 from pipeline.report.page.scene import scene_data
-from pipeline.report.page.summary import cards, cautions, coverage_section, details, source_name
+from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details, source_name
 from pipeline.report.page.timeline import frame_states, timeline_section
 from pipeline.run_folder.workspace import Workspace, write_text
 from pipeline.surface.coverage_stage import CoverageResult
@@ -89,12 +90,16 @@ def _asset(name: str) -> str:
     return (resources.files("pipeline.report.page") / name).read_text(encoding="utf-8")
 
 
-def _links(regions: list[dict[str, Any]]) -> dict[int, str]:
-    """Of each region by its number: the article of the keyframe that shows it."""
-    return {of["number"]: f"#keyframe-{of['keyframe']}" for of in regions if of["keyframe"] is not None}
+def _links(regions: list[dict[str, Any]]) -> dict[int, Link]:
+    """Of each region by its number: the keyframe that shows its direction."""
+    return {
+        of["number"]: Link(f"#keyframe-{of['keyframe']}", of["shown_frame"], of["at"] is not None)
+        for of in regions
+        if of["keyframe"] is not None
+    }
 
 
-def _coverage(coverage: list[CoverageResult], links: list[dict[int, str]]) -> str:
+def _coverage(coverage: list[CoverageResult], links: list[dict[int, Link]]) -> str:
     """The first submap and those with a map, as far as there is room for it; the others in words."""
     if len(coverage) == 1:
         return coverage_section(coverage[0], links[0])

@@ -27,7 +27,7 @@ function nearest(value, of, within) {
   return run.shown.reduce((best, shown, k) => distance(shown) < distance(run.shown[best]) ? k : best, 0);
 }
 
-// Rings in the keyframes' pictures towards the middle of missed regions, whatever hides it there.
+// Rings in the keyframes' pictures in the direction of missed regions, whatever wall hides them there.
 function markRegions() {
   run.submaps.forEach(map => map.missed.regions.filter(region => region.at).forEach(region => {
     const image = articles[region.keyframe].querySelector("img"), figure = image.closest("figure");
@@ -35,7 +35,7 @@ function markRegions() {
       const frame = Object.assign(document.createElement("div"), { className: "marked" });
       image.replaceWith(frame);
       frame.append(image);
-      figure.querySelector("figcaption").append(", with the direction of missed regions");
+      figure.querySelector("figcaption").append("; rings: direction of missed regions");
     }
     const ring = Object.assign(document.createElement("span"), { className: "ring", textContent: region.number, title: region.words });
     [ring.style.left, ring.style.top] = region.at.map(share => `${100 * share}%`);

@@ -136,9 +136,9 @@ class Scene {
   select(keyframe) {
     this.current = this.map.shown.find(shown => shown.keyframe === keyframe);
     if (!this.current) return;
-    const pose = this.current.pose, depth = 0.22 / this.unit, [halfWidth, halfHeight] = this.map.half_view;
-    const corner = (u, v) => [0, 1, 2].map(k => pose[4 * k + 3] + depth * (u * halfWidth * pose[4 * k] + v * halfHeight * pose[4 * k + 1] + pose[4 * k + 2]));
-    const tip = [pose[3], pose[7], pose[11]], [a, b, c, d] = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
+    const pose = this.current.pose, depth = 0.22 / this.unit, [left, right, top, bottom] = this.map.view;
+    const corner = (x, y) => [0, 1, 2].map(k => pose[4 * k + 3] + depth * (x * pose[4 * k] + y * pose[4 * k + 1] + pose[4 * k + 2]));
+    const tip = [pose[3], pose[7], pose[11]], [a, b, c, d] = [corner(left, top), corner(right, top), corner(right, bottom), corner(left, bottom)];
     const line = [tip, a, b, tip, c, d, tip, a, d, c, b];
     Plotly.restyle(this.element, { x: [line.map(p => p[0])], y: [line.map(p => p[1])], z: [line.map(p => p[2])] }, [TRACE.frustum]);
   }

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import Camera
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.mapping.submap import Submap
@@ -89,8 +90,6 @@ def _submap(
     if len(coarse.faces) and np.mean(coarse.normals @ axes[2]) < -MOSTLY:
         axes = axes * [[-1.0], [1.0], [-1.0]]  # wall that is open to the other side is seen from there
     seen = points @ axes.T  # as the first view shows them
-    (fx, fy), (width, height) = completed.camera.focal, (completed.camera.width, completed.camera.height)
-    half_view = [width / 2 / fx, height / 2 / fy]
     return {
         "unit": unit,
         "triangles": len(coarse.faces),
@@ -102,7 +101,7 @@ def _submap(
             "middle": ((seen.min(axis=0) + seen.max(axis=0)) / 2 @ axes).tolist(),
             "size": np.ptp(seen, axis=0).tolist(),
         },
-        "half_view": half_view,
+        "view": _view(completed.camera),
         "mesh": _packed(coarse, brightened(coarse.colours)) if len(coarse.faces) else None,
         "path": {
             "places": _floats(submap.centres[rows]),
@@ -115,7 +114,7 @@ def _submap(
         },
         "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown.items()],
         "missed": _missed(result, unit, limits.patch_triangles)
-        | {"regions": [_region(region, unit, submap, shown, half_view) for region in _listed(result)]},
+        | {"regions": _regions(result, unit, submap, shown, completed.camera)},
     }
 
 
@@ -146,29 +145,48 @@ def _missed(result: CoverageResult, unit: str, triangles: int) -> dict[str, Any]
     }
 
 
-def _listed(result: CoverageResult) -> list[dict[str, Any]]:
-    return list(result.record.get("missed_regions", []))
+def _regions(
+    result: CoverageResult, unit: str, submap: Submap, shown: dict[int, int], camera: Camera
+) -> list[dict[str, Any]]:
+    """Of each listed region its number, words and middle; `keyframe`: place of the page's keyframe that shows its
+    direction, None without one; `at`: where in the picture, None outside; `shown_frame`: that keyframe's."""
+    regions, rows, found = result.record.get("missed_regions", []), list(shown.values()), []
+    poses, frames = submap.world_from_camera[rows], submap.frames[rows]
+    for place, region in zip(_places(regions, result.missed), regions, strict=True):
+        entry: dict[str, Any] = {"keyframe": None, "at": None}
+        if rows:
+            mark = mark_region(place, region["frame"], poses, frames, camera)
+            entry = {"keyframe": list(shown)[mark.row], "at": mark.at, "shown_frame": int(frames[mark.row])}
+        found.append(_told(region, unit) | entry)
+    return found
 
 
-def _region(
-    region: dict[str, Any], unit: str, submap: Submap, shown: dict[int, int], half_view: list[float]
-) -> dict[str, Any]:
-    """Number, words and middle; `keyframe`: place of the page's keyframe that shows it, None without one; `at`: where
-    in its picture, None outside of it."""
-    rows, place, at = list(shown.values()), None, None
-    if rows:
-        poses, frames = submap.world_from_camera[rows], submap.frames[rows]
-        mark = mark_region(np.array(region["centre"]), region["frame"], poses, frames, np.array(half_view))
-        place, at = list(shown)[mark.row], mark.at
+def _places(regions: list[dict[str, Any]], patches: tuple[SurfaceMesh, ...]) -> list[NDArray[np.float64]]:
+    """A place (3,) on each region: of its closing surface the nearest to its middle, which lies in the lumen where the
+    region goes round it; the middle where that surface is not known."""
+    middles = [np.array(region["centre"]) for region in regions]
+    if len(patches) != len(regions):
+        return middles
+    return [
+        of.vertices[np.argmin(np.linalg.norm(of.vertices - middle, axis=1))] if len(of.vertices) else middle
+        for middle, of in zip(middles, map(finite, patches), strict=True)
+    ]
+
+
+def _told(region: dict[str, Any], unit: str) -> dict[str, Any]:
     return {
         "number": region["number"],
         "centre": region["centre"],
-        "keyframe": place,
-        "at": at,
         "words": f"missed region {region['number']}: {region['area']:.3g} {unit}², as a disc "
         f"{region['diameter']:.3g} {unit} across; {region['arc']:.3g} {unit} along, {clock_words(region)}; "
         f"nearest frame {region['frame']} ({region['seconds']:.2f} s)",
     }
+
+
+def _view(camera: Camera) -> list[float]:
+    """Left, right, top and bottom of the picture at depth 1, camera axes."""
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    return [-cx / fx, (camera.width - cx) / fx, -cy / fy, (camera.height - cy) / fy]
 
 
 def clock_words(region: dict[str, Any]) -> str:

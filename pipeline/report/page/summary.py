@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,15 @@ from pipeline.surface.scale import unit_label
 
 STRUCTURE = {"odometry": "visual odometry", "global": "COLMAP, all frames at once", "incremental": "COLMAP, one by one"}
 MOST_OPEN = 4  # cautions that are not folded
+
+
+@dataclass(frozen=True)
+class Link:
+    """The article of a keyframe, its frame, and whether a ring in its picture marks the direction that is asked for."""
+
+    address: str
+    frame: int
+    has_ring: bool
 
 
 def _unmeasured(seen: dict[str, Any]) -> str:
@@ -180,9 +190,9 @@ def _cut(kept: float) -> str:
     return f"; the pinhole image of the dense stages shows {100 * kept:.0f} % of the frame"
 
 
-def coverage_section(result: CoverageResult, links: Mapping[int, str]) -> str:
+def coverage_section(result: CoverageResult, links: Mapping[int, Link]) -> str:
     """The unrolled map and the table of what was missed; one sentence where nothing can be judged. links: of regions by
-    number, the address of the keyframe that shows them."""
+    number, the keyframe that shows their direction."""
     record = result.record
     if result.picture is None:
         reason = result.sentence
@@ -199,12 +209,13 @@ def coverage_section(result: CoverageResult, links: Mapping[int, str]) -> str:
                 f"{region['arc']:.3g}",
                 clock_words(region).removesuffix(" o'clock"),
                 f"{100 * region['probability']:.0f} %" if "probability" in region else "",
-                _frame(region, links.get(region["number"])),
+                f"{region['frame']} ({region['seconds']:.2f} s)",
+                _shown_in(links.get(region["number"])),
             )
         )
         for region in record["missed_regions"]
     ]
-    heads = "".join(f"<th>{title}</th>" for title in (*head, "hidden", "nearest frame"))
+    heads = "".join(f"<th>{title}</th>" for title in (*head, "hidden", "nearest frame", "keyframe here"))
     table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
     return (
         f"<h2>Coverage</h2><p>{html.escape(result.sentence)}.</p>"
@@ -213,8 +224,9 @@ def coverage_section(result: CoverageResult, links: Mapping[int, str]) -> str:
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
         f"begins, carried along without twisting. {_meanings(record)}"
-        "Look at the nearest frame before you believe one: the region may lie behind a fold there. A click opens the "
-        "keyframe next to it that has the region's middle in its picture, with a ring there, or the next one.</p>"
+        "Look at the nearest frame before you believe one. The keyframe here is the one near it that shows the "
+        "direction of the region best. With JavaScript a ring marks that direction in its picture; a fold may hide the "
+        "region there.</p>"
     )
 
 
@@ -234,6 +246,8 @@ def _meanings(record: dict[str, Any]) -> str:
     return told + tested if told else ""
 
 
-def _frame(region: dict[str, Any], link: str | None) -> str:
-    words = f"{region['frame']} ({region['seconds']:.2f} s)"
-    return words if link is None else f'<a class="goto" href="{html.escape(link)}">{words}</a>'
+def _shown_in(link: Link | None) -> str:
+    if link is None:
+        return ""
+    outside = "" if link.has_ring else ", not in the picture"
+    return f'<a class="goto" href="{html.escape(link.address)}">frame {link.frame}</a>{outside}'

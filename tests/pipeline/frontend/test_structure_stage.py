@@ -189,4 +189,12 @@ def test_a_guess_that_nothing_asked_is_not_called_undetermined_by_motion(given):
     said = structure_stage.camera_trust(CAMERA, submap, given)
     assert ("no trusted map determines it" in said) != given
     assert ("do not trust shapes and lengths" in said) == given
-    assert f"{CAMERA.width} px wide working frames" in said
+    assert said.startswith(
+        f"camera: focal length guessed as {CAMERA.focal[0]:.1f} px for working frames {CAMERA.width} px wide, and "
+    )
+
+
+def test_a_refined_focal_length_is_said_beside_its_guess():
+    submap = SimpleNamespace(camera_params=(CAMERA.params[0] + 2, *CAMERA.params[1:]), camera_sigma=(0.5,))
+    said = structure_stage.camera_trust(CAMERA, submap, False)
+    assert f" px wide, {CAMERA.focal[0] + 2:.1f} px after adjustment (sigma 0.5 px for 1 px of noise)" in said

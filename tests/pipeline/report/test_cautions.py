@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 from pipeline.report.cautions import reasons_for_doubt
 
-FREE = "camera: focal length 99 px guessed and kept; no trusted map determines it: shapes may be stretched"
-FIXED = "camera: focal length 99 px guessed, 98 px after adjustment (sigma 0.2 px for 1 px of noise)"
+GUESSED = "camera: focal length guessed as 99 px for working frames 320 px wide"
+FREE = f"{GUESSED}, and kept; no trusted map determines it: shapes may be stretched"
+FIXED = f"{GUESSED}, 98 px after adjustment (sigma 0.2 px for 1 px of noise)"
 
 
 def surface(doubt="", clock=""):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from pipeline.report.page.summary import coverage_section
+from pipeline.report.page.summary import Link, coverage_section
 from pipeline.surface.coverage_stage import CoverageResult
 from reconstruction.coverage import hole_closing as closed_wall
 from reconstruction.coverage import unrolled_map as maps
@@ -258,21 +258,21 @@ def test_the_report_has_a_table_or_one_sentence(tmp_path):
     row = {"number": 1, "area": 50, "diameter": 8, "arc": 3, "clock": 2, "frame": 7, "seconds": 0.2}
     record = {"judged": True, "unit": "mm", "covered_percent": 90.0, "stretch": 80.0, "listed_from": 5.0}
     record |= {"smaller_regions": 4, "missed_regions": [row, row]}
-    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: "#keyframe-5"})
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: Link("#keyframe-5", 9, False)})
     assert section.count("<tr>") == 3
-    assert section.count('href="#keyframe-5"') == 2
+    assert section.count('href="#keyframe-5">frame 9</a>, not in the picture') == 2
     assert "90.0 % of the wall" in section
     assert "±" not in section  # a run made before its error and the regions' probabilities were told
     record |= {
         "covered_error_points": 3.6,
         "missed_regions": [row | {"probability": 0.826}, row | {"probability": 0.2}],
     }
-    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: "#keyframe-5"})
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: Link("#keyframe-5", 9, False)})
     assert "90.0 ± 3.6 % of the wall" in section
     assert "(1 of them more likely hidden than not)" in section
     assert "<td>83 %</td>" in section
     assert "root mean square" in section
     del record["covered_error_points"]  # the lens was not given
-    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: "#keyframe-5"})
+    section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: Link("#keyframe-5", 9, False)})
     assert "±" not in section
     assert "Hidden: how likely" in section

@@ -149,7 +149,16 @@ def test_the_scene_holds_what_the_run_holds(run, page):
     assert np.frombuffer(base64.b64decode(packed["faces"]), "<u4").reshape(-1, 3).tolist() == mesh.faces.tolist()
     (region,) = first["missed"]["regions"]
     assert f"nearest frame {run.coverage[0].record['missed_regions'][0]['frame']} (" in region["words"]
-    assert region["keyframe"] in {view["keyframe"] for view in first["shown"]}
+    pose = next(np.reshape(view["pose"], (3, 4)) for view in first["shown"] if view["keyframe"] == region["keyframe"])
+    patch, camera = run.coverage[0].missed[0].vertices, run.completed[0].camera
+    place = patch[np.linalg.norm(patch - region["centre"], axis=1).argmin()]
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    pixel = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) @ np.linalg.inv([*pose, [0, 0, 0, 1]])[:3] @ [*place, 1]
+    size = np.array([camera.width, camera.height])
+    assert region["at"] == pytest.approx(pixel[:2] / pixel[2] / size, abs=1e-5)
+    assert np.multiply(first["view"], np.repeat([fx, fy], 2)) + np.repeat([cx, cy], 2) == pytest.approx(
+        [0, size[0], 0, size[1]], abs=1e-9
+    )
     assert second["missed"]["regions"] == []
     assert sum(len(s["shown"]) for s in data["submaps"]) == len(data["shown"]) == 60
 

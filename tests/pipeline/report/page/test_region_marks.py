@@ -5,43 +5,44 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.report.page.region_marks import INNER, mark_region
+from haustra.core.camera import Camera
+from pipeline.report.page.region_marks import FARTHER, mark_region
 
-WIDTH, HEIGHT, FOCAL = 400, 300, 180.0
-HALF_VIEW = np.array([WIDTH, HEIGHT]) / 2 / FOCAL
+CAMERA = Camera("PINHOLE", 400, 300, (180.0, 170.0, 150.0, 165.0))  # its axis is not in the picture's middle
 AHEAD = np.array([0.0, 0.0, 5.0])
 
 
-def views(*turns_deg):
-    """Cameras at the origin, turned about the vertical axis."""
+def views(turns_deg, back=0.0):
+    """Cameras (N,4,4) turned about the vertical axis at the origin, or so far behind it."""
     poses = np.tile(np.eye(4), (len(turns_deg), 1, 1))
     poses[:, :3, :3] = Rotation.from_euler("y", np.reshape(turns_deg, (-1, 1)), degrees=True).as_matrix()
+    poses[:, 2, 3] = -np.asarray(back)
     return poses
 
 
 def test_the_mark_is_where_opencv_projects_the_place():
     rng = np.random.default_rng(3)
-    matrix = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
+    (fx, fy), (cx, cy) = CAMERA.focal, CAMERA.centre
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     for _ in range(20):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3)
-        place = pose[:3, 3] + pose[:3, :3] @ np.array([rng.uniform(-0.9, 0.9), rng.uniform(-0.7, 0.7), 1.0]) * 4
+        place = pose[:3, 3] + pose[:3, :3] @ np.array([rng.uniform(-0.8, 1.3), rng.uniform(-0.9, 0.7), 1.0]) * 4
         back = np.linalg.inv(pose)
         pixel = cv2.projectPoints(place[None], cv2.Rodrigues(back[:3, :3])[0], back[:3, 3], matrix, None)[0].ravel()
-        mark = mark_region(place, 7, pose[None], np.array([9]), HALF_VIEW)
-        assert mark.at == pytest.approx(pixel / [WIDTH, HEIGHT])
+        mark = mark_region(place, 7, pose[None], np.array([9]), CAMERA)
+        assert mark.at == pytest.approx(pixel / [CAMERA.width, CAMERA.height])
 
 
-def test_the_nearest_frame_with_the_place_well_in_view_is_taken():
-    at_rim = np.degrees(np.arctan(HALF_VIEW[0] * (1 + INNER) / 2))
-    poses, frames = views(at_rim, 180.0, 10.0, -10.0), np.array([10, 11, 20, 30])
-    mark = mark_region(AHEAD, 11, poses, frames, HALF_VIEW)
-    assert mark.row == 2
-    assert mark.at == pytest.approx((0.5 - np.tan(np.radians(10)) / HALF_VIEW[0] / 2, 0.5))
-    assert mark_region(AHEAD, 29, poses, frames, HALF_VIEW).row == 3
-    assert mark_region(AHEAD, 11, poses[:2], frames[:2], HALF_VIEW).row == 0  # only there is it in the picture at all
+def test_the_nearest_in_time_is_taken_or_one_as_near_with_the_place_farther_inside():
+    poses, frames = views([35.0, 180.0, 10.0]), np.array([10, 11, 20])
+    assert mark_region(AHEAD, 11, poses, frames, CAMERA).row == 2  # 10 has it at the rim, 11 behind it
+    assert mark_region(AHEAD, 11, poses[:2], frames[:2], CAMERA).row == 0
+    assert mark_region(AHEAD, 11, views([10.0, 35.0, 5.0]), frames, CAMERA).row == 0  # 20 has it nearer to the middle
+    far = views([35.0, 180.0, 10.0], back=[0.0, 0.0, 5 * FARTHER])
+    assert mark_region(AHEAD, 11, far, frames, CAMERA).row == 0
 
 
 def test_a_place_in_no_picture_has_the_nearest_frame_and_no_mark():
-    mark = mark_region(AHEAD, 12, views(90.0, 180.0), np.array([3, 13]), HALF_VIEW)
+    mark = mark_region(AHEAD, 12, views([90.0, 180.0]), np.array([3, 13]), CAMERA)
     assert (mark.row, mark.at) == (1, None)
