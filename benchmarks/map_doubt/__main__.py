@@ -3,4 +3,4 @@
 from benchmarks.common.runner import choose
 
 if __name__ == "__main__":
-    choose("benchmarks.map_doubt", __doc__, ["fit"])
+    choose("benchmarks.map_doubt", __doc__, ["fit", "ship"])

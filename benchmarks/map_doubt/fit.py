@@ -1,14 +1,14 @@
 """The probability that a submap is wrong: coefficients from films for choosing, and how it does on others.
 
-    python -m benchmarks.map_doubt fit --choosing FILMS --reported FILMS --maps FOLDER --json map_doubt.json --ship
-    python -m benchmarks.map_doubt fit --family colmap ... --json map_doubt_colmap.json --ship
+    python -m benchmarks.map_doubt fit --choosing FILMS --reported FILMS --maps FOLDER --json map_doubt.json
+    python -m benchmarks.map_doubt fit --family colmap ... --json map_doubt_colmap.json
 
 Odometry alone, or COLMAP alone, maps each film in several ways (`FAMILIES` of `maps.py`: seeds, keyframe motion, wrong
 lenses, parts), as the structure stage has them run; submaps of `MIN_FRAMES` frames count, also those that its lighting
 check drops. Each family of maps has coefficients of its own. Wrong: `pipeline.mapping.map_doubt`. Figures are chosen,
 and weights fitted, on the films for choosing alone, by the loss on paths that had no part in the fit.
 `FOLDER` keeps the submaps: a stopped call goes on
-where it was, and `--made` takes those that are there. `--ship` writes the coefficients that the pipeline reads.
+where it was, and `--made` takes those that are there. `ship` writes the coefficients that the pipeline reads.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from benchmarks.common.record import environment
 from benchmarks.map_doubt.fitting import chosen_figures, fitted, log_loss, probabilities_left_out
 from benchmarks.map_doubt.maps import FAMILIES, is_made, load_maps, make_maps
 from benchmarks.map_doubt.rows import figures_of, path_of, row_of
-from pipeline.mapping.map_doubt import COEFFICIENTS, FIGURES
+from pipeline.mapping.map_doubt import FIGURES
 
 MIN_FRAMES = 20  # of a submap that counts, as in `benchmarks.living`
 LIGHT = ("light", "light against it")
@@ -35,11 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--maps", type=Path, required=True, help="folder for the submaps")
     parser.add_argument("--family", choices=FAMILIES, default="odometry", help="whose maps")
     parser.add_argument("--made", action="store_true", help="track nothing")
-    parser.add_argument("--ship", action="store_true", help=f"write {COEFFICIENTS.name}")
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
-    here = environment()  # before a file of ours is written
     rows = [
         row
         for role in ("choosing", "reported")
@@ -53,11 +51,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     for row in rows:
         if row["role"] == "reported":
             row["probability"] = probability(row, found["coefficients"])
-    if arguments.ship:
-        about = {"commit": here["commit"], "maps": len(choosing), "wrong": sum(r["wrong"] for r in choosing)}
-        shipped = json.loads(COEFFICIENTS.read_text()) | {arguments.family: found["coefficients"] | about}
-        COEFFICIENTS.write_text(json.dumps(shipped, indent=2) + "\n")
-    return {"environment": here} | found | {"maps": rows}
+    return {"environment": environment()} | found | {"maps": rows}
 
 
 def _rows_of(film: Path, role: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:

@@ -26,10 +26,10 @@ MIN_LARGEST = 0.5  # of the frames in the largest submap: a video in smaller pie
 MIN_POSED = 0.8  # share of frames below which another mapper is asked
 MIN_KEPT = 0.5  # share of a submap's frames that must agree with the light for that part of it to be kept
 MIN_SURE = 0.1  # share of the frames in a submap that needs no second opinion
-# Probability that a map of odometry is wrong from which COLMAP is asked: of those with 20 to 50 % a third was wrong, of
-# COLMAP's maps of the same kind of films one in seven (docs/lab/map_doubt.md, films for choosing).
+# Probability that a map of odometry is wrong from which COLMAP is asked: of those with 20 to 50 % two in five were
+# wrong, of COLMAP's maps of the same kind of films one in seven (docs/lab/map_doubt.md, films for choosing).
 DOUBTED_FROM = 0.2
-WRONG_OF_UNKNOWN = 0.25  # of the films on which `map_doubt` was fitted
+WRONG_OF_UNKNOWN = 0.3  # of the films on which `map_doubt` was fitted
 MIN_JUDGED = 20  # frames that the maps had at the fewest on which `map_doubt` was fitted
 MAX_POINT_ERROR_PX = 10.0  # mean reprojection error; a mapper that lost its lens has left points off by any amount
 MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance that is tolerated

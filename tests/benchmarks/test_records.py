@@ -1,6 +1,7 @@
 """One command for all records: what is listed exists, a stopped one goes on, a failed one replaces nothing."""
 
 import json
+from fnmatch import fnmatch
 
 import pytest
 import yaml
@@ -76,32 +77,53 @@ def test_an_unknown_name_and_missing_folders_are_one_sentence():
             run(records, "benchmarks.records", argv)
 
 
-SUITE, LIVING = "haustra/phantom/dataset/suite", "haustra/phantom/dataset/living"
-VARIED = "benchmarks/coverage_varied_films"
-CHOSEN = [f"benchmarks/{name}" for name in ("coverage_films", "exposure_choosing", "diverticula_choosing")]
-REPORTED = [f"benchmarks/{name}" for name in ("coverage_reported_films", "exposure_films", "diverticula")]
-OF_MAP_DOUBT = [VARIED, "benchmarks/scope_films", "benchmarks/living_choosing", "benchmarks/uneven_films:uneven_a"]
+CHOSEN = ("choosing", "burnt_choosing", "pouches_choosing")
+REPORTED = ("reported", "varied", "burnt", "pouches", "suite")
 
 
-@pytest.mark.parametrize(
-    ("chosen", "reported"),
-    [
-        (CHOSEN, [VARIED, SUITE, *REPORTED]),
-        ([*CHOSEN[:2], *OF_MAP_DOUBT], [SUITE, LIVING, REPORTED[0], "benchmarks/uneven_films:uneven_b"]),
-    ],
-    ids=["surfaces", "doubt of maps"],
-)
-def test_no_gut_that_something_was_chosen_on_is_reported(chosen, reported):
-    assert not _guts(chosen) & _guts(reported)
+def test_no_gut_that_a_surface_was_chosen_on_is_reported():
+    assert not _guts(f"{{{name}}}/*" for name in CHOSEN) & _guts(f"{{{name}}}/*" for name in REPORTED)
 
 
-def _guts(names):
-    """Scene and seed of all films of these files, or of the one named after a colon."""
-    found = set()
-    for name in names:
-        file, _, only = name.partition(":")
-        films = yaml.safe_load((ROOT / f"{file}.yaml").read_text())
-        mine = [film for key, film in films.items() if not only or key == only]
-        assert mine
-        found |= {(film.get("scene"), film.get("seed")) for film in mine}
+@pytest.mark.parametrize("record", ["map_doubt", "map_doubt_colmap"])
+def test_no_gut_and_no_path_that_the_doubt_of_maps_was_chosen_on_is_reported(record):
+    (command,) = LISTED["records"][record]["commands"]
+    choosing, reported = command.partition("--choosing ")[2].partition(" --maps")[0].split(" --reported ")
+    kinds = [of.split() for of in (choosing, reported)]
+    assert not _guts(kinds[0]) & _guts(kinds[1])
+    assert not _recordings(kinds[0]) & _recordings(kinds[1])
+    assert "{data}/ctcolon" not in kinds[0]
+
+
+def _films(arguments):
+    """Settings of the films that arguments such as `{suite}/*` or `{living}/{{a,b}}_*` of a listed command name."""
+    found = []
+    for argument in arguments:
+        suite, _, pattern = argument.partition("/")
+        if suite == "{data}":
+            continue
+        options = LISTED["films"][suite.strip("{}")].split()
+        file = options[options.index("--config") + 1] if "--config" in options else None
+        of_package = "living" if "--living-suite" in options else "suite"
+        films = yaml.safe_load((ROOT / (file or f"haustra/phantom/dataset/{of_package}.yaml")).read_text())
+        mine = [film for name, film in films.items() if any(fnmatch(name, p) for p in _alternatives(pattern))]
+        assert mine, argument
+        found += mine
     return found
+
+
+def _alternatives(pattern):
+    """Patterns that a shell makes of one with braces, which `str.format` wants doubled."""
+    head, brace, rest = pattern.replace("{{", "{").replace("}}", "}").partition("{")
+    if not brace:
+        return [head]
+    within, _, tail = rest.partition("}")
+    return [head + one + end for one in within.split(",") for end in _alternatives(tail)]
+
+
+def _guts(arguments):
+    return {(film.get("scene"), film.get("seed")) for film in _films(arguments)}
+
+
+def _recordings(arguments):
+    return {film["motion"]["recording"] for film in _films(arguments) if "recording" in film.get("motion", {})}

@@ -139,7 +139,7 @@ def test_stretches_that_one_map_spans_are_decided_together(good):
     assert joined([right, *sure], 380, poor) == {}, "the first one's is better, and nothing of the second's is kept"
 
 
-@pytest.mark.parametrize(("probability", "frames", "taken"), [(0.8, 55, True), (0.8, 50, False), (0.5, 120, False)])
+@pytest.mark.parametrize(("probability", "frames", "taken"), [(0.8, 59, True), (0.8, 55, False), (0.5, 120, False)])
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_map_that_the_light_contradicts_is_not_given_up_for_fewer_frames_than_it_may_pose_rightly(
     probability, frames, taken, alone

@@ -61,5 +61,5 @@ def test_words_follow_the_probability():
 def test_the_figure_that_weighs_most_is_told():
     dark = judge(replace(RIGHT, spearman=0.4))
     assert "less clearly than in most right maps (rank correlation 0.40, -1 at best)" in dark.heaviest
-    torn = judge(replace(RIGHT, halves=PathDifference(0.2, 40.0)))
-    assert "the paths by two halves of the wall differ by 20.0 % of the path and 40.0 degrees" in torn.heaviest
+    torn = judge(replace(RIGHT, stretches=PathDifference(0.2, 40.0)))
+    assert "by the whole and by two thirds of its frames differ by 20.0 % of the path and 40.0 degrees" in torn.heaviest
