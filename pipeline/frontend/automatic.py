@@ -19,6 +19,7 @@ from pipeline.frontend.scoring import (
     DOUBTED_FROM,
     Candidate,
     candidates_of,
+    mean_doubt,
     needs_second_opinion,
     with_doubts,
     without_wild_points,
@@ -96,9 +97,10 @@ def run_front_ends(job: FrontEndJob, front_end: str, frames: Frames) -> tuple[di
     return results if second is None else results | {SECOND: second}, failure
 
 
-def _doubted(result: Result, frames: Frames) -> Result:
+def _doubted(result: Result, frames: Frames, of_others: float | None = None) -> Result:
     with single_threaded():
-        return replace(result, candidates={m: with_doubts(of, frames) for m, of in result.candidates.items()})
+        doubted = {mapper: with_doubts(of, frames, of_others) for mapper, of in result.candidates.items()}
+        return replace(result, candidates=doubted)
 
 
 def _second_opinion(
@@ -137,7 +139,8 @@ def _second_opinion(
     def ask(some: Frames) -> ByMapper:
         if len(stretches) > 1 or every > 1 or camera != frames.camera:  # features of other frames or by another lens
             job.workspace.forget_features()
-        by_mapper = _doubted(told.run(SECOND, replace(some, camera=camera), every), frames).candidates
+        result = told.run(SECOND, replace(some, camera=camera), every)
+        by_mapper = _doubted(result, frames, mean_doubt(found)).candidates
         return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}
 
     opinions, failure = ask_of_each(stretches, ask, deadline, job.workspace.log, progress)

@@ -39,18 +39,20 @@ MAX_INCONSISTENT = 0.05  # share of frames with brightness growing with distance
 class Candidate:
     """A submap that a mapper found, its lighting check, the folder of its model, and how far it is to be doubted.
 
-    doubt: None of a mapper of which the probability is not known (`with_doubts`)."""
+    doubt: None of a mapper of which the probability is not known, or of a map too short for it (`with_doubts`).
+    wrong_unjudged: the probability that it is wrong where it has no doubt of its own."""
 
     submap: Submap
     check: LightingCheck
     folder: Path
     mapper: str
     doubt: MapDoubt | None = None
+    wrong_unjudged: float = WRONG_OF_UNKNOWN
 
     @property
     def wrong(self) -> float:
-        """Probability that it is wrong; of one that is too short to be judged, the share of wrong ones among others."""
-        return WRONG_OF_UNKNOWN if self.doubt is None else self.doubt.probability
+        """Probability that it is wrong."""
+        return self.wrong_unjudged if self.doubt is None else self.doubt.probability
 
 
 def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -> list[Candidate]:
@@ -142,9 +144,22 @@ def frames_posed(candidates: list[Candidate]) -> int:
     return len({int(frame) for one in candidates for frame in one.submap.frames})
 
 
-def with_doubts(found: list[Candidate], frames: Frames) -> list[Candidate]:
-    """Each submap with its doubt, as of `with_doubt`."""
-    return [with_doubt(one, frames.camera, len(frames.index), len(found)) for one in found]
+def with_doubts(found: list[Candidate], frames: Frames, of_others: float | None = None) -> list[Candidate]:
+    """Each submap with its doubt, as of `with_doubt`. One that cannot be judged is as probably wrong as those of its
+    mapper that can: maps of one film are alike (docs/lab/map_doubt.md). of_others: where none of them can be judged."""
+    judged = [with_doubt(one, frames.camera, len(frames.index), len(found)) for one in found]
+    mean = mean_doubt(judged)
+    unjudged = of_others if mean is None else mean
+    if unjudged is None:
+        return judged
+    return [one if one.doubt is not None else replace(one, wrong_unjudged=unjudged) for one in judged]
+
+
+def mean_doubt(candidates: list[Candidate]) -> float | None:
+    """Probability that a frame of the submaps that could be judged lies in a wrong one; None where there is none."""
+    judged = [one for one in candidates if one.doubt is not None]
+    frames = sum(one.check.frames for one in judged)
+    return sum(one.wrong * one.check.frames for one in judged) / frames if frames else None
 
 
 def with_doubt(one: Candidate, camera: Camera, total: int, submaps: int) -> Candidate:

@@ -287,7 +287,8 @@ READ = """
   have other guts than those above (seeds 501 and 502).
 - **In the product**: below 5 % nothing is said, to 50 % "may be wrong", above it "is probably wrong", each with the
   figure that weighs most. Of a map of odometry with 20 % or more COLMAP is asked, and maps of both front ends count by
-  the probability that they are right ([front end](../guide/front_end.md)).
+  the probability that they are right ([front end](../guide/front_end.md)). A map that is too short to be judged counts
+  as probably wrong as those of its film and front end that are judged.
 """
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ class Clockwork:
         monkeypatch.setattr(automatic.time, "monotonic", lambda: self.now)
         self.root, self.forgotten = Path("/nowhere"), 0
         monkeypatch.setattr(automatic, "candidates_of", lambda mapper, *_: found[mapper])
-        monkeypatch.setattr(automatic, "with_doubts", lambda maps, _: maps)
+        monkeypatch.setattr(automatic, "with_doubts", lambda maps, *_: maps)
 
         def run_first(*_):
             self.now += first_s

@@ -38,7 +38,7 @@ def asked(monkeypatch, tmp_path):
         monkeypatch.setattr(colmap, "run_isolated", lambda *_: None)
         monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
         monkeypatch.setattr(colmap, "map_by_colmap", lambda mapper, *_: [look_up(mapper)])
-        monkeypatch.setattr(automatic, "with_doubts", lambda found, _: found)
+        monkeypatch.setattr(automatic, "with_doubts", lambda found, *_: found)
         for module in (colmap, automatic):
             monkeypatch.setattr(module, "candidates_of", lambda mapper, *_: found[mapper])
         odometry = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": [look_up("odometry")]}))
@@ -106,7 +106,7 @@ def test_auto_survives_a_matcher_that_fails(monkeypatch, tmp_path):
         monkeypatch.setattr(colmap, "run_isolated", fail)
         monkeypatch.setattr(colmap, "colmap_job", lambda *_: {})
         monkeypatch.setattr(automatic, "candidates_of", lambda *_: [DARK])
-        monkeypatch.setattr(automatic, "with_doubts", lambda found, _: found)
+        monkeypatch.setattr(automatic, "with_doubts", lambda found, *_: found)
         found = SimpleNamespace(run=lambda *_: FrontEndResult({"odometry": []}))
         monkeypatch.setitem(FRONT_ENDS, "odometry", found)
         few = many_frames(100)
@@ -164,14 +164,32 @@ def test_a_kept_lens_says_where_it_is_from(monkeypatch, given, factor, origin):
 def test_only_long_submaps_of_mappers_with_coefficients_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
     monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
-    monkeypatch.setattr(scoring, "judge", lambda evidence, family: f"{family} judged by {evidence}")
+    by_family = {"odometry": SimpleNamespace(probability=0.9), "colmap": SimpleNamespace(probability=0.1)}
+    monkeypatch.setattr(scoring, "judge", lambda evidence, family: by_family[family])
     short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path(), "odometry")
     kept, frames = [GOOD, short], many_frames(100)
     monkeypatch.setattr(scoring, "coefficients", lambda: {"odometry": {"weights": {}}})
     found = scoring.with_doubts([*kept, replace(GOOD, mapper="global"), replace(GOOD, mapper="poses")], frames)
-    assert [one.doubt for one in found] == ["odometry judged by evidence", None, None, None]
+    assert [one.doubt for one in found] == [by_family["odometry"], None, None, None]
     monkeypatch.setattr(scoring, "coefficients", lambda: {"colmap": {"weights": {}}})
-    assert scoring.with_doubts([replace(GOOD, mapper="global")], frames)[0].doubt == "colmap judged by evidence"
+    assert scoring.with_doubts([replace(GOOD, mapper="global")], frames)[0].doubt == by_family["colmap"]
+
+
+def test_a_map_that_cannot_be_judged_is_as_probably_wrong_as_those_of_its_film_that_can(monkeypatch):
+    """Two long maps of 60 and 20 frames, wrong with 90 and 10 %."""
+    probability = {60: 0.9, 20: 0.1}
+
+    def judged(one, *_):
+        doubt = probability.get(one.check.frames)
+        return replace(one, doubt=None if doubt is None else SimpleNamespace(probability=doubt))
+
+    monkeypatch.setattr(scoring, "with_doubt", judged)
+    maps, frames = [map_of(range(60)), map_of(range(60, 80)), map_of(range(80, 90))], many_frames(100)
+    assert [one.wrong for one in scoring.with_doubts(maps, frames)] == pytest.approx([0.9, 0.1, 0.7])
+    assert scoring.mean_doubt(scoring.with_doubts(maps, frames)) == pytest.approx(0.7)
+    alone = maps[2:]
+    assert [one.wrong for one in scoring.with_doubts(alone, frames, 0.6)] == [0.6]
+    assert [one.wrong for one in scoring.with_doubts(alone, frames)] == [scoring.WRONG_OF_UNKNOWN]
 
 
 def test_choices_that_cannot_work_are_refused_at_once():
