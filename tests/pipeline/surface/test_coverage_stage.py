@@ -98,7 +98,7 @@ def test_a_ring_has_no_hour(tmp_path):
     row = {"number": 1, "area": 50, "diameter": 8, "arc": 3, "clock": region.clock, "frame": 7, "seconds": 0.2}
     record = {"judged": True, "unit": "mm", "covered_percent": 90.0, "stretch": 80.0, "listed_from": 5.0}
     record |= {"smaller_regions": 4, "missed_regions": [row]}
-    assert "<td>all round</td>" in coverage_section(CoverageResult(record, tmp_path / "coverage.png"))
+    assert "<td>all round</td>" in coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {})
 
 
 def test_a_listed_region_shows_on_the_map_even_beneath_a_fold():
