@@ -34,7 +34,7 @@ HEAD = """# Whether a map is wrong
 - **Command:** `python -m benchmarks.records map_doubt --work WORK --data DATA` at {commit} ({processor}, {cores}
   cores); rendered by `python scripts/pages/map_doubt_page.py > docs/lab/map_doubt.md`.
 - **Maps:** odometry's, of 20 frames and more: {choosing} of {choosing_films} films for choosing, of which
-  {choosing_wrong} are wrong, and {reported} of {reported_films} films that had no part in any choice, of which
+  {choosing_wrong} are wrong, and {reported} of {reported_films} films that had no part in the fit, of which
   {reported_wrong} are wrong. Tracked by usual keyframes and by those of `--fast`, with a second seed, with focal
   lengths off by 15 % and with an unknown lens; films for choosing also in parts, which makes wrong maps.
   [COLMAP's](#colmaps-maps) are further down.
@@ -223,7 +223,8 @@ def _aims(rows: list[dict[str, Any]]) -> dict[str, str]:
     moving, still = ([r for r in right if _moves(r) == moves] for moves in (True, False))
     parts = (_of(sum(r in doubted for r in of), of) for of in (still, moving))
     return {
-        "sure": f"{_of(len(wrong), sure)} of {len(sure)} sure maps are wrong: {_verdict(wrong, sure, AIM_WRONG)}",
+        "sure": f"{_of(len(wrong), sure)} of {len(sure)} sure maps are wrong: {_verdict(wrong, sure, AIM_WRONG)}. Only "
+        f"{sum(map(_moves, sure))} of them are of moving walls",
         "doubted": f"{_of(len(doubted), right)} of {len(right)} right maps are doubted: "
         f"{_verdict(doubted, right, AIM_DOUBTED)}. Of {len(still)} of still walls {next(parts)}, of {len(moving)} of "
         f"moving walls {next(parts)}",
@@ -280,8 +281,8 @@ READ = """
   recorded path with reported ones; some share a lens.
 - **Limits.** {moving} wrong maps are of moving walls; films for choosing have {paths} paths with such. Maps of one film
   are much alike: there are {films} reported films, and one run a way. False starts hardly occur: odometry asks for much
-  before it begins. Maps of fewer than 20 frames had no part, and are judged by the light alone. Probabilities are those
-  of this mixture of films: where fewer maps are wrong, they are too high.
+  before it begins. Maps of fewer than 20 frames had no part; how they count is said below. Probabilities are those of
+  this mixture of films: where fewer maps are wrong, they are too high.
 - **COLMAP's maps** of walls that move are wrong far less often than odometry's. So few of the reported ones are wrong
   that the table says how often right maps are doubted, and little of wrong ones. Its films `uneven_a` and `uneven_b`
   have other guts than those above (seeds 501 and 502).

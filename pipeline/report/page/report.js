@@ -5,6 +5,11 @@ const run = JSON.parse(page("run-data").textContent);
 const articles = [...document.querySelectorAll(".keyframe")];
 let current = -1, submap = 0, scene = null;
 
+// Pale rings for all regions but the one that was asked for; without a number none is pale.
+function askFor(region) {
+  document.querySelectorAll(".ring").forEach(ring => ring.classList.toggle("pale", region !== undefined && ring.textContent !== region));
+}
+
 // Show a keyframe everywhere: pictures, slider, timeline, and the 3-D view of its submap.
 function select(number) {
   const wanted = Math.max(0, Math.min(articles.length - 1, number));
@@ -35,7 +40,7 @@ function markRegions() {
       const frame = Object.assign(document.createElement("div"), { className: "marked" });
       image.replaceWith(frame);
       frame.append(image);
-      figure.querySelector("figcaption").append("; rings: direction of missed regions");
+      figure.querySelector("figcaption").append("; rings: missed wall lies in this direction, often behind what is seen here");
     }
     const ring = Object.assign(document.createElement("span"), { className: "ring", textContent: region.number, title: region.words });
     [ring.style.left, ring.style.top] = region.at.map(share => `${100 * share}%`);
@@ -93,6 +98,7 @@ function listen() {
   });
   document.querySelectorAll(".goto").forEach(anchor => anchor.addEventListener("click", event => {
     event.preventDefault();
+    askFor(anchor.dataset.region);
     select(Number(anchor.hash.replace("#keyframe-", "")));
     document.querySelector(".viewer").scrollIntoView({ block: "start" });
   }));

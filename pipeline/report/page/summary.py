@@ -198,7 +198,7 @@ def coverage_section(result: CoverageResult, links: Mapping[int, Link]) -> str:
         reason = result.sentence
         return f"<h2>Coverage</h2><p>{html.escape(reason[:1].upper() + reason[1:])}.</p>"
     unit = unit_label(record["unit"])
-    head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"arc length [{unit}]", "o'clock")
+    head = ("region", f"area [{unit}²]", f"equivalent diameter [{unit}]", f"place along the lumen [{unit}]", "o'clock")
     rows = [
         "".join(
             f"<td>{value}</td>"
@@ -210,12 +210,12 @@ def coverage_section(result: CoverageResult, links: Mapping[int, Link]) -> str:
                 clock_words(region).removesuffix(" o'clock"),
                 f"{100 * region['probability']:.0f} %" if "probability" in region else "",
                 f"{region['frame']} ({region['seconds']:.2f} s)",
-                _shown_in(links.get(region["number"])),
+                _shown_in(region["number"], links.get(region["number"])),
             )
         )
         for region in record["missed_regions"]
     ]
-    heads = "".join(f"<th>{title}</th>" for title in (*head, "hidden", "nearest frame", "keyframe here"))
+    heads = "".join(f"<th>{title}</th>" for title in (*head, "hidden", "nearest frame", "keyframe to look at"))
     table = f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
     return (
         f"<h2>Coverage</h2><p>{html.escape(result.sentence)}.</p>"
@@ -224,9 +224,9 @@ def coverage_section(result: CoverageResult, links: Mapping[int, Link]) -> str:
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
         f"begins, carried along without twisting. {_meanings(record)}"
-        "Look at the nearest frame before you believe one. The keyframe here is the one near it that shows the "
-        "direction of the region best. With JavaScript a ring marks that direction in its picture; a fold may hide the "
-        "region there.</p>"
+        "Look before you believe one. The nearest frame is that from nearest the region that pointed towards it; the "
+        "keyframe to look at is one close to it that has the direction of the region in its picture. With JavaScript a "
+        "ring marks that direction; a fold often hides the region there.</p>"
     )
 
 
@@ -246,8 +246,8 @@ def _meanings(record: dict[str, Any]) -> str:
     return told + tested if told else ""
 
 
-def _shown_in(link: Link | None) -> str:
+def _shown_in(region: int, link: Link | None) -> str:
     if link is None:
         return ""
     outside = "" if link.has_ring else ", not in the picture"
-    return f'<a class="goto" href="{html.escape(link.address)}">frame {link.frame}</a>{outside}'
+    return f'<a class="goto" data-region="{region}" href="{html.escape(link.address)}">frame {link.frame}</a>{outside}'

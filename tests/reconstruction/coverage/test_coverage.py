@@ -260,7 +260,7 @@ def test_the_report_has_a_table_or_one_sentence(tmp_path):
     record |= {"smaller_regions": 4, "missed_regions": [row, row]}
     section = coverage_section(CoverageResult(record, tmp_path / "coverage.png"), {1: Link("#keyframe-5", 9, False)})
     assert section.count("<tr>") == 3
-    assert section.count('href="#keyframe-5">frame 9</a>, not in the picture') == 2
+    assert section.count('data-region="1" href="#keyframe-5">frame 9</a>, not in the picture') == 2
     assert "90.0 % of the wall" in section
     assert "±" not in section  # a run made before its error and the regions' probabilities were told
     record |= {
