@@ -17,7 +17,7 @@ import numpy as np
 from haustra.core.text import counted
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
-from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, count_sentence
+from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, Shown, count_sentence
 from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_surfaces
 from pipeline.report.page.scene import scene_data
 from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details, source_name
@@ -61,7 +61,7 @@ def write_page(
         "COUNT": html.escape(count_sentence(shown, submaps)),
         "BROWSER": pictures.browser,
         "TIMELINE": timeline_section(states, shown, submaps),
-        "COVERAGE": _coverage(coverage, [_links(of["missed"]["regions"]) for of in scene]),
+        "COVERAGE": _coverage(coverage, [_links(of["missed"]["regions"], shown) for of in scene]),
         "DETAILS": details(metrics),
         "STYLE": _asset("report.css"),
         "DATA": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
@@ -90,10 +90,10 @@ def _asset(name: str) -> str:
     return (resources.files("pipeline.report.page") / name).read_text(encoding="utf-8")
 
 
-def _links(regions: list[dict[str, Any]]) -> dict[int, Link]:
+def _links(regions: list[dict[str, Any]], shown: list[Shown]) -> dict[int, Link]:
     """Of each region by its number: the keyframe that shows its direction."""
     return {
-        of["number"]: Link(f"#keyframe-{of['keyframe']}", of["shown_frame"], of["at"] is not None)
+        of["number"]: Link(f"#keyframe-{of['keyframe']}", shown[of["keyframe"]].frame, of["at"] is not None)
         for of in regions
         if of["keyframe"] is not None
     }

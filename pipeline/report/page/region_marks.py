@@ -32,15 +32,15 @@ def mark_region(
     """
     offset = np.einsum("nji,nj->ni", world_from_camera[:, :3, :3], place - world_from_camera[:, :3, 3])
     ahead = offset[:, 2] > 0
-    at = np.full((len(offset), 2), np.nan)
+    at = np.full((len(offset), 2), np.inf)
     at[ahead] = camera.project(offset[ahead]) / (camera.width, camera.height)
     off_middle = np.abs(2 * at - 1).max(axis=1)
-    seen = np.nan_to_num(off_middle, nan=np.inf) <= 1
+    seen = off_middle <= 1
     away, distance = np.abs(frames - frame), np.linalg.norm(offset, axis=1)
     if not seen.any():
         return RegionMark(int(np.argmin(away)), None)
     nearest = int(np.argmin(np.where(seen, away, np.inf)))
     near = seen & (distance <= FARTHER * distance[nearest])
-    inside = near & (np.nan_to_num(off_middle, nan=np.inf) <= INNER)
+    inside = near & (off_middle <= INNER)
     row = int(np.argmin(np.where(inside, away, np.inf))) if inside.any() else nearest
     return RegionMark(row, (float(at[row, 0]), float(at[row, 1])))

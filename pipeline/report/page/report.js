@@ -5,13 +5,10 @@ const run = JSON.parse(page("run-data").textContent);
 const articles = [...document.querySelectorAll(".keyframe")];
 let current = -1, submap = 0, scene = null;
 
-// Pale rings for all regions but the one that was asked for; without a number none is pale.
-function askFor(region) {
+// Show a keyframe everywhere: pictures, slider, timeline, and the 3-D view of its submap. region: the number, as text, of
+// a missed region that it was opened for; the rings of others are pale then.
+function select(number, region) {
   document.querySelectorAll(".ring").forEach(ring => ring.classList.toggle("pale", region !== undefined && ring.textContent !== region));
-}
-
-// Show a keyframe everywhere: pictures, slider, timeline, and the 3-D view of its submap.
-function select(number) {
   const wanted = Math.max(0, Math.min(articles.length - 1, number));
   if (!articles.length || wanted === current) return;
   current = wanted;
@@ -98,8 +95,7 @@ function listen() {
   });
   document.querySelectorAll(".goto").forEach(anchor => anchor.addEventListener("click", event => {
     event.preventDefault();
-    askFor(anchor.dataset.region);
-    select(Number(anchor.hash.replace("#keyframe-", "")));
+    select(Number(anchor.hash.replace("#keyframe-", "")), anchor.dataset.region);
     document.querySelector(".viewer").scrollIntoView({ block: "start" });
   }));
 }

@@ -63,7 +63,7 @@ class Scene {
       { type: "mesh3d", hoverinfo: "skip", ...xyz(missed.vertices), ...triangles(missed.faces), color: MISSED, opacity: 0.55, lighting: { ambient: 0.85, diffuse: 0.25, specular: 0, fresnel: 0 } },
       { type: "scatter3d", mode: "markers+text", x: centres.map(c => c[0]), y: centres.map(c => c[1]), z: centres.map(c => c[2]),
         text: map.missed.regions.map(region => String(region.number)), textposition: "middle center", textfont: { size: 10, color: "#ffffff" },
-        customdata: map.missed.regions.map(region => [region.keyframe, region.words.replace(/; /g, "<br>")]),
+        customdata: map.missed.regions.map(region => [region.keyframe, region.words.replace(/; /g, "<br>"), String(region.number)]),
         hovertemplate: "%{customdata[1]}<extra></extra>", marker: { size: 9, color: "#1d4fb8", line: { color: "#ffffff", width: 1 } } },
       { type: "scatter3d", mode: "lines", x: [], y: [], z: [], hoverinfo: "skip", line: { color: "#ffd166", width: 4 } },
     ].map((trace, k) => ({ ...trace, visible: !this.hidden.has(k) }));
@@ -71,7 +71,7 @@ class Scene {
 
   clicked(picked) {
     const data = picked.data.customdata && picked.data.customdata[picked.pointNumber];
-    if (Array.isArray(data)) { if (data[0] !== null) this.onKeyframe(data[0]); } else if (data !== undefined) this.onFrame(data);
+    if (Array.isArray(data)) { if (data[0] !== null) this.onKeyframe(data[0], data[2]); } else if (data !== undefined) this.onFrame(data);
   }
 
   // A camera square to the longest axis, far enough away for everything; the path runs from left to right.

@@ -113,7 +113,7 @@ def _submap(
             "frames": submap.frames[completed.rows].tolist(),
         },
         "shown": [{"keyframe": place, "pose": _pose(world_from_camera[row])} for place, row in shown.items()],
-        "missed": _missed(result, unit, limits.patch_triangles)
+        "missed": _missed(result, limits.patch_triangles)
         | {"regions": _regions(result, unit, submap, shown, completed.camera)},
     }
 
@@ -133,7 +133,7 @@ def _packed(mesh: SurfaceMesh, colours: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def _missed(result: CoverageResult, unit: str, triangles: int) -> dict[str, Any]:
+def _missed(result: CoverageResult, triangles: int) -> dict[str, Any]:
     """The closing surface over the listed regions where it is known."""
     patches = [decimated(finite(patch), max(1, triangles // len(result.missed))) for patch in result.missed]
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
@@ -149,14 +149,14 @@ def _regions(
     result: CoverageResult, unit: str, submap: Submap, shown: dict[int, int], camera: Camera
 ) -> list[dict[str, Any]]:
     """Of each listed region its number, words and middle; `keyframe`: place of the page's keyframe that shows its
-    direction, None without one; `at`: where in the picture, None outside; `shown_frame`: that keyframe's."""
+    direction, None without one; `at`: where in the picture, None outside."""
     regions, rows, found = result.record.get("missed_regions", []), list(shown.values()), []
     poses, frames = submap.world_from_camera[rows], submap.frames[rows]
     for place, region in zip(_places(regions, result.missed), regions, strict=True):
         entry: dict[str, Any] = {"keyframe": None, "at": None}
         if rows:
             mark = mark_region(place, region["frame"], poses, frames, camera)
-            entry = {"keyframe": list(shown)[mark.row], "at": mark.at, "shown_frame": int(frames[mark.row])}
+            entry = {"keyframe": list(shown)[mark.row], "at": mark.at}
         found.append(_told(region, unit) | entry)
     return found
 

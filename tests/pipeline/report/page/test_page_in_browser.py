@@ -97,10 +97,16 @@ def test_a_ring_in_the_picture_marks_where_a_missed_region_lies(opened):
     share = np.array(middle) / (image["width"], image["height"])
     assert share == pytest.approx(region["at"], abs=0.01)
     assert page.locator(".ring").evaluate("mark => getComputedStyle(mark).fontWeight") == "600"
-    page.evaluate("askFor('9')")  # as a click on another region does
+    page.evaluate("select(current, '9')")  # as a click on another region does
     assert page.locator(".ring.pale").count() == 1
     page.click("a.goto")
     assert page.locator(".ring.pale").count() == 0
+    page.evaluate("select(current, '9')")
+    page.locator("#slider").fill("0")
+    assert page.locator(".ring.pale").count() == 0
+    assert page.locator(".keyframe.current .ring").count() == 0
+    page.evaluate("scene.clicked({data: scene.element.data[TRACE.numbers], pointNumber: 0})")
+    assert page.locator(".keyframe.current .ring:not(.pale)").count() == 1
 
 
 @slow
