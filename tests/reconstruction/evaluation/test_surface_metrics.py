@@ -138,6 +138,16 @@ def test_truth_without_depth_is_the_mesh_or_what_was_seen_of_it(tmp_path):
     assert len(half) == pytest.approx(len(points) / 2, rel=0.1)
 
 
+def test_truth_of_a_wall_that_contracts_is_the_wall_at_rest(tmp_path):
+    folder = write_folder(tmp_path / "film")
+    trimesh.creation.icosphere(subdivisions=3, radius=10).export(folder / "mesh.ply")
+    contraction = {"frame": 1, "centre_mm": 50.0, "strength": 0.3, "width_mm": 9.0}
+    for contractions, of_mesh in (([], False), ([contraction], True)):
+        (folder / "events.json").write_text(json.dumps({"slots": [], "contractions": contractions}))
+        distance = np.linalg.norm(read_reference_surface(folder).seen, axis=1)
+        assert np.allclose(distance, 10, atol=0.15) == of_mesh
+
+
 def test_truth_that_cannot_be_read_is_named(tmp_path):
     folder = write_folder(tmp_path / "a", "EQUIRECTANGULAR")
     with pytest.raises(ReconstructionError, match="EQUIRECTANGULAR"):
