@@ -15,49 +15,9 @@ from pydantic import Field, PositiveInt, ValidationError, model_validator
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from pipeline.given_settings import LumenMm, PoseSettings, SensorSettings, Settings, StereoSettings
+from pipeline.retired_settings import FIXED_SINCE, OLD_SECTIONS, RENAMED, REPLACED, RETIRED
 
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
-
-
-# Names of version 0.1 in run.yaml and --config files, and what they are called today.
-RENAMED = {
-    "depth.looks": "depth.iterations",
-    "pose_graph.enabled": "loop_closing.enabled",
-    "pose_graph.join": "loop_closing.merge_submaps",
-    "pose_graph.max_places": "loop_closing.max_keyframes",
-}
-# Settings whose place another has taken, which means something else, and their defaults: no other value can be kept.
-REPLACED = {"fusion.max_depth_ratio": ("fusion.max_error_voxels", 2.0)}
-# Settings of version 0.1 that nobody set, and the values at which they are fixed now.
-RETIRED: dict[str, float] = {
-    "frames.min_brightness": 8.0,
-    "frames.max_burnt": 0.6,
-    "frames.min_texture": 1.2,
-    "frames.min_relative_sharpness": 0.3,
-    "frames.min_change": 0.35,
-    "structure.peak_threshold": 0.002,
-    "structure.max_features": 2048,
-    "structure.overlap": 8,
-    "structure.loop_neighbours": 2,
-    "structure.loop_stride": 10,
-    "structure.threads": 2,
-    "structure.min_registered": 0.8,
-    "structure.max_dark_near": 0.05,
-    "sparse.max_reprojection_px": 1.5,
-    "sparse.min_track_length": 3,
-    "sparse.min_angle_deg": 1.0,
-    "sparse.pixel_noise": 0.5,
-    "sparse.neighbours": 4,
-    "sparse.outlier_ratio": 0.25,
-    "depth.min_points": 12,
-    "depth.max_fov_deg": 120.0,
-    "pose_graph.per_place": 3,
-    "consistency.severity": 6.0,
-    "consistency.max_contradicted": 0.5,
-    "fusion.truncation_voxels": 12.0,
-    "fusion.min_component": 0.02,
-}
-OLD_SECTIONS = ("structure", "sparse", "pose_graph")
 
 
 class FrameSettings(Settings):
@@ -241,7 +201,8 @@ def validate_config(values: dict[str, object]) -> Config:
     """A `Config`, or one sentence that names the first wrong setting."""
     for name in _flat(values):
         if name in RETIRED:
-            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {RETIRED[name]:g}; remove it")
+            fixed = FIXED_SINCE.get(name, RETIRED[name])
+            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {fixed:g}; remove it")
         if name in REPLACED:
             raise HaustraError(f"there is no setting '{name}' any more, '{REPLACED[name][0]}' has taken its place")
         if name.split(".")[0] in OLD_SECTIONS and name not in RENAMED:
@@ -286,7 +247,7 @@ def read_recorded(values: dict[str, object]) -> Config:
 
 
 def retired_differences(values: dict[str, Any]) -> list[str]:
-    """Retired settings in a run's record that are not the constants of today, as `Config.differences` has them."""
+    """Retired settings in a run's record that were not left at their defaults, as `Config.differences` has them."""
     recorded = _flat(values)
     replaced = [
         f"{old}: {recorded[old]}, whose place {new} has taken"
@@ -294,7 +255,7 @@ def retired_differences(values: dict[str, Any]) -> list[str]:
         if recorded.get(old, default) != default
     ]
     return replaced + [
-        f"{name}: {recorded[name]}, now fixed at {value:g}"
+        f"{name}: {recorded[name]}, now fixed at {FIXED_SINCE.get(name, value):g}"
         for name, value in RETIRED.items()
         if name in recorded and recorded[name] != value
     ]

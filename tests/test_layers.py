@@ -40,6 +40,7 @@ pipeline.optimization pipeline.input
 pipeline.run_folder
 pipeline.config
 pipeline.given_settings
+pipeline.retired_settings
 completion.training completion.evaluation
 completion.inference
 completion.weights

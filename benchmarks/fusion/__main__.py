@@ -1,7 +1,6 @@
-"""`python -m benchmarks.fusion`: see `comparison.py`."""
+"""What the parts and numbers of fusion are worth to the mesh of finished runs."""
 
-from benchmarks.common.runner import run
-from benchmarks.fusion import comparison
+from benchmarks.common.runner import choose
 
 if __name__ == "__main__":
-    run(comparison, "benchmarks.fusion")
+    choose("benchmarks.fusion", __doc__, ["comparison", "truncation"])

@@ -1,6 +1,6 @@
 """What depth, and each part of the fusion, is worth to the mesh: finished runs fused anew and measured against truth.
 
-    python -m benchmarks.fusion RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
+    python -m benchmarks.fusion comparison RUN=FOLDER... --model "MSCSA-Net=W.safetensors" --json fusion.json
 
 RUN must be a finished run of the RGB-D folder's frames. Its keyframes, poses and voxels are fused with linear
 interpolation of its sparse points, what each `--model` makes of them, the depth that the run wrote, and true depth;

@@ -26,7 +26,9 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 Array = NDArray[np.float64]
 
 STAGE = "surface"
-TRUNCATION_VOXELS = 12.0  # must exceed the error of completed depth
+# More than the error of completed depth, less than a fold is thick: farther behind the wall that a keyframe sees, its
+# depth would be averaged into the fold's other side. Chosen by docs/lab/fusion.md.
+TRUNCATION_VOXELS = 5.0
 MIN_COMPONENT = 0.02  # share of the area; smaller pieces float
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
 LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted

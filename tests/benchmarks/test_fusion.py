@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.common.runner import run as run_benchmark
-from benchmarks.fusion import comparison, depths
+from benchmarks.fusion import comparison, depths, truncation
 from benchmarks.fusion.depths import KeyframeView, completed, depth_sources, model_depth
 from benchmarks.fusion.measured_run import UNMOVED, MeasuredRun
 from completion.evaluation.predictors import Predictor
@@ -256,7 +256,7 @@ def test_the_command_prints_both_tables_and_writes_json(tmp_path, capsys):
     for name in ("first", "second"):
         write_run(tmp_path / name, PINHOLE)
     pairs = [f"{tmp_path / name}={tmp_path / 'film'}" for name in ("first", "second")]
-    run_benchmark(comparison, "benchmarks.fusion", [*pairs, "--json", str(tmp_path / "out.json")])
+    run_benchmark(comparison, "benchmarks.fusion comparison", [*pairs, "--json", str(tmp_path / "out.json")])
     printed = capsys.readouterr().out
     record = json.loads((tmp_path / "out.json").read_text())
     assert list(record["runs"]) == ["first", "second"]
@@ -266,3 +266,28 @@ def test_the_command_prints_both_tables_and_writes_json(tmp_path, capsys):
     assert len(rows) == 2
     assert rows[0].startswith(f"| first ({COUNT} of {COUNT} frames) | linear | {f_score:.1f} / ")
     assert "not measured: no run has both" in printed
+
+
+def test_truncations_are_measured_side_by_side_and_kept(tmp_path, capsys):
+    write_truth(tmp_path / "film", PINHOLE)
+    write_run(tmp_path / "run", PINHOLE)
+    record = tmp_path / "out.json"
+    asked = [
+        f"{tmp_path / 'run'}={tmp_path / 'film'}",
+        "--role",
+        "chosen",
+        "--voxels",
+        "12",
+        "5",
+        "--json",
+        str(record),
+    ]
+    run_benchmark(truncation, "benchmarks.fusion truncation", asked)
+    run = json.loads(record.read_text())["runs"][0]
+    assert (run["sequence"], run["method"]) == ("film", "chosen")
+    whole = MeasuredRun(tmp_path / "run", tmp_path / "film")
+    own = 100 * whole.measure(depth_sources({}, 160)[1])["both"]["f_score"]
+    assert run["truncations"]["5"]["f_score"] == pytest.approx(own)  # what a run fuses with
+    capsys.readouterr()
+    run_benchmark(truncation, "benchmarks.fusion truncation", asked)  # of a film that the record has, nothing anew
+    assert capsys.readouterr().out.startswith("12 voxels: mean ")

@@ -6,7 +6,8 @@ import pytest
 import yaml
 
 from haustra.core.errors import HaustraError
-from pipeline.config import RETIRED, load_config, read_recorded, retired_differences, validate_config
+from pipeline.config import load_config, read_recorded, retired_differences, validate_config
+from pipeline.retired_settings import RETIRED
 
 OLD = yaml.safe_load((Path(__file__).parent / "old_run_settings.yaml").read_text())
 
