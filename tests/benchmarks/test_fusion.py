@@ -272,16 +272,8 @@ def test_truncations_are_measured_side_by_side_and_kept(tmp_path, capsys):
     write_truth(tmp_path / "film", PINHOLE)
     write_run(tmp_path / "run", PINHOLE)
     record = tmp_path / "out.json"
-    asked = [
-        f"{tmp_path / 'run'}={tmp_path / 'film'}",
-        "--role",
-        "chosen",
-        "--voxels",
-        "12",
-        "5",
-        "--json",
-        str(record),
-    ]
+    pair = f"{tmp_path / 'run'}={tmp_path / 'film'}"
+    asked = [pair, *["--role", "chosen", "--voxels", "12", "5", "--json"], str(record)]
     run_benchmark(truncation, "benchmarks.fusion truncation", asked)
     run = json.loads(record.read_text())["runs"][0]
     assert (run["sequence"], run["method"]) == ("film", "chosen")
