@@ -42,7 +42,8 @@ class TsdfSettings:
     max_depth: float = np.inf
     """Depth above this is not used."""
     max_grazing_deg: float = 80.0
-    """Angle between ray and normal above which neither a pixel nor a zero crossing of the TSDF is used."""
+    """Angle between ray and normal above which neither a pixel nor a zero crossing of the TSDF is used; pixels whose
+    surroundings are slanted too are used up to 5 degrees more (`prepare_frame`)."""
     min_observations: int = 1
     """Frames that must have seen a surface within the truncation of each of a cell's eight corners; 2 removes most
     floating bits and costs 1 to 6 % of completeness."""
