@@ -257,5 +257,5 @@ def retired_differences(values: dict[str, Any]) -> list[str]:
     return replaced + [
         f"{name}: {recorded[name]}, now fixed at {FIXED_SINCE.get(name, value):g}"
         for name, value in RETIRED.items()
-        if name in recorded and recorded[name] != value
+        if name in recorded and recorded[name] not in (value, FIXED_SINCE.get(name, value))
     ]

@@ -25,13 +25,12 @@ from reconstruction.evaluation.surface_metrics import surface_errors
 from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
 from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
-VOXELS = (12.0, 8.0, 6.0, 5.0, 4.0, 3.0)
+TRUNCATIONS = (12.0, 8.0, 6.0, 5.0, 4.0, 3.0)  # voxels
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("pairs", metavar="RUN=FOLDER", type=pair, nargs="+", help="finished run and its RGB-D folder")
-    parser.add_argument("--role", default="reported", help="what the films are to the truncation: reported, chosen")
-    parser.add_argument("--voxels", type=float, nargs="+", default=VOXELS, help="truncations")
+    parser.add_argument("--role", default="reported", choices=("reported", "chosen"), help="what the films are to it")
 
 
 def measure(arguments: argparse.Namespace) -> None:
@@ -43,7 +42,7 @@ def measure(arguments: argparse.Namespace) -> None:
             continue
         opened = MeasuredRun(run, folder)
         keyframes = kept_keyframes(opened)
-        scores = {f"{voxels:g}": score(opened, keyframes, voxels) for voxels in arguments.voxels}
+        scores = {f"{voxels:g}": score(opened, keyframes, voxels) for voxels in TRUNCATIONS}
         table.add(folder.name, 0, {arguments.role: {"voxel_mm": opened.about["voxel_mm"], "truncations": scores}})
         print_row({"film": folder.name} | {voxels: figures["f_score"] for voxels, figures in scores.items()})
     mine = [run["truncations"] for run in table.runs if run["method"] == arguments.role]

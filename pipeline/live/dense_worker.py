@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 # Voxels of the live surface over those of a run: half the detail is an eighth of the work, and what the page can draw.
 COARSER = 2.0
-TRUNCATION_VOXELS = 6.0  # of these; a greater length than a run's, as these poses are not adjusted yet
+LIVE_TRUNCATION_VOXELS = 6.0  # of these; a greater length than a run's, as these poses are not adjusted yet
 PART_KEYFRAMES = 60  # after which a part of the surface is closed: extraction must not grow with the film
 CLOSED_FACES = 8_000  # of a part that does not grow any more
 COMPARED_WITH = 2  # keyframes before, whose depth may contradict
@@ -145,7 +145,7 @@ class DenseWork:
             return parts
         if self._fusion is None:
             size = self.settings.voxel_size or choose_voxel_size([sure], matrix)
-            self._fusion = SurfaceFusion(TsdfSettings(COARSER * size, TRUNCATION_VOXELS))
+            self._fusion = SurfaceFusion(TsdfSettings(COARSER * size, LIVE_TRUNCATION_VOXELS))
             self._part, self._version, self._keyframes = self._part + 1, 0, 0
             self._frames = (keyframe.frame, keyframe.frame)
         remaining = np.where(sure > 0, confidence * votes.weight(SEVERITY), np.float32(0))

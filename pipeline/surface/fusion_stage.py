@@ -26,8 +26,8 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 Array = NDArray[np.float64]
 
 STAGE = "surface"
-# More than the error of completed depth, less than a fold is thick: farther behind the wall that a keyframe sees, its
-# depth would be averaged into the fold's other side. Chosen by docs/lab/fusion.md.
+# Less than a fold is thick, or the depths of its two sides would be averaged; more than the expected error of depth
+# that is fused (`max_error_voxels`), or one wall would become two sheets. Chosen by docs/lab/fusion.md.
 TRUNCATION_VOXELS = 5.0
 MIN_COMPONENT = 0.02  # share of the area; smaller pieces float
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen

@@ -5,17 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
 
 Image = NDArray[np.float32]
-
-# Pixels at a few degrees more than the limit are wall beside the camera, if all wall within a hundredth of the width is
-# seen at more than this angle from its normal; a smeared edge has wall that faces the camera so near.
-BEYOND_DEG, FACING_DEG, AROUND, LEAST_AROUND_PX = 5.0, 60.0, 0.01, 3
 
 
 @dataclass(frozen=True)
@@ -44,8 +39,7 @@ def prepare_frame(
 
     Intrinsics have the top-left pixel's centre at (0.5, 0.5) (COLMAP); the frame has it at (0, 0) (Open3D). Depth that
     is NaN, infinite, not positive or above `max_depth` is dropped; so are pixels that see their surface at more than
-    `max_grazing_deg` from its normal, and pixels whose confidence is NaN or not positive. At up to `BEYOND_DEG`
-    more they stay where all wall around is slanted.
+    `max_grazing_deg` from its normal, and pixels whose confidence is NaN or not positive.
 
     The weight is confidence x (cosine x typical_depth / depth)^2. Confidence is about the relative error, so a wall
     twice as far is twice as uncertain in position: inverse variance. The square of the slant's cosine is a heuristic:
@@ -58,7 +52,7 @@ def prepare_frame(
     usable = np.isfinite(depth) & (depth > 0) & (depth <= max_depth) & (trust > 0)
     clean = np.where(usable, depth, 0).astype(np.float32)
     cosine = view_cosine(clean, centred)
-    usable &= (cosine >= np.cos(np.radians(max_grazing_deg))) | _on_slanted_wall(cosine, max_grazing_deg + BEYOND_DEG)
+    usable &= cosine >= np.cos(np.radians(max_grazing_deg))
     confidence_there = np.where(usable, np.minimum(trust, 1), np.float32(0))
     nearness = np.float32(typical_depth) / np.where(usable, clean, np.float32(np.inf))
     return DepthFrame(
@@ -86,15 +80,6 @@ def view_cosine(depth: Image, centred_intrinsics: NDArray[np.float64]) -> Image:
     normal_length = np.sqrt(across**2 + down**2 + (depth + x * across + y * down) ** 2)
     ray_length = np.sqrt(x**2 + y**2 + 1)
     return np.divide(depth, ray_length * normal_length, out=np.zeros_like(depth), where=depth > 0)
-
-
-def _on_slanted_wall(cosine: Image, most_deg: float) -> NDArray[np.bool_]:
-    """(H,W) pixels at no more than `most_deg`, around which no wall is at less than `FACING_DEG`."""
-    reach = max(LEAST_AROUND_PX, round(AROUND * cosine.shape[1]))
-    most_facing = cv2.dilate(cosine, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
-    facing, slanted = np.cos(np.radians([FACING_DEG, most_deg]))
-    found: NDArray[np.bool_] = (cosine >= slanted) & (most_facing <= facing)
-    return found
 
 
 def _slope(depth: Image, axis: int) -> Image:

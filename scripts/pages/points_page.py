@@ -77,7 +77,6 @@ By the same films' F-scores while the method was chosen; the trials' scripts wer
 - Odometry's own keyframes instead of denser frames: the gain on `withdrawal_b` and `low_texture_b` is gone.
 - No tracked corners: no better, and three times as many keyframes are completed.
 - Keyframes 2 % of the width apart: a third less time for this stage, and 0.4 to 1.8 points less on the three films.
-
 - Features of pictures in which dark wall is made brighter, where there are few: by a square root, by CLAHE, by the
   mean brightness around. F-score -3.3 to +1.5, -1.3 to -0.6 and -4.1 to +1.1 on six films kept for choosing.
 

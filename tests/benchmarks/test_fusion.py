@@ -24,6 +24,8 @@ from pipeline.input.frames import write_image
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace, write_json
+from pipeline.surface import fusion_stage
+from pipeline.surface.fusion_stage import TRUNCATION_VOXELS
 
 SIDE, COUNT, STEP = 64, 12, 0.1  # px; frames; radii that the camera moves between them
 FARTHEST = 2.2  # radii
@@ -268,18 +270,22 @@ def test_the_command_prints_both_tables_and_writes_json(tmp_path, capsys):
     assert "not measured: no run has both" in printed
 
 
-def test_truncations_are_measured_side_by_side_and_kept(tmp_path, capsys):
+def test_truncations_are_measured_side_by_side_and_kept(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(truncation, "TRUNCATIONS", (12.0, TRUNCATION_VOXELS))
     write_truth(tmp_path / "film", PINHOLE)
     write_run(tmp_path / "run", PINHOLE)
     record = tmp_path / "out.json"
     pair = f"{tmp_path / 'run'}={tmp_path / 'film'}"
-    asked = [pair, *["--role", "chosen", "--voxels", "12", "5", "--json"], str(record)]
+    asked = [pair, "--role", "chosen", "--json", str(record)]
     run_benchmark(truncation, "benchmarks.fusion truncation", asked)
     run = json.loads(record.read_text())["runs"][0]
     assert (run["sequence"], run["method"]) == ("film", "chosen")
     whole = MeasuredRun(tmp_path / "run", tmp_path / "film")
-    own = 100 * whole.measure(depth_sources({}, 160)[1])["both"]["f_score"]
-    assert run["truncations"]["5"]["f_score"] == pytest.approx(own)  # what a run fuses with
+    own, scores = depth_sources({}, 160)[1], run["truncations"]
+    assert scores[f"{TRUNCATION_VOXELS:g}"]["f_score"] == pytest.approx(100 * whole.measure(own)["both"]["f_score"])
+    monkeypatch.setattr(fusion_stage, "TRUNCATION_VOXELS", 12.0)  # as if runs had it
+    assert scores["12"]["f_score"] == pytest.approx(100 * whole.measure(own)["both"]["f_score"])
+    assert scores["12"] != scores[f"{TRUNCATION_VOXELS:g}"]
     capsys.readouterr()
     run_benchmark(truncation, "benchmarks.fusion truncation", asked)  # of a film that the record has, nothing anew
     assert capsys.readouterr().out.startswith("12 voxels: mean ")

@@ -88,3 +88,10 @@ def test_a_lumen_of_another_unit_is_refused(diameter):
     with pytest.raises(HaustraError, match=f"setting 'lumen_mm': no endoscope films a lumen of {diameter:g} mm"):
         load_config(None, lumen_mm=diameter)
     assert load_config(None, lumen_mm=50).lumen_mm == 50
+
+
+def test_a_retired_setting_fixed_anew_differs_neither_by_its_old_default_nor_by_its_value_of_today():
+    for voxels, differences in (12.0, []), (5.0, []), (8.0, ["fusion.truncation_voxels: 8.0, now fixed at 5"]):
+        assert retired_differences({"fusion": {"truncation_voxels": voxels}}) == differences
+    with pytest.raises(HaustraError, match="fixed at 5; remove it"):
+        validate_config({"fusion": {"truncation_voxels": 12.0}})
