@@ -14,7 +14,7 @@ FOREIGN = ROOT / "benchmarks/results/foreign_poses.json"
 
 HEAD = """# True poses instead of tracking
 
-- **Date:** 2026-11-27
+- **Date:** 2026-11-29
 - **Question:** Does `--poses` with true poses reach what completed depth can give at true poses?
 - **Command:** `haustra phantom SUITE --suite`, then `python -m benchmarks.reconstruction known-poses SUITE/*
   --json benchmarks/results/known_poses.json`, and `python -m benchmarks.reconstruction foreign-poses CTCOLON
