@@ -15,7 +15,7 @@ from pydantic import Field, PositiveInt, ValidationError, model_validator
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from pipeline.given_settings import LumenMm, PoseSettings, SensorSettings, Settings, StereoSettings
-from pipeline.retired_settings import FIXED_SINCE, OLD_SECTIONS, RENAMED, REPLACED, RETIRED
+from pipeline.retired_settings import FIXED, OLD_SECTIONS, RENAMED, REPLACED, RETIRED
 
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
@@ -201,8 +201,7 @@ def validate_config(values: dict[str, object]) -> Config:
     """A `Config`, or one sentence that names the first wrong setting."""
     for name in _flat(values):
         if name in RETIRED:
-            fixed = FIXED_SINCE.get(name, RETIRED[name])
-            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {fixed:g}; remove it")
+            raise HaustraError(f"there is no setting '{name}' any more, it is fixed at {FIXED[name]:g}; remove it")
         if name in REPLACED:
             raise HaustraError(f"there is no setting '{name}' any more, '{REPLACED[name][0]}' has taken its place")
         if name.split(".")[0] in OLD_SECTIONS and name not in RENAMED:
@@ -255,7 +254,7 @@ def retired_differences(values: dict[str, Any]) -> list[str]:
         if recorded.get(old, default) != default
     ]
     return replaced + [
-        f"{name}: {recorded[name]}, now fixed at {FIXED_SINCE.get(name, value):g}"
-        for name, value in RETIRED.items()
-        if name in recorded and recorded[name] not in (value, FIXED_SINCE.get(name, value))
+        f"{name}: {recorded[name]}, now fixed at {FIXED[name]:g}"
+        for name, default in RETIRED.items()
+        if name in recorded and recorded[name] not in (default, FIXED[name])
     ]

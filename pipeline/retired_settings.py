@@ -10,7 +10,7 @@ RENAMED = {
 }
 # Settings whose place another has taken, which means something else, and their defaults: no other value can be kept.
 REPLACED = {"fusion.max_depth_ratio": ("fusion.max_error_voxels", 2.0)}
-# Settings of version 0.1 that nobody set, and their defaults, at which they are fixed now.
+# Settings of version 0.1 that nobody set, and their defaults.
 RETIRED: dict[str, float] = {
     "frames.min_brightness": 8.0,
     "frames.max_burnt": 0.6,
@@ -40,5 +40,5 @@ RETIRED: dict[str, float] = {
     "fusion.min_component": 0.02,
 }
 OLD_SECTIONS = ("structure", "sparse", "pose_graph")
-# Of those, what is fixed at another value since; a run with the default of 0.1 is gone on with all the same.
-FIXED_SINCE = {"fusion.truncation_voxels": 5.0}
+# The values at which they are fixed; a run that has the default of 0.1 is gone on with all the same.
+FIXED = RETIRED | {"fusion.truncation_voxels": 5.0}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.fusion.depths import Completed, DepthSource, KeyframeView, completed
+from benchmarks.fusion.depths import Completed, DepthSource, KeyframeView, completed, own_depth
 from haustra.core.camera import Camera
 from pipeline.config import Config
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -40,6 +40,7 @@ VARIANTS = {
 }
 UNMOVED = "without pose graph"  # the last of the columns that a depth has, on the map before refinement
 Figures = dict[str, Any]
+Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -125,14 +126,18 @@ class MeasuredRun:
         made = {index: completed(source, view) for index, view in self.views.items()}
         has_confidence = all(confidence is not None for _, confidence in made.values())
         columns = [name for name, (weighted, _) in VARIANTS.items() if has_confidence or not weighted]
-        after = self._fused(self.after, made, source.is_true)
+        after = self._with_depths(self.after, made, source.is_true)
         figures = {name: after.figures(*VARIANTS[name], self.config, self.truth) for name in columns}
         if self.moved:
-            before = self._fused(self.before, made, source.is_true)
+            before = self._with_depths(self.before, made, source.is_true)
             figures[UNMOVED] = before.figures(*VARIANTS[columns[-1]], self.config, self.truth)
         return figures
 
-    def _fused(self, posed: PosedMap, made: dict[int, Completed], is_true: bool) -> "FusedMap":
+    def with_own_depth(self) -> "FusedMap":
+        """The refined map with the depth that the run wrote."""
+        return self._with_depths(self.after, {index: own_depth(view) for index, view in self.views.items()}, False)
+
+    def _with_depths(self, posed: PosedMap, made: dict[int, Completed], is_true: bool) -> "FusedMap":
         index = [int(posed.completed.submap.frames[row]) for row in posed.completed.rows]
         return FusedMap(posed, [self.views[i] for i in index], [made[i] for i in index], is_true)
 
@@ -170,28 +175,31 @@ class FusedMap:
 
     def figures(self, weighted: bool, consistent: bool, config: Config, truth: ReferenceSurface) -> Figures:
         """Errors of the fused surface in mm, and how many keyframes were left out as contradicted."""
-        completed, floor, left_out = self.posed.completed, config.fusion.min_confidence, 0
-        weights = self._weights(weighted, floor)
-        frames = WeightedFrames(
-            completed.camera, self.depths, weights, completed.submap.world_from_camera[completed.rows]
-        )
+        kept = self.kept(weighted, consistent, config)
+        mesh = self.surface(kept, ranges(self.posed.completed, config))
+        return errors_of(mesh, truth) | {"left_out": sum(weight is None for weight in kept)}
+
+    def kept(self, weighted: bool, consistent: bool, config: Config) -> list[Image | None]:
+        """What each keyframe's depth is fused with, (H,W); None of one that the others contradict."""
+        completed, weights = self.posed.completed, self._weights(weighted, config.fusion.min_confidence)
+        if not consistent:
+            return list(weights)
+        frames = WeightedFrames(completed.camera, self.depths, weights, self._world_from_camera)
         settings = ranges(completed, config)
         check = depth_filter(frames, config.consistency, config.fusion, settings)  # type: ignore[arg-type]
-        fusion = SurfaceFusion(settings)
-        for place, weight in enumerate(weights):
-            kept = check.confidence(place, weight) if consistent else weight
-            if kept is None:
-                left_out += 1
-            else:
-                fusion.integrate(
-                    self.images[place],
-                    self.depths[place],
-                    kept,
-                    completed.camera.matrix,
-                    frames.world_from_camera[place],
-                )
-        mesh = drop_small_components(fusion.extract(), MIN_COMPONENT)[0]
-        return errors_of(mesh.transformed(self.posed.truth_from_map), truth) | {"left_out": left_out}
+        return [check.confidence(place, weight) for place, weight in enumerate(weights)]
+
+    def surface(self, kept: list[Image | None], settings: TsdfSettings) -> SurfaceMesh:
+        """What keyframes make with these weights, without its small pieces; mm, the axes of the truth."""
+        fusion, matrix = SurfaceFusion(settings), self.posed.completed.camera.matrix
+        for image, depth, weight, pose in zip(self.images, self.depths, kept, self._world_from_camera, strict=True):
+            if weight is not None:
+                fusion.integrate(image, depth, weight, matrix, pose)
+        return drop_small_components(fusion.extract(), MIN_COMPONENT)[0].transformed(self.posed.truth_from_map)
+
+    @property
+    def _world_from_camera(self) -> NDArray[np.float64]:
+        return self.posed.completed.submap.world_from_camera[self.posed.completed.rows]
 
     def _weights(self, weighted: bool, floor: float) -> list[NDArray[np.float32]]:
         """1 where there is depth; weighted: its confidence, 0 below the least that the run fuses."""

@@ -10,20 +10,14 @@ consistency and confidence as in a run, but spots too dark for their depth are n
 import argparse
 import statistics
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common.record import RunTable, in_percent, print_row
 from benchmarks.fusion.comparison import pair
 from benchmarks.fusion.measured_run import TAU, MeasuredRun, ranges
-from pipeline.depth.completed_submap import CompletedKeyframe
-from pipeline.surface.fusion_stage import MIN_COMPONENT, depth_filter
 from reconstruction.evaluation.surface_metrics import surface_errors
-from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings
-from reconstruction.mesh.surface_mesh import SurfaceMesh, drop_small_components
 
 TRUNCATIONS = (12.0, 8.0, 6.0, 5.0, 4.0, 3.0)  # voxels
 
@@ -41,41 +35,20 @@ def measure(arguments: argparse.Namespace) -> None:
         if table.has(folder.name, 0, arguments.role):
             continue
         opened = MeasuredRun(run, folder)
-        keyframes = kept_keyframes(opened)
-        scores = {f"{voxels:g}": score(opened, keyframes, voxels) for voxels in TRUNCATIONS}
-        table.add(folder.name, 0, {arguments.role: {"voxel_mm": opened.about["voxel_mm"], "truncations": scores}})
-        print_row({"film": folder.name} | {voxels: figures["f_score"] for voxels, figures in scores.items()})
+        found = scores(opened)
+        table.add(folder.name, 0, {arguments.role: {"voxel_mm": opened.about["voxel_mm"], "truncations": found}})
+        print_row({"film": folder.name} | {voxels: figures["f_score"] for voxels, figures in found.items()})
     mine = [run["truncations"] for run in table.runs if run["method"] == arguments.role]
     for voxels in mine[0]:
-        values = [scores[voxels]["f_score"] for scores in mine]
+        values = [of_film[voxels]["f_score"] for of_film in mine]
         print(f"{voxels} voxels: mean {statistics.fmean(values):.2f}, median {statistics.median(values):.2f} % F")
 
 
-def kept_keyframes(run: MeasuredRun) -> list[CompletedKeyframe]:
-    """Keyframes with the confidence that a run fuses, without those that the others contradict."""
-    completed, config = run.after.completed, run.config
-    check = depth_filter(completed, config.consistency, config.fusion, ranges(completed, config))
-    kept = []
-    for place, row in enumerate(completed.rows):
-        keyframe = completed.keyframe(int(row))
-        confidence = check.confidence(place, keyframe.confidence)
-        if confidence is not None:
-            kept.append(replace(keyframe, confidence=confidence))
-    return kept
-
-
-def score(run: MeasuredRun, keyframes: list[CompletedKeyframe], voxels: float) -> dict[str, Any]:
-    """F-score, precision and recall (%) of the keyframes fused at a truncation of so many voxels."""
-    completed = run.after.completed
-    mesh = fused(keyframes, completed.camera.matrix, replace(ranges(completed, run.config), truncation=voxels))
-    moved = mesh.transformed(run.after.truth_from_map)
-    return in_percent(surface_errors(moved, run.truth, TAU, np.random.default_rng(0)))
-
-
-def fused(keyframes: list[CompletedKeyframe], intrinsics: NDArray[np.float64], settings: TsdfSettings) -> SurfaceMesh:
-    """The surface of keyframes without its small pieces."""
-    fusion = SurfaceFusion(settings)
-    for keyframe in keyframes:
-        images = keyframe.rgb, keyframe.depth, keyframe.confidence
-        fusion.integrate(*images, intrinsics, keyframe.world_from_camera)
-    return drop_small_components(fusion.extract(), MIN_COMPONENT)[0]
+def scores(run: MeasuredRun) -> dict[str, dict[str, float]]:
+    """F-score, precision and recall (%) of a run's own depth at each truncation."""
+    own, settings = run.with_own_depth(), ranges(run.after.completed, run.config)
+    kept, found = own.kept(True, True, run.config), {}
+    for voxels in TRUNCATIONS:
+        mesh = own.surface(kept, replace(settings, truncation=voxels))
+        found[f"{voxels:g}"] = in_percent(surface_errors(mesh, run.truth, TAU, np.random.default_rng(0)))
+    return found

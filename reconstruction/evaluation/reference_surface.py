@@ -44,16 +44,16 @@ def read_reference_surface(
 ) -> ReferenceSurface:
     """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`.
 
-    Where the wall moves, all the time or in contractions (`wall_moves`), depth images show it at many places; the
+    Where the wall moves, all the time or in contractions, depth images show it at many places; the
     reference is then the wall at rest, the mesh.ply.
     """
     folder = Path(folder)
-    if not (folder / "depth").is_dir() or wall_moves(folder):
+    if not (folder / "depth").is_dir() or _wall_moves(folder):
         return reference_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
     return reference_from_views(_views(folder, every), max_depth_mm, spacing_mm)
 
 
-def wall_moves(folder: Path) -> bool:
+def _wall_moves(folder: Path) -> bool:
     """Whether a phantom's folder says that its wall moves: by a wall_motion.json, or contractions in events.json."""
     if (folder / "wall_motion.json").exists():
         return True

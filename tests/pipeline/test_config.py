@@ -7,7 +7,8 @@ import yaml
 
 from haustra.core.errors import HaustraError
 from pipeline.config import load_config, read_recorded, retired_differences, validate_config
-from pipeline.retired_settings import RETIRED
+from pipeline.retired_settings import FIXED, RETIRED
+from pipeline.surface.fusion_stage import TRUNCATION_VOXELS
 
 OLD = yaml.safe_load((Path(__file__).parent / "old_run_settings.yaml").read_text())
 
@@ -95,3 +96,4 @@ def test_a_retired_setting_fixed_anew_differs_neither_by_its_old_default_nor_by_
         assert retired_differences({"fusion": {"truncation_voxels": voxels}}) == differences
     with pytest.raises(HaustraError, match="fixed at 5; remove it"):
         validate_config({"fusion": {"truncation_voxels": 12.0}})
+    assert FIXED["fusion.truncation_voxels"] == TRUNCATION_VOXELS

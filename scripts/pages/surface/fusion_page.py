@@ -55,17 +55,22 @@ def truncations(runs: list[dict[str, Any]]) -> str:
     """Mean and median F at each truncation, of the films of each role."""
     rows = []
     for role, label in ROLES.items():
-        mine = [run["truncations"] for run in runs if run["method"] == role]
+        mine = of_role(runs, role)
         for name, of in (("mean", statistics.fmean), ("median", statistics.median)):
             each = [of([scores[voxels]["f_score"] for scores in mine]) for voxels in mine[0]]
             rows.append([f"{label}, {len(mine)} films", name, *(f"{score:.1f}" for score in each)])
     return table(["films", "F-score, %", *(f"{voxels} voxels" for voxels in runs[0]["truncations"])], rows)
 
 
+def of_role(runs: list[dict[str, Any]], role: str) -> list[dict[str, Any]]:
+    """Scores by truncation, of each film of a role."""
+    return [run["truncations"] for run in runs if run["method"] == role]
+
+
 def gain(runs: list[dict[str, Any]], role: str) -> str:
     """What the truncation of runs changes, in place of 12 voxels, in one sentence."""
-    mine = [run["truncations"] for run in runs if run["method"] == role]
-    changes = [scores[f"{TRUNCATION_VOXELS:g}"]["f_score"] - scores["12"]["f_score"] for scores in mine]
+    now = f"{TRUNCATION_VOXELS:g}"
+    changes = [scores[now]["f_score"] - scores["12"]["f_score"] for scores in of_role(runs, role)]
     rises, falls = (sum(sign * change > NOISE for change in changes) for sign in (1, -1))
     return (
         f"{statistics.fmean(changes):+.2f} points in the mean, {statistics.median(changes):+.2f} in the median, "
