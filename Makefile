@@ -21,9 +21,10 @@ test-all: $(STAMP) lint browser
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-# Wheel and sdist into an empty environment, and the image's steps as far as they go without Docker: some ten minutes.
-image-check: $(STAMP)
-	PATH="$(abspath $(BIN)):$$PATH" sh scripts/check_image.sh build/image
+# Wheel and sdist into an empty environment, and the image's steps as far as they go without Docker: some three minutes.
+image-check:
+	sh scripts/system_libraries.sh
+	PYTHON="$(PYTHON)" sh scripts/check_image.sh build/image
 
 # The notebook from its beginning, with what it showed, in build/demo.ipynb.
 notebook: $(STAMP)

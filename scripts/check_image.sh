@@ -11,6 +11,10 @@ mkdir -p "$work"
 work=$(cd "$work" && pwd) # steps change folders
 export PIP_TORCH="${PIP_TORCH-}"
 
+[ -x "$work/tools/bin/python" ] || "${PYTHON-python3}" -m venv "$work/tools"
+PATH="$work/tools/bin:$PATH"
+python3 -m pip install --quiet --disable-pip-version-check build
+
 echo "== sources as git has them"
 rm -rf "$work/src" && mkdir "$work/src"
 git -C "$root" archive HEAD | tar x -C "$work/src"
