@@ -11,6 +11,7 @@ Poses are held fixed. Constants: chosen on films kept for choosing (docs/lab/poi
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -42,6 +43,7 @@ PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expecte
 UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above which a point is dropped
 CHUNK = 1000  # points aligned in one go: some fifty megabytes, mostly pictures
 AT_ONCE = 2  # chunks, each by a thread of its own
+HELD = 128  # frames whose pictures are kept, some twenty megabytes
 SIGHTINGS = 200_000  # projected at once
 PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
 NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
@@ -156,7 +158,9 @@ class _Scene:
     """A submap, its rays and its pictures."""
 
     def __init__(self, submap: Submap, rays: RayTable, read: ReadFrame) -> None:
-        self.submap, self.rays, self.read = submap, rays, read
+        self.submap, self.rays = submap, rays
+        # Chunks share most of their frames, which are files: a picture and a mask are read once for a few chunks.
+        self.picture = lru_cache(HELD)(partial(_picture, read, rays))
         order, self.starts = submap.by_frame()
         self.seen = submap.observations[order, 1]
         # Before: relative errors of points that are found to half a pixel in each frame.
@@ -165,16 +169,11 @@ class _Scene:
     def aligned(self, points: Rows, reference: Rows, others: Rows) -> Alignment:
         """Of points (P,), sorted by their reference frames."""
         rows = np.unique(np.concatenate([reference, others[others >= 0]])).tolist()
-        read = {row: self.read(int(self.submap.frames[row])) for row in rows}
-        pictures = {row: cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for row, (rgb, _) in read.items()}
-        clear = {row: self._clear(mask) for row, (_, mask) in read.items()}
+        read = {row: self.picture(int(self.submap.frames[row])) for row in rows}
+        pictures = {row: grey for row, (grey, _) in read.items()}
+        clear = {row: whole for row, (_, whole) in read.items()}
         patches = self._patches(points, reference, pictures, clear)
         return align_patches(patches.reference, self._views(patches, others, clear), pictures)
-
-    def _clear(self, mask: Picture) -> Picture:
-        """(H,W) 1 where a patch that moves as far as it is looked for touches nothing that is masked."""
-        size = 2 * int(HALF_WIDTH + SEARCH_PX) + 1
-        return cv2.erode(np.minimum(self.rays.masked(mask), 1), np.ones((size, size), np.uint8), borderValue=0)
 
     def _patches(
         self, points: Rows, reference: Rows, pictures: dict[int, Picture], clear: dict[int, Picture]
@@ -238,6 +237,14 @@ class _Scene:
         whole = whole[np.linalg.det(shape[whole]) > LEAST_AREA]  # of what is seen from behind it is negative
         motion = (pixels[:, 3] - centre) / PROBE_SHIFT
         return PatchViews(patch[whole], row[whole], centre[whole], shape[whole], motion[whole])
+
+
+def _picture(read: ReadFrame, rays: RayTable, frame: int) -> tuple[Picture, Picture]:
+    """Of a frame: grey (H,W), and 1 where a patch that moves as far as it is looked for touches nothing masked."""
+    rgb, mask = read(frame)
+    size = 2 * int(HALF_WIDTH + SEARCH_PX) + 1
+    clear = cv2.erode(np.minimum(rays.masked(mask), 1), np.ones((size, size), np.uint8), borderValue=0)
+    return cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), clear
 
 
 def _is_clear(clear: Picture, pixels: Array) -> NDArray[np.bool_]:

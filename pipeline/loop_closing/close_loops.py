@@ -22,6 +22,7 @@ from pipeline.loop_closing.detection import (
     SubmapFeatures,
     find_features,
     loop_candidates,
+    may_have_loops,
     merge_candidates,
     verify_loops,
 )
@@ -77,6 +78,9 @@ def _refine(
     progress: Progress,
 ) -> None:
     warnings: list[str] = []
+    if len(submaps) == 1 and not may_have_loops(submaps[0], settings.max_keyframes):
+        workspace.finish(STAGE, submaps=[_unmoved(0)], warnings=warnings)
+        return
     with progress.bar("loop detection", len(submaps)) as advance:
         pieces = []
         for number, submap in enumerate(submaps):
@@ -183,6 +187,11 @@ def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) ->
         "supported": piece.consistent,
         "loops": [list(pair) for pair in piece.loops],
     }
+
+
+def _unmoved(number: int) -> dict[str, Any]:
+    """The record of a submap that has no loops to close."""
+    return {"members": [number], "moved": False, "proposed": 0, "supported": 0, "loops": []}
 
 
 def _loaded(

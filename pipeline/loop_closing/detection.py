@@ -65,8 +65,12 @@ def find_features(
 
     known: features by the keyframe's row, which are not detected again.
     """
-    step = max(1, min(-(-len(completed) // max_keyframes), MAX_STEP))
-    return _features(completed, completed.rows[::step], known or {}, ray_table(completed.camera))
+    return _features(completed, _compared(completed, max_keyframes), known or {}, ray_table(completed.camera))
+
+
+def may_have_loops(completed: CompletedSubmap, max_keyframes: int) -> bool:
+    """Whether there are keyframes of a submap that no sparse point ties; without them there is nothing to look for."""
+    return bool(_untied(completed, _compared(completed, max_keyframes).tolist()).any())
 
 
 def features_of_all(known: SubmapFeatures) -> SubmapFeatures:
@@ -81,11 +85,10 @@ def loop_candidates(seen: SubmapFeatures, words: VisualWords) -> list[Pair]:
     turn = np.arccos(np.clip(world_from_camera[:, :3, 2] @ world_from_camera[:, :3, 2].T, -1, 1))
     apart = np.linalg.norm(world_from_camera[:, None, :3, 3] - world_from_camera[None, :, :3, 3], axis=2)
     similarity = words.similarities(seen.features, seen.features)
-    number = np.arange(len(world_from_camera))
-    open_ = (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(seen.completed, seen.rows) <= MAX_SHARED)
-    near = open_ & (apart < REACH) & (turn < MAX_TURN)
+    untied = _untied(seen.completed, seen.rows)
+    near = untied & (apart < REACH) & (turn < MAX_TURN)
     expected = retrieve_within(np.where(near, similarity, -np.inf), PER_KEYFRAME)
-    return expected + retrieve_within(np.where(open_ & ~near, similarity, -np.inf), 1)
+    return expected + retrieve_within(np.where(untied & ~near, similarity, -np.inf), 1)
 
 
 def merge_candidates(first: SubmapFeatures, second: SubmapFeatures, words: VisualWords) -> list[Pair]:
@@ -152,6 +155,17 @@ def _contradict(submaps: SubmapPair, rows: tuple[int, int], first_from_second: N
         if votes.voters == 0 or votes.contradicted_share > MAX_CONTRADICTED:
             return True
     return False
+
+
+def _compared(completed: CompletedSubmap, max_keyframes: int) -> NDArray[np.int64]:
+    step = max(1, min(-(-len(completed) // max_keyframes), MAX_STEP))
+    return completed.rows[::step]
+
+
+def _untied(completed: CompletedSubmap, rows: list[int]) -> NDArray[np.bool_]:
+    """(P,P) whether two of the compared keyframes are far apart in time and share hardly a sparse point."""
+    number = np.arange(len(rows))
+    return (np.abs(number[:, None] - number) >= MIN_GAP) & (_shared(completed, rows) <= MAX_SHARED)
 
 
 def _shared(completed: CompletedSubmap, rows: list[int]) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 Floats = NDArray[np.float32]
 
 SUBPIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # px; ray offsets averaged for antialiasing
+TWO_SUBPIXELS = (SUBPIXELS[0], SUBPIXELS[3])  # half the time, for pictures beside which there is the mesh itself
 AMBIENT = 0.2  # share of the shading that does not depend on the normal
 KEY_LIGHT = np.array([-0.37, -0.57, -0.73])  # unit vector towards the light, camera axes: over the left shoulder
 OUTER_WALL = np.array([232, 220, 208], np.float32)  # sRGB, plaster, of the side that no camera looked at
@@ -33,12 +35,13 @@ def render_mesh(
     fov_deg: float = 40.0,
     cut_away: bool = False,
     colours: NDArray[np.uint8] | None = None,
+    subpixels: Sequence[tuple[float, float]] = SUBPIXELS,
 ) -> NDArray[np.uint8]:
     """Shaded image (height, width, 3) uint8 on white; `fov_deg` is the angle across the wider side.
 
     Without `world_from_camera` (4,4) the camera stands outside, square to the mesh's long axis. The lumen's side
     shows `colours` (V,3) sRGB, by default the mesh's own brightened; the outer side is plaster. With `cut_away`, back
-    faces are transparent, so that the image looks into the opened lumen.
+    faces are transparent, so that the image looks into the opened lumen. subpixels: a pixel's rays, px off its centre.
     """
     if not len(mesh.faces):
         raise ReconstructionError("a mesh without faces cannot be drawn")
@@ -47,7 +50,7 @@ def render_mesh(
     paint = brightened(mesh.colours) if colours is None else colours.astype(np.float32)
     scene, normals = ray_scene(mesh.vertices, mesh.faces), mesh.normals.astype(np.float32)
     total = np.zeros((height * width, 3), np.float32)
-    for shift in SUBPIXELS:
+    for shift in subpixels:
         directions = _pixel_directions(width, height, fov_deg, shift)
         for part in (slice(first, first + CHUNK) for first in range(0, len(directions), CHUNK)):
             some, seen = directions[part], total[part]
@@ -55,7 +58,7 @@ def render_mesh(
             met = face >= 0
             seen[~met] += WHITE
             seen[met] += _shade(mesh.faces[face[met]], normals, paint, share[met], some[met], world_from_camera)
-    return np.rint(total / len(SUBPIXELS)).astype(np.uint8).reshape(height, width, 3)
+    return np.rint(total / len(subpixels)).astype(np.uint8).reshape(height, width, 3)
 
 
 def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> NDArray[np.float64]:

@@ -12,8 +12,9 @@ from pipeline.report.page.keyframe_gallery import Shown, browser_section, choose
 from pipeline.report.page.scene import finite
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
-from reconstruction.mesh.rendering import render_mesh
+from reconstruction.mesh.rendering import TWO_SUBPIXELS, render_mesh
 
+SIZE = (640, 480)  # px, of the surfaces without script
 MOST_STATIC = 3  # submaps, largest first, that have pictures for a browser without scripts
 
 
@@ -47,12 +48,12 @@ def _static(frames: Frames, completed: CompletedSubmap, surface: Surface) -> str
     if len(surface.mesh.faces) == 0:
         return f"<p>The keyframes of this submap agree on no surface.</p>{path}"
     if len(completed.rows) == 0:  # no place to look from
-        outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
+        outside = render_mesh(surface.mesh, None, *SIZE, cut_away=True, subpixels=TWO_SUBPIXELS)
         return f"{_image(webp(outside), 'webp', 'surface cut open')}{path}"
     middle = completed.submap.scaled(surface.scale.factor).world_from_camera[completed.rows[len(completed.rows) // 2]]
     wide = float(np.degrees(2 * np.arctan(completed.camera.width / 2 / completed.camera.focal[0])))
-    outside = render_mesh(surface.mesh, None, 640, 480, cut_away=True)
-    inside = render_mesh(surface.mesh, middle, 640, 480, fov_deg=wide)
+    outside = render_mesh(surface.mesh, None, *SIZE, cut_away=True, subpixels=TWO_SUBPIXELS)
+    inside = render_mesh(surface.mesh, middle, *SIZE, fov_deg=wide, subpixels=TWO_SUBPIXELS)
     return (
         f"{_image(webp(outside), 'webp', 'surface cut open')}{_image(webp(inside), 'webp', 'surface from the camera')}"
         f'<p class="fine">Cut open from outside, and from the middle keyframe\'s place.</p>{path}'

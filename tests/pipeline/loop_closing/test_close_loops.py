@@ -41,9 +41,21 @@ def frames() -> Frames:
     return Frames(index, index / 30, CAMERA, np.full((64, 64), 255, np.uint8), {"used": len(index)})
 
 
+def test_a_submap_without_keyframes_that_may_close_a_loop_is_not_searched(workspace, frames, monkeypatch):
+    monkeypatch.setattr(stage, "may_have_loops", lambda *_: False)
+    monkeypatch.setattr(stage, "find_features", lambda *_: pytest.fail("its pictures were read"))
+    completed = dense(workspace)
+    assert close_loops_stage(frames, [completed], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress()) == [
+        completed
+    ]
+    found = workspace.result("refinement")
+    assert found == {"submaps": [stage._unmoved(0)], "warnings": []}
+
+
 @pytest.fixture
 def seen_twice(monkeypatch):
     """The stage with hand-made links in place of images."""
+    monkeypatch.setattr(stage, "may_have_loops", lambda *_: True)
     monkeypatch.setattr(stage, "find_features", lambda completed, *_: seen(completed))
     monkeypatch.setattr(stage, "loop_candidates", lambda *_: [])
     monkeypatch.setattr(stage, "verify_loops", lambda *_: true_links())

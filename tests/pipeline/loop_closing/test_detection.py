@@ -53,3 +53,41 @@ def test_points_that_two_places_share_are_counted_once():
     sets = [set(observations[observations[:, 0] == row, 1].tolist()) for row in rows]
     expected = [[len(one & other) for other in sets] for one in sets]
     np.testing.assert_array_equal(loops._shared(SimpleNamespace(submap=submap), rows), expected)
+
+
+def walk(places: list[int]) -> SimpleNamespace:
+    """A submap whose frames each see the forty points of their place, and half of the next one's."""
+    seen = [(row, 40 * place + k) for row, place in enumerate(places) for k in range(60)]
+    submap = SimpleNamespace(
+        frames=np.arange(len(places)),
+        points=np.zeros((40 * (max(places, default=0) + 2), 3)),
+        observations=np.array(seen, np.int64).reshape(-1, 2),
+        world_from_camera=np.broadcast_to(np.eye(4), (len(places), 4, 4)),
+    )
+
+    class Part:
+        rows = np.arange(len(places))
+
+        def __len__(self):
+            return len(places)
+
+    Part.submap = submap
+    return Part()
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        ([0] * 12, False),  # all see the same
+        ([0, 1, 2, 3, 4], False),  # too few keyframes between any two
+        ([0, 1, 2, 3, 4, 5, 6], True),  # the last may be where the first was
+        ([], False),
+    ],
+)
+def test_loops_are_looked_for_where_keyframes_far_apart_in_time_share_no_points(places, expected):
+    completed = walk(places)
+    assert loops.may_have_loops(completed, 60) is expected
+    rows = np.arange(len(places))
+    words = SimpleNamespace(similarities=lambda one, other: np.ones((len(one), len(other)), np.float32))
+    seen = loops.SubmapFeatures(completed, [SimpleNamespace(keyframe=int(row)) for row in rows], None)
+    assert bool(loops.loop_candidates(seen, words)) is expected
