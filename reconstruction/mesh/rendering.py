@@ -24,6 +24,7 @@ BRIGHT = 240  # grey level that `brightened` puts the 95th percentile of the bri
 CHUNK = 65_536  # rays cast and shaded in one go: some twenty megabytes
 MAX_LAYERS = 24  # back faces that one ray passes in a cut-away image before it is given up
 RAY_OFFSET = 1e-5  # relative step past a face, so that the next cast does not meet it again
+TURNED_FOR = 1.2  # times as much of the lumen's side, for which the automatic view is another than the first
 FRAME_MARGIN = 1.06  # image extent over object extent in the automatic view
 
 
@@ -62,11 +63,17 @@ def render_mesh(
 
 
 def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> NDArray[np.float64]:
-    """`world_from_camera` (4,4) that shows all of a mesh, longest axis across the wider side of the image."""
+    """`world_from_camera` (4,4) that shows all of a mesh, longest axis across the wider side of the image.
+
+    Of four such views, a quarter turn apart, the one that shows most of the lumen's side: wall that was seen on one
+    side alone would show its back, or nothing where back faces are transparent.
+    """
     centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     axes = np.linalg.eigh(np.cov(mesh.vertices.T))[1][:, ::-1].T  # longest first
     long_axis, second_axis = (axis * np.sign(axis[np.abs(axis).argmax()]) for axis in axes[:2])
-    right, down = (long_axis, second_axis) if width >= height else (second_axis, long_axis)
+    views = [_square_to(long_axis, down, width >= height) for down in _quarter_turns(long_axis, second_axis)]
+    shown = [_lumen_shown(mesh, np.cross(*view)) for view in views]
+    right, down = views[int(np.argmax(shown)) if max(shown) > TURNED_FOR * shown[0] else 0]
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = np.column_stack([right, down, np.cross(right, down)])
     x, y, z = ((mesh.vertices - centre) @ world_from_camera[:3, :3]).T
@@ -74,6 +81,24 @@ def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> 
     distance = np.max(np.maximum(np.abs(x) / half[0], np.abs(y) / half[1]) - z)
     world_from_camera[:3, 3] = centre - distance * world_from_camera[:3, 2]
     return world_from_camera
+
+
+def _quarter_turns(axis: NDArray[np.float64], first: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """A unit vector square to a unit axis, turned about it by 0, 90, 180 and 270 degrees."""
+    second = np.cross(axis, first)
+    return [first, second, -first, -second]
+
+
+def _square_to(
+    long_axis: NDArray[np.float64], across: NDArray[np.float64], is_wide: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What points right and down in the image."""
+    return (long_axis, across) if is_wide else (across, long_axis)
+
+
+def _lumen_shown(mesh: SurfaceMesh, forward: NDArray[np.float64]) -> float:
+    """Area of the faces that turn to a camera far away, as it appears to it; what hides them does not count."""
+    return float(np.maximum(-(mesh.face_normals @ forward), 0) @ mesh.face_areas)
 
 
 def brightened(colours: NDArray[np.uint8]) -> Floats:
