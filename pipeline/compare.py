@@ -14,7 +14,7 @@ from pipeline.truth.hints import Timed, clock_hint, misfit_hint, pose_hint, unit
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
-from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
+from reconstruction.evaluation.reference_surface import SPACING_MM, ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import SurfaceErrors, surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import (
@@ -27,6 +27,8 @@ from reconstruction.evaluation.trajectory_metrics import (
 from reconstruction.mesh.formats import MESH_FORMATS
 from reconstruction.mesh.mesh_io import read_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+LEAST_TAU_MM = 0.2  # the truth's points must be half as far apart, and those of a colon are then two million
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     """
     if not 0 < tau < np.inf:
         raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
+    if tau < LEAST_TAU_MM:
+        raise HaustraError(f"the F-score at {tau:g} mm cannot be measured; from {LEAST_TAU_MM:g} mm on it can")
     finished = open_run(run)
     metrics = finished.metrics
     seconds, world_from_camera = finished.trajectory()
@@ -98,7 +102,7 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    points, surface, coverage, surface_se3 = _true_surface(truth), None, None, None
+    points, surface, coverage, surface_se3 = _true_surface(truth, spacing_of(tau)), None, None, None
     if points is not None:
         truth_from_run, mesh = align_poses(estimated, true), read_mesh(finished.mesh)
         surface = _surface(mesh, truth_from_run, points, tau)
@@ -111,6 +115,11 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     found = tuple(hint for hint in hints if hint)
     counts = metrics["frames"]["posed"], metrics["frames"]["total"]
     return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3)
+
+
+def spacing_of(tau: float) -> float:
+    """Of the truth's points, mm: wider than half the distance of the F-score, they would cost a perfect surface it."""
+    return min(SPACING_MM, tau / 2)
 
 
 def _surface(
@@ -160,11 +169,11 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
     raise HaustraError(f"{truth} is neither an RGB-D folder nor a TUM trajectory")
 
 
-def _true_surface(truth: Path) -> ReferenceSurface | None:
-    """The surface that the truth shows; None where it has none."""
+def _true_surface(truth: Path, spacing_mm: float) -> ReferenceSurface | None:
+    """The surface that the truth shows, in points `spacing_mm` apart; None where it has none."""
     if not truth.is_dir():
         return None
     if (known := read_data_set_truth(truth)) is not None:
-        return known.surface()
+        return known.surface(spacing_mm)
     has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
-    return read_reference_surface(truth) if has_surface else None
+    return read_reference_surface(truth, spacing_mm=spacing_mm) if has_surface else None

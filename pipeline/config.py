@@ -94,7 +94,9 @@ class ConsistencySettings(Settings):
 class FusionSettings(Settings):
     """TSDF fusion."""
 
-    voxel_size: float | None = Field(None, description="scene units; None: from depth and focal length")
+    voxel_size: float | None = Field(
+        None, description="median depths of the points, in any unit; None: from depth and focal length"
+    )
     min_observations: int = Field(
         1, ge=1, description="keyframes that must have seen a surface; 2 where they are many and lie close together"
     )

@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
 from completion.weights.shipped_weights import SHIPPED_WEIGHTS, check_whole, resolve_weights, validate_weights
@@ -113,7 +114,8 @@ def _given_scales(
     if sensor is not None:
         found, units = [sensor_scale(one.submap, sensor) for one in submaps], scene_units(workspace)
         sensed = [scale_of_sensor(None if one is None else one.in_unit_of(units)) for one in found]
-        return tuple(None if one is None else checked_against(one, by_poses) for one in sensed)
+        known = [checked_against(one, by_poses) if one is not None else None for one in sensed]
+        return tuple(one or of_poses for one, of_poses in zip_longest(known, by_poses))
     return by_poses
 
 

@@ -156,11 +156,12 @@ class Camera:
         return float((np.hypot((columns - cx) / fx, (rows - cy) / fy) > radius).mean())
 
     def _angle_of_radius(self, radius: float) -> float:
-        """Angle off the axis whose distorted normalised radius is `radius`, radians."""
+        """Angle off the axis whose distorted normalised radius is `radius`, radians; that at which the lens model turns
+        back on itself, where it never reaches that radius."""
         theta = np.linspace(0, self.lens.widest, 4000)
         rays = np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1)
         growing = np.maximum.accumulate(self.lens.distort(rays, self.distortion)[:, 0])
-        return float(np.interp(radius, growing, theta))
+        return min(float(np.interp(radius, growing, theta)), self.lens.valid_angle(self.distortion))
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> "Camera":

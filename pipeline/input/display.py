@@ -102,6 +102,16 @@ def upper_field(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return whole
 
 
+def lower_field(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same of the lower field: its rows (H,W,3) stay, and the others are the mean of two of them."""
+    field = rgb[1::2]
+    around = np.concatenate([field[:1], field, field[-1:]])
+    between = cv2.addWeighted(around[:-1], 0.5, around[1:], 0.5, 0)
+    whole = np.empty_like(rgb)
+    whole[1::2], whole[::2] = field, between[: (len(rgb) + 1) // 2]
+    return whole
+
+
 def square_and_upright(rgb: NDArray[np.uint8], aspect: Fraction, matrix: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Pixels (H,W,3) as they are to be looked at. aspect: width over height of a pixel as stored."""
     if aspect != 1:

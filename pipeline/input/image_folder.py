@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.natural_order import in_natural_order
 from haustra.core.text import read_json
 
 TIFF = {".tif", ".tiff"}
@@ -129,21 +130,6 @@ def what_else_is_in(folder: Path) -> str:
     kinds = Counter(path.suffix.lower() or "no suffix" for path in inside if path.is_file()).most_common(1)
     found = f"most of its files are {kinds[0][0]}" if kinds else "it is empty"
     return f"{found}; those that are: {' '.join(sorted(IMAGE_SUFFIXES))}"
-
-
-def in_natural_order(paths: list[Path]) -> list[Path]:
-    """Numbers by value: 2 before 10. A dot between digits is a decimal point if some fraction begins with a zero and is
-    longer than another, as seconds are: 0.05 before 0.4; else it parts two numbers: 1.9 before 1.10."""
-    fractions = [fraction for path in paths for fraction in re.findall(r"\d\.(\d+)", path.stem)]
-    shortest = min(map(len, fractions), default=0)
-    decimal = any(fraction.startswith("0") and len(fraction) > shortest for fraction in fractions)
-    number = re.compile(r"(\d+(?:\.\d+)?)" if decimal else r"(\d+)")
-
-    def key(path: Path) -> list[tuple[float, str]]:
-        parts = number.split(path.stem)
-        return [(float(part), "") if place % 2 else (-1.0, part) for place, part in enumerate(parts)]
-
-    return sorted(paths, key=lambda path: (key(path), path.name))
 
 
 def folder_fps(folder: Path) -> float:

@@ -89,6 +89,7 @@ def _refine(
     words = VisualWords.of([features for piece in pieces for features in piece.seen.features], seed)
     if settings.merge_submaps:
         pieces = _merged(pieces, settings, words, seed, warnings)
+        pieces.sort(key=lambda piece: -len(piece.completed.submap.frames))  # those that are as large stay in order
     for piece in pieces:
         _close(piece, words, seed, warnings)
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
@@ -104,6 +105,13 @@ def load_refined(submaps: list[CompletedSubmap], workspace: Workspace) -> list[C
         return submaps
     records = workspace.result(STAGE)["submaps"]
     return [_loaded(number, submaps, record, workspace) for number, record in enumerate(records)]
+
+
+def first_parts(workspace: Workspace, count: int) -> list[int]:
+    """Of each of `count` submaps as refined, the number that its first part had before."""
+    if not workspace.is_done(STAGE):
+        return list(range(count))
+    return [record["members"][0] for record in workspace.result(STAGE)["submaps"]]
 
 
 def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:

@@ -14,7 +14,7 @@ from pipeline.depth.depth_io import DEPTH_STEP
 from pipeline.frontend.base import COLMAP_WORKER
 from pipeline.frontend.structure_stage import camera_trust, front_end_of
 from pipeline.input.frames import Frames, camera_origin
-from pipeline.loop_closing.close_loops import model_sources
+from pipeline.loop_closing.close_loops import first_parts, model_sources
 from pipeline.report.cautions import reasons_for_doubt
 from pipeline.report.page.page import write_page
 from pipeline.report.page.pictures import PagePictures
@@ -39,8 +39,8 @@ def write_report(
     """Write `metrics.json` and `report.html`; pictures: gives those of the page when they are drawn; stages: the
     `StageTime` of those that are done, where they are asked for."""
     workspace.record["submaps"] = [
-        _submap_record(camera_path(workspace, number).name, completed, surface)
-        for number, (completed, surface) in enumerate(zip(submaps, surfaces, strict=True))
+        _submap_record(camera_path(workspace, part).name, completed, surface)
+        for part, completed, surface in zip(first_parts(workspace, len(submaps)), submaps, surfaces, strict=True)
     ]
     metrics = collect_metrics(frames, submaps, surfaces, coverage, workspace)
     if stages is not None:
@@ -124,10 +124,10 @@ def collect_metrics(
     structure, poses_given = workspace.result("structure"), workspace.config.poses.file is not None
     refinement = workspace.result("refinement") if workspace.is_done("refinement") else {"submaps": [], "warnings": []}
     # What speaks for a submap that others were joined to is said of its first part.
-    evidence = structure["evidence"][structure["mapper"]]
-    evidence = [evidence[record["members"][0]] for record in refinement["submaps"]] or evidence
+    first = first_parts(workspace, len(submaps))
+    evidence = [structure["evidence"][structure["mapper"]][part] for part in first]
     doubts = structure.get("doubts", [])  # absent in runs of earlier versions
-    doubts = [doubts[record["members"][0]] for record in refinement["submaps"] if doubts] or doubts
+    doubts = [doubts[part] for part in first if doubts]
     records = [
         _submap_metrics(frames, poses_given, *parts)
         for parts in zip(submaps, surfaces, coverage, evidence, strict=False)

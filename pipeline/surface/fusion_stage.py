@@ -15,7 +15,7 @@ from pipeline.depth.completed_submap import CompletedKeyframe, CompletedSubmap
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
-from pipeline.surface.scale import SCENE, Scale, ScaleSource, find_scale
+from pipeline.surface.scale import Scale, ScaleSource, find_scale
 from reconstruction.fusion.dark_spots import dark_spots, without_vertices
 from reconstruction.fusion.lamp import Lamp
 from reconstruction.fusion.photometry import Illumination, fit_illumination
@@ -136,7 +136,8 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
     """One submap's surface in output units; an empty mesh where no keyframe has depth. label: of the progress bar."""
     ranges = fusion_ranges(completed, settings.fusion)
     if ranges is None:
-        return Surface(SurfaceMesh.from_triangles([], []), SCENE, 0.0, 0.0)
+        empty = SurfaceMesh.from_triangles([], [])
+        return Surface(empty, find_scale(settings.scale, completed.submap, empty), 0.0, 0.0)
     fusion, left_out = SurfaceFusion(ranges), []
     check = depth_filter(completed, settings.consistency, settings.fusion, ranges)
     lamp = _lamp(completed, settings) if settings.fusion.delight else None

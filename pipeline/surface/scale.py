@@ -95,14 +95,24 @@ def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
 
 
 def _chosen_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
-    if source.file is not None:
-        return checked_against(_scale_from_file(source.file, submap), source.given)
+    without_file = _scale_without_file(source, submap, mesh)
+    if source.file is None:
+        return without_file
+    scale = _scale_from_file(source.file, submap, without_file)
+    others = [other for other in source.given if other is not without_file]
+    return checked_against(scale, [without_file, *others])
+
+
+def _scale_without_file(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
+    given = next((scale for scale in source.given if scale is not None), SCENE)
     if source.lumen_mm is None:
-        return next((scale for scale in source.given if scale is not None), SCENE)
+        return given
     # One median depth ahead: in a tube that is where the picture's middle ground lies.
-    width = measure_lumen(mesh.vertices, mesh.faces, submap.world_from_camera, reach=1.0)
+    path = submap.world_from_camera
+    width = measure_lumen(mesh.vertices, mesh.faces, path, reach=1.0) if len(mesh.faces) else None
     if width is None:
-        return Scale(1.0, "scene", "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here")
+        none = "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here"
+        return replace(given, origin=none if given is SCENE else f"{given.origin}; {none}")
     told = (
         f"median lumen diameter set to {source.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations"
     )
@@ -127,10 +137,12 @@ def check_scale_file(path: Path) -> dict[str, float]:
     return numbers
 
 
-def _scale_from_file(path: Path, submap: Submap) -> Scale:
+def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
+    """`mm_per_unit` is measured in a run without the file, whose unit `without_file` makes of scene units."""
     numbers = check_scale_file(path)
     if "mm_per_unit" in numbers:
-        return Scale(numbers["mm_per_unit"], "mm", f"scale file {path.name}: {numbers['mm_per_unit']:g} mm per unit")
+        times, unit = numbers["mm_per_unit"], "mm that there are without it" if without_file.unit == "mm" else "unit"
+        return Scale(times * without_file.factor, "mm", f"scale file {path.name}: {times:g} mm per {unit}")
     centres = []
     for name in ("frame_a", "frame_b"):
         row = np.flatnonzero(submap.frames == int(numbers[name]))

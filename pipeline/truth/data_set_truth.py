@@ -13,7 +13,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.ray_table import RayTable
 from haustra.core.text import read_text
 from reconstruction.evaluation.coverage_metrics import TrueWall
-from reconstruction.evaluation.reference_surface import ReferenceSurface, reference_from_views
+from reconstruction.evaluation.reference_surface import SPACING_MM, ReferenceSurface, reference_from_views
 
 Array = NDArray[np.float64]
 MOST_VIEWS = 100  # depth images that make the surface, spread over the film
@@ -31,9 +31,11 @@ class DataSetTruth:
     camera: Camera | None = None
     wall: TrueWall | None = None
 
-    def surface(self) -> ReferenceSurface | None:
+    def surface(self, spacing_mm: float = SPACING_MM) -> ReferenceSurface | None:
         """Reference surface from the depth images; None without any."""
-        return None if self.camera is None else reference_from_views(self._views(self.camera))
+        if self.camera is None:
+            return None
+        return reference_from_views(self._views(self.camera), spacing_mm=spacing_mm)
 
     def _views(self, camera: Camera) -> Iterator[tuple[Array, Array]]:
         rays, step = None, views_apart(len(self.world_from_camera))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera, read_camera
 from haustra.core.errors import ReconstructionError
+from haustra.core.natural_order import in_natural_order
 from haustra.core.text import read_json
 from reconstruction.evaluation.surface_metrics import sample_surface
 from reconstruction.evaluation.trajectory_io import read_tum
@@ -27,6 +28,7 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 Array = NDArray[np.float64]
 
+SPACING_MM = 0.5  # half of the 1 mm at which surfaces are compared; a wider one would cost a perfect surface precision
 SAMPLES_PER_CUBE = 8  # random points per cube of a true mesh before thinning, so that hardly a cube is left empty
 FRAMES_PER_THINNING = 16  # frames of points held before they are thinned, which bounds memory
 
@@ -40,7 +42,7 @@ class ReferenceSurface:
 
 
 def read_reference_surface(
-    folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = 0.5
+    folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = SPACING_MM
 ) -> ReferenceSurface:
     """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`.
 
@@ -62,7 +64,7 @@ def _wall_moves(folder: Path) -> bool:
 
 
 def reference_from_views(
-    views: Iterable[tuple[Array, Array]], max_depth_mm: float = 60.0, spacing_mm: float = 0.5
+    views: Iterable[tuple[Array, Array]], max_depth_mm: float = 60.0, spacing_mm: float = SPACING_MM
 ) -> ReferenceSurface:
     """Reference surface of the world points (N,3) that each of many views saw, at their z-depths (N,), mm."""
     # Thinned to half the spacing on the way, so that memory follows the surface and not the length of the video.
@@ -76,7 +78,7 @@ def reference_from_views(
 
 
 def reference_from_mesh(
-    path: Path | str, max_depth_mm: float = 60.0, spacing_mm: float = 0.5, seed: int = 0
+    path: Path | str, max_depth_mm: float = 60.0, spacing_mm: float = SPACING_MM, seed: int = 0
 ) -> ReferenceSurface:
     """Reference surface sampled on a true mesh, by its face properties where it has them.
 
@@ -125,7 +127,7 @@ def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
     camera, unit_mm = _read_camera(folder / "camera.json")
     rays, valid = _rays(camera)
     _, world_from_camera = read_tum(folder / "trajectory.txt")
-    files = sorted((folder / "depth").glob("[!.]*.png"))
+    files = in_natural_order(list((folder / "depth").glob("[!.]*.png")))
     if len(files) != len(world_from_camera):
         raise ReconstructionError(f"{folder} has {len(files)} depth images for {len(world_from_camera)} poses")
     for path, transform in list(zip(files, world_from_camera, strict=True))[::every]:

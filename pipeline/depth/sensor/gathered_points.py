@@ -45,6 +45,8 @@ class SensedFilm:
         fine, columns = self._cells()
         cell, depth, error = _agreed(np.array([log for log, _ in votes]), np.array([doubt for _, doubt in votes]))
         pixels = np.column_stack([cell % columns + 0.5, cell // columns + 0.5]) * fine
+        # The middle of a last cell, which the picture's border cuts, may lie beyond it.
+        pixels = np.minimum(pixels, [self.pinhole.width - 0.5, self.pinhole.height - 0.5])
         chosen = one_a_cell(pixels, max(2.0, CELL * self.pinhole.width))
         return SparseDepth(pixels[chosen], depth[chosen], error[chosen])
 

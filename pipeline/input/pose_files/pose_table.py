@@ -25,13 +25,16 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class PoseTable:
     """world_from_camera (N,4,4), OpenCV's axes. They belong to frames by seconds (N,), by the names of pictures, or,
-    where both are None, by their order. path: of the file, for sentences. sensor_from_camera (4,4): the hand-eye
+    where both are None, by their order: `lines` (N,) are then the numbers, from 0, of those lines of `line_count` that
+    have a pose; None: all have one. path: of the file, for sentences. sensor_from_camera (4,4): the hand-eye
     transform that a tracker's poses were brought to the camera by."""
 
     path: Path
     world_from_camera: Array
     seconds: Array | None = None
     names: tuple[str, ...] | None = None
+    lines: tuple[int, ...] | None = None
+    line_count: int = 0
     sensor_from_camera: Array | None = None
 
 
@@ -105,11 +108,13 @@ def poses_by_frame(table: PoseTable, film: FilmFrames, first: int = 0) -> dict[i
 
 def _by_order(table: PoseTable, film: FilmFrames) -> dict[int, Array]:
     count, frames = len(table.world_from_camera), int(film.index.max()) + 1
+    lines = range(count) if table.lines is None else table.lines
+    count = max(count, table.line_count)
     if count < frames:
         raise HaustraError(
             f"{table.path} has {count} poses without times, and the film {frames} frames: one for each frame is needed"
         )
-    return dict(enumerate(table.world_from_camera))
+    return dict(zip(lines, table.world_from_camera, strict=True))
 
 
 def _by_name(table: PoseTable, names: tuple[str, ...], film: FilmFrames, first: int) -> dict[int, Array]:

@@ -28,7 +28,7 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     text = read_text(path)
     rows = list(csv.DictReader(text.splitlines(), delimiter=";" if ";" in text.split("\n", 1)[0] else ","))
     rows = [{(name or "").strip().lower(): value for name, value in row.items()} for row in rows]
-    numbers = [str(row.get("frame") or number).strip() for number, row in enumerate(rows)]
+    count, numbers = len(rows), [str(row.get("frame") or "").strip() for row in rows]
     kept = [k for k, row in enumerate(rows) if str(row.get("state", "")).strip().lower() not in LOST]
     rows, names = [rows[k] for k in kept], tuple(numbers[k] for k in kept)
     place, turn = (_present(rows, choices, path) for choices in (PLACE, TURN))
@@ -48,11 +48,14 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     except (TypeError, ValueError) as error:
         raise HaustraError(f"{path}: a line's place, quaternion or time is no number") from error
     world_from_camera = rigid(world_from_sensor, str(path)) @ sensor_from_camera
+    if seconds is None and not all(names):  # a line's own place says which frame it is of
+        return PoseTable(path, world_from_camera, None, None, tuple(kept), count, sensor_from_camera)
     if seconds is None:
-        named = None if _without_gap(names, path) else names
-        return PoseTable(path, world_from_camera, None, named, sensor_from_camera)
+        named = None if len(names) == count and _without_gap(names, path) else names
+        return PoseTable(path, world_from_camera, names=named, sensor_from_camera=sensor_from_camera)
     order = np.argsort(seconds, kind="stable")
-    return _once_a_time(PoseTable(path, world_from_camera[order], seconds[order], None, sensor_from_camera))
+    table = PoseTable(path, world_from_camera[order], seconds[order], sensor_from_camera=sensor_from_camera)
+    return _once_a_time(table)
 
 
 def _without_gap(numbers: tuple[str, ...], path: Path) -> bool:

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.natural_order import in_natural_order
 from haustra.core.text import read_json
 from pipeline.config import SensorSettings
 from pipeline.input.frames import SENSED_MM
-from pipeline.input.image_folder import images_of, in_natural_order, rows_by_number
+from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.run_folder.workspace import Workspace
 
 Array = NDArray[np.float64]

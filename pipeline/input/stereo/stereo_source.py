@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline.config import StereoSettings
+from pipeline.input.display import lower_field, upper_field
 from pipeline.input.stereo.rectified_pair import Picture, RectifiedRig, rectify
 from pipeline.input.stereo.rig_file import read_rig
 from pipeline.input.video import RawFrame, Source
@@ -77,10 +77,7 @@ def split(rgb: Picture, layout: str) -> tuple[Picture, Picture]:
         return rgb[:, : width // 2], rgb[:, width // 2 : 2 * (width // 2)]
     if layout == "over-under":
         return rgb[: height // 2], rgb[height // 2 : 2 * (height // 2)]
-    whole = (width, height)
-    lines = (cv2.resize(rgb[first : 2 * (height // 2) : 2], whole, interpolation=cv2.INTER_LINEAR) for first in (0, 1))
-    left, right = (np.asarray(eye, np.uint8) for eye in lines)
-    return left, right
+    return upper_field(rgb), lower_field(rgb)
 
 
 def open_source(path: Path, settings: StereoSettings) -> Source:

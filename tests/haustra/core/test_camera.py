@@ -87,6 +87,16 @@ def test_rectified_pixels_look_along_the_pinhole_ray(camera):
         np.testing.assert_allclose(rectifier.map_xy[row, column] + 0.5, camera.project(ray)[0], atol=1e-3)
 
 
+def test_a_lens_that_turns_back_within_its_picture_sees_no_farther_than_that():
+    camera = Camera("RADIAL", 400, 400, (200.0, 200.0, 200.0, -0.25, 0.0))
+    limit = np.degrees(camera.lens.valid_angle(camera.distortion))
+    assert limit == pytest.approx(49.1, abs=0.1)
+    assert camera.field_of_view() == pytest.approx((2 * limit, 2 * limit))
+    rectifier = make_rectifier(camera)
+    assert rectifier.camera.focal[0] == pytest.approx(200 / np.tan(np.radians(limit)))
+    assert (rectifier.map_xy[..., 0] > -5).mean() > 0.7
+
+
 def test_a_pinhole_is_not_resampled():
     image = np.random.default_rng(0).integers(0, 255, (320, 320, 3), dtype=np.uint8)
     rectifier = make_rectifier(PRESETS["vr-caps"].camera, 120)

@@ -231,6 +231,18 @@ def test_frames_around_outvote_what_one_frame_gets_wrong(sensor, tmp_path):
     assert (found.error < alone.error.min()).all()
 
 
+@pytest.mark.parametrize("cut", [(0, 0), (1, 1), (3, 5), (0, 7)])
+def test_points_of_cells_that_the_border_cuts_lie_in_the_picture(sensor, cut):
+    pinhole = make_rectifier(CAMERA).camera
+    pinhole = replace(pinhole, width=pinhole.width - cut[0], height=pinhole.height - cut[1])
+    for spacing_px in (1, 4, 6):  # between the sensor's own cells
+        coarse = replace(sensor)
+        vars(coarse)["spacing_px"] = float(spacing_px)
+        found = SensedFilm(submap(), coarse, CAMERA, pinhole, MM_PER_UNIT).gathered(8)
+        assert (found.pixels < [pinhole.width, pinhole.height]).all()
+        assert (found.maps(pinhole.height, pinhole.width)[0] > 0).sum() > 100
+
+
 def test_a_film_of_two_frames_is_not_outvoted(sensor):
     pinhole, two = make_rectifier(CAMERA).camera, replace(sensor, files={8: sensor.files[8], 12: sensor.files[12]})
     assert len(SensedFilm(submap(), two, CAMERA, pinhole, MM_PER_UNIT).gathered(8).depth) == 0

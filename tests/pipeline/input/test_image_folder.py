@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.input.image_folder import in_natural_order
+from haustra.core.natural_order import in_natural_order
 from pipeline.input.video import Source
 
 

@@ -175,6 +175,12 @@ def test_lines_of_a_tracker_that_are_lost_or_in_any_order(tmp_path):
         ("State", lambda k: "Missing" if k == 2 else "OK"),
     ):
         assert_right(read_poses(*csv_of(tmp_path / "a.csv", range(COUNT), head, first)), left)
+    for lost in ([0], [0, 1], [COUNT - 1]):  # at the start or the end, where no gap tells
+        left = [k for k in range(COUNT) if k not in lost]
+        path = csv_of(tmp_path / "d.csv", range(COUNT), "State", lambda k, lost=lost: "Missing" if k in lost else "OK")
+        assert_right(read_poses(*path), left)
+        with pytest.raises(HaustraError, match="one for each frame is needed"):
+            poses_by_frame(read_poses(*path), film(count=COUNT + 1))
     times = csv_of(tmp_path / "b.csv", [3, 0, 4, 1, 1, 2], "Time", lambda k: SECONDS[k])
     assert_right(read_poses(*times))
     two = csv_of(tmp_path / "c.csv", range(COUNT), "Time", lambda k: SECONDS[k // 2])

@@ -137,6 +137,28 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     assert len(model_sources(workspace)) == 1
 
 
+def test_submaps_that_became_the_largest_by_joining_come_first(workspace, frames, monkeypatch):
+    whole = drifting_submap(growth=0.0)
+    halves = [cut(whole, 0, 28), cut(whole, 20, 48).scaled(1.7)]
+    parts = [dense(workspace, part) for part in (cut(whole, 5, 40), *halves)]
+    workspace.finish("structure", mapper="odometry", units=[1.0, 1.0, 1.0])
+    relation = np.diag([1 / 1.7] * 3 + [1.0])
+    links = [closure(k, m, relation, np.full(7, 0.01)) for k, m in ((10, 0), (12, 2), (13, 3))]
+    monkeypatch.setattr(stage, "find_features", lambda completed, *_: seen(completed))
+    for name in ("loop_candidates", "merge_candidates"):
+        monkeypatch.setattr(stage, name, lambda *_: [])
+    joined = [parts[1], parts[2]]
+    monkeypatch.setattr(
+        stage, "verify_loops", lambda one, other, *_: links if [one.completed, other.completed] == joined else []
+    )
+    refined = close_loops_stage(frames, parts, CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
+    assert [record["members"] for record in workspace.result("refinement")["submaps"]] == [[1, 2], [0]]
+    assert [len(one.submap.frames) for one in refined] == [56, 35]
+    assert stage.first_parts(workspace, 2) == [1, 0]
+    assert [len(one.submap.frames) for one in load_refined(parts, workspace)] == [56, 35]
+    assert model_sources(workspace)[1] == (workspace.models / "0", 1.0)
+
+
 def test_submaps_without_completed_keyframes_pass_through(workspace, frames, seen_twice):
     """What depth could not complete must not end the run, alone or beside a submap that closes its loops."""
     completed = dense(workspace)

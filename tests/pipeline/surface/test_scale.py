@@ -81,6 +81,34 @@ def test_scale_files(tmp_path):
             find_scale(ScaleSource(file=path), submap_of(poses), mesh)
 
 
+@pytest.mark.parametrize("unit", ["scene", "mm"])
+def test_a_file_speaks_of_the_unit_that_the_run_has_without_it(tmp_path, unit):
+    """Something of 3 units in the mesh of a run without the file is 12 mm."""
+    _, _, poses = bent_tube()
+    mesh, given = SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]), (Scale(0.03, unit, "given"),)
+    before = find_scale(ScaleSource(given=given), submap_of(poses), mesh)
+    (tmp_path / "scale.yaml").write_text("mm_per_unit: 4.0")
+    after = find_scale(ScaleSource(given=given, file=tmp_path / "scale.yaml"), submap_of(poses), mesh)
+    assert 3 / before.factor * after.factor == pytest.approx(12)
+    assert after.unit == "mm"
+    assert bool(after.doubt) == (unit == "mm")  # two sources that contradict each other
+    true = np.linalg.norm(poses[7, :3, 3] - poses[0, :3, 3])
+    (tmp_path / "scale.yaml").write_text("frame_a: 0\nframe_b: 7\ndistance_mm: 12.0")
+    between = find_scale(ScaleSource(given=given, file=tmp_path / "scale.yaml"), submap_of(poses), mesh)
+    assert between.factor == pytest.approx(12 / true)
+
+
+def test_an_open_wall_keeps_the_scale_that_something_else_gives():
+    vertices, faces, poses = bent_tube()
+    one_side = faces[vertices[faces].mean(axis=1)[:, 1] > 4]
+    sensed = Scale(27.3, "mm", "depth of the sensor")
+    for mesh in (SurfaceMesh.from_triangles(vertices, one_side), SurfaceMesh.from_triangles([], [])):
+        found = find_scale(ScaleSource(lumen_mm=50.0, given=(sensed,)), submap_of(poses), mesh)
+        assert (found.factor, found.unit) == (27.3, "mm")
+        assert found.origin.startswith("depth of the sensor; the surface nowhere surrounds")
+        assert find_scale(ScaleSource(lumen_mm=50.0), submap_of(poses), mesh).unit == "scene"
+
+
 def test_no_scale_stays_scene():
     scale = find_scale(ScaleSource(), submap_of(np.eye(4)[None]), SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]))
     assert (scale.factor, scale.unit) == (1.0, "scene")

@@ -126,6 +126,22 @@ def test_long_sequences_are_thinned_on_the_way(tmp_path):
     assert len(read_reference_surface(folder).seen) == len(read_reference_surface(folder, every=40).seen)
 
 
+def test_pictures_without_leading_zeros_have_their_own_poses(tmp_path):
+    folder = write_folder(tmp_path, frames=12)
+    expected = read_reference_surface(folder).seen
+    for number in range(12):
+        depth = cv2.imread(str(folder / "depth" / f"{number:05d}.png"), cv2.IMREAD_UNCHANGED)
+        depth[:] = 1000 + 100 * number
+        (folder / "depth" / f"{number:05d}.png").unlink()
+        cv2.imwrite(str(folder / "depth" / f"{number}.png"), depth)
+    points = read_reference_surface(folder, spacing_mm=0.01).seen
+    assert len(expected)
+    for number in range(12):  # a wall at its own distance, and as wide as it is from its own camera
+        x = points[np.isclose(points[:, 2], 10 + number), 0]
+        half = 39.5 / 50 * (10 + number)
+        assert (x.min(), x.max()) == pytest.approx((number - half, number + half), abs=0.01)
+
+
 def test_truth_without_depth_is_the_mesh_or_what_was_seen_of_it(tmp_path):
     whole = trimesh.creation.icosphere(subdivisions=3, radius=10)
     whole.export(tmp_path / "mesh.ply")

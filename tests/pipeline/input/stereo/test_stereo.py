@@ -111,6 +111,15 @@ def test_lines_of_two_eyes_are_parted(eyes):
     assert np.abs(second[20:-20].astype(int) - right[20:-20]).mean() < 10
 
 
+@pytest.mark.parametrize("height", [240, 241])
+def test_each_eye_of_a_picture_by_lines_stays_where_it_is(height):
+    """A slope has its value in each row, whichever eye's lines are missing."""
+    slope = np.tile(np.linspace(8, 248, height)[:, None, None], (1, 64, 3))
+    for eye in split(np.rint(slope).astype(np.uint8), "interlaced"):
+        assert eye.shape == slope.shape
+        np.testing.assert_allclose(eye[1:-1], slope[1:-1], atol=1.1)
+
+
 def test_two_files(tmp_path, eyes):
     for name, which in (("left", 0), ("right", 1)):
         (tmp_path / name).mkdir()

@@ -1,0 +1,26 @@
+"""What gives millimetres to a run whose poses are given and whose sensor saw too little."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline import run
+from pipeline.config import Config, PosesSettings
+from pipeline.mapping.submap import Submap
+
+
+@pytest.mark.parametrize("has_sensor", [False, True])
+def test_a_sensor_that_saw_too_little_takes_nothing_from_the_poses(monkeypatch, has_sensor):
+    flat = np.zeros((0, 2))
+    submap = Submap(
+        np.arange(3), np.tile(np.eye(4), (3, 1, 1)), np.zeros((0, 3)), np.zeros(0), flat.astype(int), flat, (1.0,) * 4
+    )
+    monkeypatch.setattr(run, "scene_unit", lambda _: 30.0)
+    monkeypatch.setattr(run, "scene_units", lambda _: [30.0])
+    monkeypatch.setattr(run, "open_sensor", lambda *_: SimpleNamespace() if has_sensor else None)
+    monkeypatch.setattr(run, "sensor_scale", lambda *_: None)
+    config = Config(poses=PosesSettings(file="poses.txt", mm_per_unit=2.0))
+    frames = SimpleNamespace(camera=SimpleNamespace(width=320))
+    (scale,) = run._given_scales(config, frames, [SimpleNamespace(submap=submap)], None)
+    assert (scale.factor, scale.unit) == (60.0, "mm")
