@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.pairing import paired
-from pipeline.truth.hints import Timed, clock_hint, misfit_hint, pose_hint, unit_hint
+from pipeline.truth.hints import Timed, clock_hint, misfit_hint, pose_hint, surface_hint, unit_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
@@ -42,6 +42,7 @@ class Comparison:
 
     posed: int
     total: int
+    submaps: int
     sim3: TrajectoryErrors
     se3: TrajectoryErrors | None
     simcol3d: SimCol3DErrors
@@ -54,7 +55,8 @@ class Comparison:
         return asdict(self)
 
     def __str__(self) -> str:
-        lines = [f"frames      {self.posed} of {self.total} posed"]
+        others = f" in {self.submaps} submaps, of which the largest alone is compared" if self.submaps > 1 else ""
+        lines = [f"frames      {self.posed} of {self.total} posed{others}"]
         for errors, name in ((self.sim3, "Sim(3)"), (self.se3, "SE(3)")):
             if errors is not None:
                 scale = f", scale {errors.scale:.4f}" if name == "Sim(3)" else " without a scale"
@@ -112,8 +114,9 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     true_path_of_run = Timed(true_seconds, true_world_from_camera[:, :3, 3])
     other = pose_hint(estimated, true) or clock_hint(Timed(seconds, world_from_camera[:, :3, 3]), true_path_of_run)
     hints = (other or misfit_hint(estimated, true), unit_hint(true_path_of_run, sim3.scale, se3 is not None))
-    found = tuple(hint for hint in hints if hint)
-    counts = metrics["frames"]["posed"], metrics["frames"]["total"]
+    of_wall = surface_hint(points.seen, true_path_of_run.centres) if points is not None else ""
+    found = tuple(hint for hint in (*hints, of_wall) if hint)
+    counts = metrics["frames"]["posed"], metrics["frames"]["total"], len(finished.submaps)
     return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3)
 
 

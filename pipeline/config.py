@@ -95,7 +95,7 @@ class FusionSettings(Settings):
     """TSDF fusion."""
 
     voxel_size: float | None = Field(
-        None, description="median depths of the points, in any unit; None: from depth and focal length"
+        None, gt=0, description="median depths of the points, in any unit; None: from depth and focal length"
     )
     min_observations: int = Field(
         1, ge=1, description="keyframes that must have seen a surface; 2 where they are many and lie close together"
@@ -127,7 +127,7 @@ class Config(Settings):
     )
     model: str = Field("mscsa", description="completion network: a shipped name or a weight file")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where completion runs")
-    seed: int = Field(0, description="of every random step; the same seed gives the same bytes")
+    seed: int = Field(0, ge=0, description="of every random step; the same seed gives the same bytes")
     lumen_mm: LumenMm | None = Field(None, description="mm, median diameter of the lumen, sets the scale")
     scale_file: str | None = Field(
         None, description="YAML file with `mm_per_unit`, or with `frame_a`, `frame_b` and `distance_mm`"
@@ -161,6 +161,12 @@ class Config(Settings):
         mine, others = _flat(self.model_dump()), _flat(other.model_dump())
         changed = [name for name, value in mine.items() if value != others[name] and name != "odometry.ray"]
         return [f"{name}: {mine[name]}, now {others[name]}" for name in changed]
+
+
+def is_of_surface(difference: str) -> bool:
+    """Whether one of `Config.differences` is of a setting that no stage before the surface depends on."""
+    name = difference.split(":")[0]
+    return name in ("scale_file", "lumen_mm", "poses.mm_per_unit") or name.startswith(("fusion.", "consistency."))
 
 
 def _flat(values: dict[str, Any], section: str = "") -> dict[str, Any]:

@@ -13,7 +13,7 @@ from pipeline.depth.completion_stage import STAGE as DEPTH_STAGE
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.multiview_stage import refine_depth
 from pipeline.depth.preparation import Preparation
-from pipeline.depth.sensor.sensor_scale import sensor_scale
+from pipeline.depth.sensor.sensor_scale import check_frames, sensor_scale
 from pipeline.finished_run import Run
 from pipeline.frontend.lens_guess import guess_lens
 from pipeline.frontend.odometry.frame_io import frame_features
@@ -29,8 +29,9 @@ from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.page.pictures import draw_pictures
 from pipeline.report.report import add_profile, write_geometry, write_report
+from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.stage_clock import StageClock
-from pipeline.run_folder.workspace import Workspace, create_workspace, resume_workspace
+from pipeline.run_folder.workspace import Workspace, create_workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
 from pipeline.surface.lamp_file import lamp_of
@@ -38,9 +39,11 @@ from pipeline.surface.scale import (
     Scale,
     ScaleSource,
     check_scale_file,
+    check_scale_frames,
     checked_against,
     scale_of_poses,
     scale_of_sensor,
+    without_sensor,
 )
 from pipeline.surface.wall_motion import wall_motion_stage
 
@@ -69,8 +72,12 @@ def reconstruct(
     later = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.
     with later, _workspace(video, Path(output), config, resume, overwrite) as workspace:
+        if workspace.made_anew:
+            progress.log(f"the surface and what follows it are made anew: {workspace.made_anew}")
         later.begin(with_network=not workspace.is_done(DEPTH_STAGE))
         frames = timed("frames", read_frames)(video, config.camera, config.frames, workspace, progress)
+        check_frames(open_sensor(workspace, frames.camera.width), frames.index)
+        check_scale_frames(scale.file, frames.index)
         told = config.front_end_settings
         if guessed_by(workspace) is not None:
             frames = timed("lens", guess_lens)(frames, told, workspace, progress)
@@ -115,7 +122,7 @@ def _given_scales(
         found, units = [sensor_scale(one.submap, sensor) for one in submaps], scene_units(workspace)
         sensed = [scale_of_sensor(None if one is None else one.in_unit_of(units)) for one in found]
         known = [checked_against(one, by_poses) if one is not None else None for one in sensed]
-        return tuple(one or of_poses for one, of_poses in zip_longest(known, by_poses))
+        return tuple(one or without_sensor(of_poses) for one, of_poses in zip_longest(known, by_poses))
     return by_poses
 
 

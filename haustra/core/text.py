@@ -5,6 +5,7 @@ That is UTF-8 and UTF-16, with a mark or without.
 
 import codecs
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,16 @@ MARKS = (
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """The number with its noun in singular or plural: 1 submap, 2 submaps. plural: where an s does not make it."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def check_name(path: Path) -> None:
+    """HaustraError for a path whose bytes are no UTF-8, as those of old file systems may be: OpenCV crashes at it, and
+    no report could name it."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        shown = os.fsencode(path).decode(errors="replace")
+        raise HaustraError(f"the name {shown} has bytes that are no UTF-8; give it another name") from None
 
 
 def read_text(path: Path | str) -> str:

@@ -23,8 +23,9 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from pipeline.cli.batch_table import KEPT, Outcome, finished_outcome, write_table
 from pipeline.config import Config
+from pipeline.run_folder.resuming import is_same_run
 from pipeline.run_folder.subprocesses import ChildProcesses, parent_bound_command
-from pipeline.run_folder.workspace import Workspace, is_same_run, open_workspace
+from pipeline.run_folder.workspace import Workspace, open_workspace
 
 MODULE = "pipeline"  # that reconstructs one video
 DIGITS = 6  # of a path's digest in the name of a folder

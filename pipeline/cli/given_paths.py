@@ -38,6 +38,12 @@ def must_be_outside(target: Path, run: Path) -> None:
         )
 
 
+def must_be_no_folder(target: Path | None) -> None:
+    """HaustraError where a file to write is a folder already; None is one that was not given."""
+    if target is not None and target.is_dir():
+        raise HaustraError(f"{target} is a folder; give the name of a file to write")
+
+
 def must_have_folder(target: Path | None) -> None:
     """HaustraError where the folder of a file to write is not there; None is one that was not given."""
     if target is not None and not target.parent.is_dir():

@@ -16,12 +16,13 @@ from haustra.core.errors import HaustraError
 from pipeline.cli import run_commands as cli_runs
 from pipeline.cli.climb import climb
 from pipeline.cli.doctor import doctor
-from pipeline.cli.given_paths import must_be_outside, must_be_run, must_exist, must_have_folder
+from pipeline.cli.given_paths import must_be_no_folder, must_be_outside, must_be_run, must_exist, must_have_folder
 from pipeline.cli.live import live
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
 
-FILE_SYSTEM_SAYS_NO = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.ENOENT, errno.ENOTDIR)
+OF_FILE_SYSTEM = ("ENOSPC", "EACCES", "EROFS", "EDQUOT", "EFBIG", "ENOENT", "ENOTDIR", "EISDIR")
+FILE_SYSTEM_SAYS_NO: tuple[int, ...] = tuple(getattr(errno, name) for name in OF_FILE_SYSTEM)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
 # Help is plain text: rich's boxes take as long to load as all else.
 PLAIN: dict[str, Any] = {"rich_markup_mode": None, "context_settings": {"max_content_width": 120}}
@@ -98,6 +99,7 @@ def compare(
     must_be_run(run)
     must_exist(truth)
     must_have_folder(json_file)
+    must_be_no_folder(json_file)
     from pipeline.climb import compare_climb
     from pipeline.compare import compare_run
     from pipeline.run_folder.workspace import write_json

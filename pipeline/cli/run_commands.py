@@ -80,7 +80,7 @@ def reconstruct(
         bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs the extra: rerun")
     ] = False,
     profile: Annotated[bool, typer.Option("--profile", help="time and memory of each stage, in metrics.json")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="go on with a run that was stopped")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="go on after a stop, or with another scale or fusion")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
     quiet: Quiet = False,
     version: Version = False,
@@ -130,7 +130,8 @@ def reconstruct(
         Source(source)  # what is no video is answered before the heavy packages are loaded
         from pipeline.run import reconstruct as run
 
-        output = output or Path(f"{source.resolve().stem}_run")
+        named = source.resolve()  # a dot in a folder's name begins no suffix
+        output = output or Path(f"{named.name if named.is_dir() else named.stem}_run")
         run(source, output, settings, **again)
     if rerun:
         recording = export_rerun(output, Workspace(output).recording)

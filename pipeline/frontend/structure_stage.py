@@ -126,7 +126,8 @@ def _solve(
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
     _keep_lens(frames.camera, refined_camera(frames.camera, kept[0].submap), workspace)
     advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
-    warnings += few_posed(frames_posed(kept), total, advice)
+    each = "" if settings.poses.file is None else f"check that {settings.poses.file} has a pose for each frame, "
+    warnings += few_posed(frames_posed(kept), total, each + advice)
     warnings += doubts_of_submaps(kept, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     warnings += carried_by_depth(results[name].stats.get("bridged", 0))

@@ -29,7 +29,7 @@ class Clock:
         self.notes: list[str] = []
         self._count, self._restarts, self._leaps = 0, 0, 0
         self._shift: float | None = None  # from the file's times to ours
-        self.last = -self.step
+        self.last = self.last_stamp = -self.step  # ours, and as the file has it
 
     def seconds(self, stamp: float | None) -> float:
         """Time of the next frame, whose time in the file is `stamp`; None where it has none."""
@@ -37,6 +37,7 @@ class Clock:
         if stamp is None or not self.has_times:
             self.last = max(self.last + self.step, (self._count - 1) * self.step)
             return self.last
+        self.last_stamp = stamp
         if self._shift is None:
             self._shift = -stamp
         backwards = stamp + self._shift < self.last - RESTART * self.step

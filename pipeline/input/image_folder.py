@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from haustra.core.natural_order import in_natural_order
-from haustra.core.text import read_json
+from haustra.core.text import check_name, read_json
 
 TIFF = {".tif", ".tiff"}
 JPEG = {".jpg", ".jpeg", ".jpe", ".jfif"}
@@ -78,6 +78,7 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     images = list(_pictures(inner))
     count, twice = len(images), len({path.stem for path in images}) < len(images)  # each frame in two formats
     for path in images:
+        check_name(path)
         kind = re.sub(r"\d+", "#", path.stem).lower() + (path.suffix.lower() if twice else "")
         groups.setdefault(kind, []).append(path)
     if len(groups) > MIN_GROUP and max(map(len, groups.values())) == 1:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
+from haustra.core.text import check_name
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, RgbConverter, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
@@ -60,6 +61,7 @@ class Source:
     def __init__(self, path: Path) -> None:
         if not path.exists():
             raise HaustraError(f"there is no file or folder {path}")
+        check_name(path)
         self.path = path
         self.notes: list[str] = []
         self.is_folder = path.is_dir()
@@ -156,7 +158,7 @@ class Source:
             ends_early = clock.last < 0.98 * (self.announced - 1) * clock.step
             what = "the video ends early" if ends_early else "the video has gaps"
             self._note(f"{what}: {count} of {self.announced} announced frames could be decoded")
-        elif not self.announced and clock.last + clock.step < 0.9 * claimed_s:
+        elif not self.announced and max(clock.last, clock.last_stamp) + clock.step < 0.9 * claimed_s:
             self._note(f"the video ends early: {clock.last + clock.step:.1f} of {claimed_s:.1f} s could be decoded")
 
     def _find_faults(self) -> FilmFaults:

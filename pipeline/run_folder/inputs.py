@@ -6,12 +6,17 @@ from typing import Any
 
 from pipeline.config import Config
 
+OF_MIDDLES = "middles:"  # begins a folder's digest
+MIDDLE = 4096  # bytes of each file
+LEFT_BY_BROWSERS = ("Thumbs.db", "desktop.ini")
+PARTIAL = ".partial"
+
 Record = dict[str, Any]  # as under `source` in run.yaml: path, sha256 and stamps, the two by the input's name
 
 
 def record_inputs(source: Path, config: Config) -> Record:
     """The inputs as they are now."""
-    files = _inputs(source, config)
+    files = inputs_of(source, config)
     stamps = {name: _stamp(path) for name, path in files.items()}  # before the digests: a later change shows
     return {
         "path": str(source.resolve()),
@@ -23,19 +28,19 @@ def record_inputs(source: Path, config: Config) -> Record:
 def changed_inputs(source: Path, config: Config, record: Record, trust_stamps: bool = False) -> list[str]:
     """Names of the inputs that are not those of the record. Where `trust_stamps`, a file of the same size and time of
     change is not read again."""
-    files, then = _inputs(source, config), record["sha256"]
+    files, then = inputs_of(source, config), record["sha256"]
     stamps = record.get("stamps", {}) if trust_stamps else {}
 
     def is_same(name: str) -> bool:
         if name not in files or name not in then:
             return False
         untouched = name in stamps and stamps[name] == _stamp(files[name])
-        return untouched or digest(files[name]) == then[name]
+        return untouched or _is_same_content(files[name], then[name])
 
     return [name for name in sorted(then.keys() | files.keys()) if not is_same(name)]
 
 
-def _inputs(source: Path, config: Config) -> dict[str, Path]:
+def inputs_of(source: Path, config: Config) -> dict[str, Path]:
     named = {"camera file": config.camera, "scale file": config.scale_file, "model file": config.model}
     named |= {"poses": config.poses.file, "hand-eye transform": config.poses.hand_eye}
     named |= {"depth folder": config.sensor.folder, "stereo calibration": config.stereo.calibration}
@@ -48,6 +53,35 @@ def _inputs(source: Path, config: Config) -> dict[str, Path]:
     }
 
 
+def _is_same_content(path: Path, recorded: str) -> bool:
+    if path.is_dir() and not recorded.startswith(OF_MIDDLES):
+        return _digest_of_sizes(path) == recorded
+    return digest(path) == recorded
+
+
+def _digest_of_folder(folder: Path) -> "hashlib._Hash":
+    sha, runs = hashlib.sha256(), {path.parent for path in folder.rglob("run.yaml")} - {folder}
+    for path in sorted(folder.rglob("*")):
+        foreign = path.name.startswith(".") or path.name in LEFT_BY_BROWSERS or path.suffix == PARTIAL
+        if foreign or not path.is_file() or not runs.isdisjoint(path.parents):
+            continue
+        size = path.stat().st_size
+        sha.update(f"{path.relative_to(folder)} {size}\n".encode(errors="surrogateescape"))
+        with path.open("rb") as file:
+            file.seek(max(0, size // 2 - MIDDLE // 2))
+            sha.update(file.read(MIDDLE))
+    return sha
+
+
+def _digest_of_sizes(folder: Path) -> str:
+    """As runs of version 0.1 have it: of the names and sizes of all files."""
+    sha = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            sha.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
+    return sha.hexdigest()
+
+
 def _stamp(path: Path) -> list[int] | None:
     """Size and time of change of a file; none of a folder, whose time says nothing about what is in it."""
     if path.is_dir():
@@ -57,13 +91,11 @@ def _stamp(path: Path) -> list[int] | None:
 
 
 def digest(source: Path) -> str:
-    """SHA-256 of a video; of an image folder, of its file names and sizes."""
-    sha = hashlib.sha256()
+    """SHA-256 of a file; of a folder, of its files' names, sizes and middles, since pictures that are not compressed
+    have one size. Runs in the folder, and what file browsers leave in it, do not belong to it."""
     if source.is_dir():
-        for path in sorted(source.rglob("*")):
-            if path.is_file():
-                sha.update(f"{path.relative_to(source)} {path.stat().st_size}\n".encode())
-        return sha.hexdigest()
+        return OF_MIDDLES + _digest_of_folder(source).hexdigest()
+    sha = hashlib.sha256()
     with source.open("rb") as file:
         while block := file.read(1 << 20):
             sha.update(block)

@@ -19,8 +19,9 @@ from typing import Any
 import yaml
 
 from haustra.core.errors import HaustraError
-from pipeline.config import Config, read_recorded, retired_differences
-from pipeline.run_folder.inputs import changed_inputs, record_inputs
+from haustra.core.text import check_name
+from pipeline.config import Config, is_of_surface, read_recorded, retired_differences
+from pipeline.run_folder.inputs import inputs_of, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
 from pipeline.run_folder.lock import RunLock
 
@@ -33,6 +34,8 @@ LIVE_RECORD, LIVE_FILM, LIVE_FOLDER = "live.json", "film.mkv", "live"
 UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL, LIVE_RECORD, LIVE_FILM, LIVE_FOLDER)
 FIRST_RESULT = "structure"  # the stage before which a run that was refused is in nobody's way
 REFUSED = "refused"  # in the record: the sentence that ended such a run
+# Of further submaps, and of COLMAP's database.
+FURTHER = ("features.db-*", "mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json", "coverage_*.png")
 CLEARING = "clearing"  # in the record while what an earlier run left is being removed
 
 
@@ -65,6 +68,7 @@ class Workspace:
         self.record_path = root / RECORD_NAME
         self.record: dict[str, Any] = {"stages": {}}
         self.lock: RunLock | None = None  # held where this process writes
+        self.made_anew = ""  # why the surface of a run that is gone on with is made anew; empty where it is not
 
     def __enter__(self) -> "Workspace":
         return self
@@ -124,6 +128,7 @@ class Workspace:
 
 def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:
     """A fresh run folder, locked; refuses one that holds a run already unless `overwrite`."""
+    check_name(root.resolve())
     if root.exists() and not root.is_dir():
         raise HaustraError(f"the output {root} is a file; give a folder")
     workspace = Workspace(root)
@@ -150,6 +155,8 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     replaced = workspace.record_path.exists()
     if replaced and not overwrite and not _is_in_nobodys_way(workspace.root):
         raise HaustraError(f"{workspace.root} already holds a run; {_ways_on(workspace.root, config)}")
+    if replaced:
+        _check_survives(workspace, source, config)
     workspace.record |= {
         "source": record_inputs(source, config),  # before the earlier run goes: this may fail
         "versions": _versions(),
@@ -158,8 +165,21 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     if replaced:
         workspace.record[CLEARING] = True
     workspace.save()
-    _clear_if_begun(workspace)
+    clear_if_begun(workspace)
     workspace.log.mkdir(exist_ok=True)
+
+
+def _check_survives(workspace: Workspace, source: Path, config: Config) -> None:
+    """HaustraError for an input that is one of the files of the run that would be replaced."""
+    named, root = [path.resolve() for path in _named_files(workspace)], workspace.root.resolve()
+    for name, path in inputs_of(source, config).items():
+        path = path.resolve()
+        further = path.parent == root and any(path.match(pattern) for pattern in FURTHER)
+        if further or any(path.is_relative_to(one) for one in named):
+            raise HaustraError(
+                f"the {name} {path} is one of the files of the run {workspace.root}, which would be replaced; give "
+                "another output folder (-o)"
+            )
 
 
 def _ways_on(root: Path, config: Config) -> str:
@@ -168,9 +188,11 @@ def _ways_on(root: Path, config: Config) -> str:
         other = open_workspace(root).config.differences(config)
     except HaustraError:  # a damaged record
         other = []
-    if other:
-        return f"its settings were others ({other[0]}), so --overwrite redoes it, and --resume goes on with those alone"
-    return "add --resume to go on with it or --overwrite to redo it"
+    if not other:
+        return "add --resume to go on with it or --overwrite to redo it"
+    if all(is_of_surface(difference) for difference in other):
+        return f"add --resume to make its surface anew ({other[0]}), or --overwrite to redo all of it"
+    return f"its settings were others ({other[0]}), so --overwrite redoes it, and --resume goes on with those alone"
 
 
 def _is_in_nobodys_way(root: Path) -> bool:
@@ -196,67 +218,33 @@ def open_workspace(root: Path) -> Workspace:
     return workspace
 
 
-def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
-    """An existing run of the same source and settings, locked, to go on with."""
-    open_workspace(root)  # says so if it is none
-    lock = RunLock(root)
-    try:
-        workspace = open_workspace(root)  # as the process before left it
-        workspace.lock = lock
-        _check_same(workspace, source, config)
-        workspace.record.pop(REFUSED, None)
-        _clear_if_begun(workspace)
-        workspace.log.mkdir(exist_ok=True)
-    except BaseException:
-        lock.release()
-        raise
-    return workspace
-
-
-def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
-    root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
-    if "source" in changed:
-        raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
-    fixed = workspace.retired_settings
-    if fixed:
-        raise HaustraError(f"{root} was run with another setting ({fixed[0]}); use --overwrite")
-    other = workspace.config.differences(config)
-    if other:
-        raise HaustraError(f"{root} was run with other settings ({other[0]}); repeat them, or use --overwrite")
-    if changed:
-        raise HaustraError(f"{root} was run with another {changed[0]}; its contents have changed since")
-
-
-def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
-    """Whether a run is of this source, these settings and these files; those that look untouched are not read."""
-    if workspace.retired_settings or not workspace.config.is_same_work(config):
-        return False
-    return not changed_inputs(source, config, workspace.record["source"], True)
-
-
 def remove_run(root: Path) -> None:
     """Remove a run of one's own and nothing else that a user may have put there; hold the lock meanwhile."""
     workspace = open_workspace(root)
     workspace.record[CLEARING] = True
     workspace.save()
-    _clear_if_begun(workspace)
+    clear_if_begun(workspace)
     workspace.record_path.unlink()
 
 
-def _clear_if_begun(workspace: Workspace) -> None:
+def clear_if_begun(workspace: Workspace) -> None:
     """Remove what an earlier run wrote where the record says that this is under way, and nothing else that a user may
     have put there."""
     if CLEARING not in workspace.record:
         return
-    for path in vars(workspace).values():
-        if isinstance(path, Path) and path not in (workspace.root, workspace.record_path):
-            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    further = ("mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json", "coverage_*.png")
-    for pattern in ("features.db-*", *further):
+    for path in _named_files(workspace):
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    for pattern in FURTHER:
         for path in workspace.root.glob(pattern):
             path.unlink()
     del workspace.record[CLEARING]
     workspace.save()
+
+
+def _named_files(workspace: Workspace) -> list[Path]:
+    """Files and folders that a run may have written, but its record and what `FURTHER` matches."""
+    named = [path for path in vars(workspace).values() if isinstance(path, Path)]
+    return [path for path in named if path not in (workspace.root, workspace.record_path)]
 
 
 def _versions() -> dict[str, str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
@@ -74,6 +75,13 @@ def scale_of_sensor(found: SensorScale | None) -> Scale | None:
     return None if found is None else Scale(found.mm_per_unit, "mm", str(found), found.doubt, found.clock_doubt)
 
 
+def without_sensor(otherwise: Scale | None) -> Scale:
+    """Of a submap of which a sensor saw too little: what is known otherwise, and that the sensor gave nothing."""
+    scale = SCENE if otherwise is None else otherwise
+    none = "the sensor saw too few of the map's points: neither its depth nor its millimetres are used"
+    return replace(scale, doubt=f"{scale.doubt}; {none}" if scale.doubt else none)
+
+
 def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
     """The scale, with a doubt where another source in millimetres gives clearly other lengths."""
     for other in others:
@@ -112,7 +120,7 @@ def _scale_without_file(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) 
     width = measure_lumen(mesh.vertices, mesh.faces, path, reach=1.0) if len(mesh.faces) else None
     if width is None:
         none = "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here"
-        return replace(given, origin=none if given is SCENE else f"{given.origin}; {none}")
+        return replace(given, origin=none if given.origin == SCENE.origin else f"{given.origin}; {none}")
     told = (
         f"median lumen diameter set to {source.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations"
     )
@@ -137,6 +145,27 @@ def check_scale_file(path: Path) -> dict[str, float]:
     return numbers
 
 
+def check_scale_frames(path: Path | None, frames: NDArray[np.int64]) -> None:
+    """HaustraError where a scale file names frames that are none of those that are used, by their numbers (N,), or one
+    frame twice: before the work, for hours of it may follow."""
+    numbers = {} if path is None else check_scale_file(path)
+    named = [int(numbers[name]) for name in ("frame_a", "frame_b") if name in numbers]
+    for frame in named:
+        if frame not in frames:
+            raise HaustraError(
+                f"frame {frame} of the scale file {path} is none of the {len(frames)} frames that are used, from "
+                f"{frames.min()} to {frames.max()}; correct it, and go on with --resume"
+            )
+    if len(named) == 2 and named[0] == named[1]:
+        raise HaustraError(f"the scale file {path} names frame {named[0]} twice; it needs two")
+
+
+def _unscaled(without_file: Scale, why: str) -> Scale:
+    """A run of hours is not ended for a scale: it can be given again."""
+    told = f"{why}, so that the file gives no scale; correct it, and give the same command with --resume"
+    return replace(without_file, doubt="; ".join(filter(None, [without_file.doubt, told])))
+
+
 def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
     """`mm_per_unit` is measured in a run without the file, whose unit `without_file` makes of scene units."""
     numbers = check_scale_file(path)
@@ -147,9 +176,11 @@ def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
     for name in ("frame_a", "frame_b"):
         row = np.flatnonzero(submap.frames == int(numbers[name]))
         if len(row) == 0:
-            raise HaustraError(f"frame {int(numbers[name])} of the scale file {path} was not posed")
+            first, last = submap.frames.min(), submap.frames.max()
+            of = f"frame {int(numbers[name])} of the scale file {path.name} has no pose in the submap of frames {first}"
+            return _unscaled(without_file, f"{of} to {last}")
         centres.append(submap.centres[row[0]])
     distance = float(np.linalg.norm(centres[1] - centres[0]))
     if distance == 0:
-        raise HaustraError(f"the two frames of the scale file {path} have the same place")
+        return _unscaled(without_file, f"the two frames of the scale file {path.name} have the same place")
     return Scale(numbers["distance_mm"] / distance, "mm", f"scale file {path.name}: distance of two frames")

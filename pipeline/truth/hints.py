@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from haustra.core.errors import HaustraError
 from haustra.core.sim3 import umeyama
@@ -24,6 +25,8 @@ RATES = (1 / 2, 2.0, 24 / 25, 25 / 24, 24 / 30, 30 / 24, 25 / 30, 30 / 25)  # of
 UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the number that stands for it / 1000
 BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
 NO_FIT, NO_TURN_DEG = 0.25, 45.0  # from which on a path is none of this film, or wrong
+SMALLEST = 0.1  # of the path, below which no wall has been seen along it
+FARTHEST_MM = 200.0  # from which an endoscope sees wall
 SHORTEST_MM = 1.0  # a path over which nothing could be triangulated: its numbers are of another unit
 
 
@@ -136,6 +139,18 @@ def _residual(run: Timed, truth: Timed, shift: float, spacing: float) -> tuple[f
         return np.inf, 0
     off = run.centres[mine] @ fit[:3, :3].T + fit[:3, 3] - true
     return float(np.sqrt((off**2).sum(axis=1).mean())) / spread, len(mine)
+
+
+def surface_hint(wall: Array, centres: Array) -> str:
+    """A sentence where the true wall, points (N,3) in mm, cannot be what cameras at `centres` (M,3) saw: none of it is
+    near any of them, or it is far smaller than their path. "" where it can."""
+    size, way = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (wall, centres))
+    if size < SMALLEST * way:
+        return f"the true wall is {size:.3g} mm in size and the true path {way:.3g} mm: is its mesh in metres?"
+    nearest = float(cKDTree(wall).query(centres)[0].min())
+    if nearest > FARTHEST_MM:
+        return f"no true camera is nearer than {nearest:.0f} mm to the true wall: its mesh has another frame or unit"
+    return ""
 
 
 def unit_hint(truth: Timed, scale: float, in_mm: bool) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera, read_camera
 from haustra.core.errors import ReconstructionError
 from haustra.core.natural_order import in_natural_order
-from haustra.core.text import read_json
+from haustra.core.text import counted, read_json
 from reconstruction.evaluation.surface_metrics import sample_surface
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.mesh.mesh_io import read_face_property, read_mesh
@@ -87,6 +87,9 @@ def reference_from_mesh(
     """
     mesh, seen = read_mesh(path), read_face_property(path, "seen")
     nearest = read_face_property(path, "nearest_mm")
+    nowhere = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+    if nowhere:
+        raise ReconstructionError(f"{path} has {counted(nowhere, 'vertex', 'vertices')} whose place is no number")
     whole = np.ones(len(mesh.faces), bool) if seen is None else seen == 1
     if not whole.any():
         raise ReconstructionError(f"{path} has no face that was seen")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline import run
-from pipeline.config import Config, PosesSettings
+from pipeline.config import load_config
 from pipeline.mapping.submap import Submap
 
 
@@ -20,7 +20,8 @@ def test_a_sensor_that_saw_too_little_takes_nothing_from_the_poses(monkeypatch, 
     monkeypatch.setattr(run, "scene_units", lambda _: [30.0])
     monkeypatch.setattr(run, "open_sensor", lambda *_: SimpleNamespace() if has_sensor else None)
     monkeypatch.setattr(run, "sensor_scale", lambda *_: None)
-    config = Config(poses=PosesSettings(file="poses.txt", mm_per_unit=2.0))
+    config = load_config(None, poses={"file": "poses.txt", "mm_per_unit": 2.0})
     frames = SimpleNamespace(camera=SimpleNamespace(width=320))
     (scale,) = run._given_scales(config, frames, [SimpleNamespace(submap=submap)], None)
     assert (scale.factor, scale.unit) == (60.0, "mm")
+    assert ("the sensor saw too few" in scale.doubt) == has_sensor

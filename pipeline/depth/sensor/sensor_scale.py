@@ -86,6 +86,18 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), unit, late)
 
 
+def check_frames(sensor: SensorDepth | None, frames: NDArray[np.int64]) -> None:
+    """HaustraError where none of a sensor's depth images is of one of the frames that are used."""
+    if sensor is None or sensor.stereo or not sensor.files or not sensor.files.keys().isdisjoint(frames.tolist()):
+        return
+    of_images = f"{min(sensor.files)} to {max(sensor.files)}"
+    raise HaustraError(
+        f"none of the {len(sensor.files)} depth images is of one of the {len(frames)} frames that are used: by the "
+        f"numbers in their names they are of frames {of_images}, and frames {frames.min()} to {frames.max()} are used; "
+        "give those of this film, or leave them out by --depth none"
+    )
+
+
 def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str:
     """Refuse depth that fits other frames than its own clearly better; a doubt of depth that fits them a little better,
     empty without a reason."""

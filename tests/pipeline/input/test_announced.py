@@ -52,6 +52,22 @@ def test_a_matroska_file_that_is_cut_says_how_much_of_it_is_there(tmp_path: Path
     assert told == ([] if share == 1 else [f"the video ends early: {seconds:.1f} of 4.0 s could be decoded"])
 
 
+def test_a_matroska_file_whose_times_begin_late_is_whole(tmp_path: Path) -> None:
+    encode(tmp_path / "whole.mp4", count=50)
+    film = tmp_path / "film.mkv"
+    with av.open(str(tmp_path / "whole.mp4")) as source, av.open(str(film), "w") as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                packet.pts += round(7200 / packet.time_base)
+                packet.dts += round(7200 / packet.time_base)
+                target.mux(packet)
+    source = Source(film)
+    assert len(list(source)) == 50
+    assert not [note for note in source.notes if "ends early" in note]
+
+
 def test_a_gif_is_not_called_interlaced_for_its_dither(tmp_path: Path) -> None:
     """Rows that alternate where the picture moves, as an ordered dither's do."""
     film, frames = tmp_path / "film.gif", []

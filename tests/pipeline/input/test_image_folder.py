@@ -10,6 +10,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from haustra.core.natural_order import in_natural_order
+from pipeline.input.image_folder import images_of
 from pipeline.input.video import Source
 
 
@@ -157,3 +158,12 @@ def test_a_rate_that_is_none_is_one_sentence(tmp_path: Path, fps: str) -> None:
     (tmp_path / "camera.json").write_text(f'{{"fps": {fps}}}')
     with pytest.raises(HaustraError, match="no number of frames a second"):
         list(Source(tmp_path))
+
+
+def test_pictures_whose_names_are_no_text_are_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((8, 8, 3), np.uint8))
+    (tmp_path / "a.png").rename(tmp_path / b"gr\xfcn_1.png".decode(errors="surrogateescape"))
+    with pytest.raises(HaustraError, match="bytes that are no UTF-8"):
+        images_of(tmp_path)
+    with pytest.raises(HaustraError, match="bytes that are no UTF-8"):
+        Source(tmp_path / b"gr\xfcn_1.png".decode(errors="surrogateescape"))

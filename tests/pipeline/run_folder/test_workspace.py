@@ -18,8 +18,9 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.run_folder.lock import RunLock
+from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.subprocesses import run_isolated
-from pipeline.run_folder.workspace import create_workspace, open_workspace, resume_workspace
+from pipeline.run_folder.workspace import create_workspace, open_workspace
 from tests.helpers.processes import alive, wait_for
 from tests.helpers.sphere_views import RADIUS, fuse, sphere_depth, views
 

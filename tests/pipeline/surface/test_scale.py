@@ -5,7 +5,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.mapping.submap import Submap
-from pipeline.surface.scale import SCENE, Scale, ScaleSource, checked_against, find_scale
+from pipeline.surface.scale import SCENE, Scale, ScaleSource, check_scale_frames, checked_against, find_scale
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
@@ -67,7 +67,6 @@ def test_scale_files(tmp_path):
     true = np.linalg.norm(poses[7, :3, 3] - poses[0, :3, 3])
     assert find_scale(ScaleSource(file=path), submap_of(poses), mesh).factor == pytest.approx(12 / true)
     for text, words in (
-        ("frame_a: 0\nframe_b: 99\ndistance_mm: 12.0", "frame 99 of the scale file"),
         ("mm_per_unit: -1", "positive numbers"),
         ("mm_per_unit: 0", "positive numbers"),
         ("mm_per_unit: .nan", "positive numbers"),
@@ -79,6 +78,36 @@ def test_scale_files(tmp_path):
         path.write_text(text)
         with pytest.raises(HaustraError, match=words):
             find_scale(ScaleSource(file=path), submap_of(poses), mesh)
+
+
+def test_frames_of_a_scale_file_that_have_no_pose_cost_the_scale_and_not_the_run(tmp_path):
+    _, _, poses = bent_tube()
+    mesh, path = SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]), tmp_path / "scale.yaml"
+    still = np.concatenate([poses, poses[-1:]])
+    for frame, placed, why in (
+        (99, poses, "frame 99 of the scale file scale.yaml has no pose"),
+        (40, still, "same place"),
+    ):
+        path.write_text(f"frame_a: 39\nframe_b: {frame}\ndistance_mm: 12.0")
+        for given, unit in (((), "scene"), ((Scale(30.0, "mm", "depth of the sensor"),), "mm")):
+            found = find_scale(ScaleSource(file=path, given=given), submap_of(placed), mesh)
+            assert found.unit == unit
+            assert why in found.doubt
+            assert "--resume" in found.doubt
+
+
+def test_frames_of_a_scale_file_are_looked_for_before_the_work(tmp_path):
+    path, used = tmp_path / "scale.yaml", np.array([3, 4, 6, 9])
+    for frame, why in (
+        (5, "frame 5 of the scale file .* is none of the 4 frames that are used, from 3 to 9"),
+        (3, "twice"),
+    ):
+        path.write_text(f"frame_a: 3\nframe_b: {frame}\ndistance_mm: 12.0")
+        with pytest.raises(HaustraError, match=why):
+            check_scale_frames(path, used)
+    path.write_text("frame_a: 3\nframe_b: 9\ndistance_mm: 12.0")
+    check_scale_frames(path, used)
+    check_scale_frames(None, used)
 
 
 @pytest.mark.parametrize("unit", ["scene", "mm"])

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.se3 import inverse
-from pipeline.truth.hints import MIRROR, Y_UP, Timed, clock_hint, misfit_hint, pose_hint, unit_hint
+from pipeline.truth.hints import MIRROR, Y_UP, Timed, clock_hint, misfit_hint, pose_hint, surface_hint, unit_hint
 
 RATE, FRAMES = 30, 300
 
@@ -132,3 +132,12 @@ def test_a_straight_path_that_is_right_is_not_called_another_film(seed: int) -> 
     run = true.copy()
     run[:, :3, 3] += rng.normal(0, 2.0, (len(true), 3))
     assert misfit_hint(run, true) == ""
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_true_wall_that_no_camera_could_see_is_named(seed: int) -> None:
+    rng, centres = np.random.default_rng(seed), winding(seed)
+    wall = centres[rng.integers(0, FRAMES, 4000)] + 25 * Rotation.random(4000, random_state=seed).as_matrix()[:, 0]
+    assert surface_hint(wall, centres) == ""
+    assert "is its mesh in metres?" in surface_hint(wall / 1000, centres)
+    assert "another frame or unit" in surface_hint(wall + 1000, centres)

@@ -1,0 +1,63 @@
+"""Going on with a run: of the same source, by the same settings but for those that the surface alone depends on."""
+
+from pathlib import Path
+
+from haustra.core.errors import HaustraError
+from pipeline.config import Config, is_of_surface
+from pipeline.run_folder.inputs import changed_inputs, record_inputs
+from pipeline.run_folder.lock import RunLock
+from pipeline.run_folder.workspace import REFUSED, Workspace, clear_if_begun, open_workspace
+
+FROM_SURFACE = ("surface", "coverage", "report")  # stages, in their order
+OF_SURFACE = ("scale file",)  # inputs that no stage before reads
+
+
+def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
+    """An existing run of the same source and settings, locked, to go on with.
+
+    Where the scale or how depth is fused is another, the surface and what follows are made anew; `made_anew` says why.
+    The record then names the source and the settings as they are given now: either may have been moved.
+    """
+    open_workspace(root)  # says so if it is none
+    lock = RunLock(root)
+    try:
+        workspace = open_workspace(root)  # as the process before left it
+        workspace.lock = lock
+        _check_same(workspace, source, config)
+        workspace.record.pop(REFUSED, None)
+        clear_if_begun(workspace)
+        workspace.log.mkdir(exist_ok=True)
+    except BaseException:
+        lock.release()
+        raise
+    return workspace
+
+
+def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
+    """Whether a run is of this source, these settings and these files; those that look untouched are not read."""
+    if workspace.retired_settings or not workspace.config.is_same_work(config):
+        return False
+    return not changed_inputs(source, config, workspace.record["source"], True)
+
+
+def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
+    root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
+    if "source" in changed:
+        raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
+    fixed = workspace.retired_settings
+    if fixed:
+        raise HaustraError(f"{root} was run with another setting ({fixed[0]}); use --overwrite")
+    different = workspace.config.differences(config)
+    other = [difference for difference in different if not is_of_surface(difference)]
+    if other:
+        raise HaustraError(f"{root} was run with other settings ({other[0]}); repeat them, or use --overwrite")
+    others = [name for name in changed if name not in OF_SURFACE]
+    if others:
+        raise HaustraError(f"{root} was run with another {others[0]}; its contents have changed since")
+    if different or changed:
+        workspace.made_anew = different[0] if different else f"the {changed[0]} has changed"
+        for stage in FROM_SURFACE:
+            workspace.record["stages"].pop(stage, None)
+    if different or changed or workspace.record["source"]["path"] != str(source.resolve()):
+        workspace.record |= {"source": record_inputs(source, config), "config": config.model_dump(mode="json")}
+        workspace.save()
