@@ -80,7 +80,7 @@ def reconstruct(
         bool, typer.Option("--rerun", help="also write run.rrd, for Rerun; needs the extra: rerun")
     ] = False,
     profile: Annotated[bool, typer.Option("--profile", help="time and memory of each stage, in metrics.json")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="go on after a stop, or with another scale or fusion")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="go on after a stop, or with another scale")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace the run in the output folder")] = False,
     quiet: Quiet = False,
     version: Version = False,

@@ -55,7 +55,8 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     if others:
         raise HaustraError(f"{root} was run with another {others[0]}; its contents have changed since")
     if different or changed:
-        workspace.made_anew = different[0] if different else f"the {changed[0]} has changed"
+        if FROM_SURFACE[0] in workspace.record["stages"]:
+            workspace.made_anew = different[0] if different else f"the {changed[0]} has changed"
         for stage in FROM_SURFACE:
             workspace.record["stages"].pop(stage, None)
     if different or changed or workspace.record["source"]["path"] != str(source.resolve()):
