@@ -35,7 +35,7 @@ from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "refinement"  # its name in run.yaml since version 0.1
 FAILURES = (np.linalg.LinAlgError, QhullError, ValueError)
-TOO_FEW_FEATURES = "too few features hold its keyframes together"
+NOT_ADJUSTED = "too few features hold its keyframes together, or the adjusted map meets its loops no better"
 
 
 @dataclass
@@ -176,7 +176,7 @@ def _close(piece: _Piece, words: VisualWords, seed: int, warnings: list[str]) ->
     if adjusted is None and closed.completed is piece.completed:
         return  # the map misses its loops by no more than they can tell
     if adjusted is None:
-        warnings.append(f"the loops of submap {piece.members[0]} were not closed: {TOO_FEW_FEATURES}")
+        warnings.append(f"the loops of submap {piece.members[0]} were not closed: {NOT_ADJUSTED}")
         return
     piece.completed, piece.loops = adjusted, list(closed.accepted_pairs)
 

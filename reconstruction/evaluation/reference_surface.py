@@ -5,7 +5,8 @@ world_from_camera; points are thinned to one, the mean, per cube of `spacing_mm`
 point far from every one of them is wrong. `required` keeps those that came nearer than `max_depth_mm` to a camera: what
 was only seen deeper was seen small and at a glancing angle, so building it is right but missing it is no fault. (One
 set cut at 60 mm for both would put the precision of a perfect fusion at 86 %.) Even a perfect surface shows an accuracy
-of a third of the spacing, the distance to the nearest of such points.
+of a third of the spacing, the distance to the nearest of such points. A wall that lies askew to the axes passes through
+more cubes than one square to them and counts for more: turning run and truth together moved recall by half a point.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def test_loops_that_no_features_hold_move_nothing(workspace, frames, seen_twice,
     ]
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == []
-    assert record["warnings"] == [f"the loops of submap 0 were not closed: {stage.TOO_FEW_FEATURES}"]
+    assert record["warnings"] == [f"the loops of submap 0 were not closed: {stage.NOT_ADJUSTED}"]
 
 
 def test_without_the_stage_nothing_changes(workspace, frames):
