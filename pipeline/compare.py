@@ -90,8 +90,6 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     """
     if not 0 < tau < np.inf:
         raise HaustraError(f"the F-score needs a positive distance, not {tau:g}")
-    if tau < LEAST_TAU_MM:
-        raise HaustraError(f"the F-score at {tau:g} mm cannot be measured; from {LEAST_TAU_MM:g} mm on it can")
     finished = open_run(run)
     metrics = finished.metrics
     seconds, world_from_camera = finished.trajectory()
@@ -176,6 +174,10 @@ def _true_surface(truth: Path, spacing_mm: float) -> ReferenceSurface | None:
     """The surface that the truth shows, in points `spacing_mm` apart; None where it has none."""
     if not truth.is_dir():
         return None
+    if 2 * spacing_mm < LEAST_TAU_MM:
+        raise HaustraError(
+            f"the F-score at {2 * spacing_mm:g} mm cannot be measured; from {LEAST_TAU_MM:g} mm on it can (--tau-mm)"
+        )
     if (known := read_data_set_truth(truth)) is not None:
         return known.surface(spacing_mm)
     has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()

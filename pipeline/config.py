@@ -163,9 +163,14 @@ class Config(Settings):
         return [f"{name}: {mine[name]}, now {others[name]}" for name in changed]
 
 
-def is_of_surface(difference: str) -> bool:
-    """Whether one of `Config.differences` is of a setting that no stage before the surface depends on."""
-    name = difference.split(":")[0]
+def beyond_surface(differences: list[str], config: Config) -> list[str]:
+    """Those of a run's `Config.differences` to `config` for which a new surface is not enough, or was not asked for: of
+    settings that stages before the surface read, and of others that `config` leaves at their defaults."""
+    asked = {difference.split(":")[0] for difference in Config().differences(config)}
+    return [one for one in differences if not (_is_of_surface(one.split(":")[0]) and one.split(":")[0] in asked)]
+
+
+def _is_of_surface(name: str) -> bool:
     return name in ("scale_file", "lumen_mm", "poses.mm_per_unit") or name.startswith(("fusion.", "consistency."))
 
 

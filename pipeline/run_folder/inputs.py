@@ -1,14 +1,16 @@
 """What a run depends on outside its folder: the source, and the files that its settings name."""
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from pipeline.config import Config
+from pipeline.run_folder.lock import NAME as LOCK_NAME
 
-OF_MIDDLES = "middles:"  # begins a folder's digest
-MIDDLE = 4096  # bytes of each file
-LEFT_BY_BROWSERS = ("Thumbs.db", "desktop.ini")
+OF_PARTS = "parts:"  # begins a folder's digest
+PART, PARTS = 4096, (0.0, 0.25, 0.5, 0.75, 1.0)  # bytes of each file, and how far into it
+LEFT_BY_BROWSERS = ("Thumbs.db", "desktop.ini", "@eaDir")
 PARTIAL = ".partial"
 
 Record = dict[str, Any]  # as under `source` in run.yaml: path, sha256 and stamps, the two by the input's name
@@ -44,7 +46,7 @@ def inputs_of(source: Path, config: Config) -> dict[str, Path]:
     named = {"camera file": config.camera, "scale file": config.scale_file, "model file": config.model}
     named |= {"poses": config.poses.file, "hand-eye transform": config.poses.hand_eye}
     named |= {"depth folder": config.sensor.folder, "stereo calibration": config.stereo.calibration}
-    named |= {"right eye": config.stereo.right}
+    named |= {"right eye": config.stereo.right, "lamp file": config.fusion.lamp}
     if source.is_dir():
         named["camera file"] = str(source / "camera.json") if config.camera == "auto" else config.camera
     files = {name: Path(path) for name, path in named.items() if path is not None}
@@ -54,22 +56,26 @@ def inputs_of(source: Path, config: Config) -> dict[str, Path]:
 
 
 def _is_same_content(path: Path, recorded: str) -> bool:
-    if path.is_dir() and not recorded.startswith(OF_MIDDLES):
+    if path.is_dir() and not recorded.startswith(OF_PARTS):
         return _digest_of_sizes(path) == recorded
     return digest(path) == recorded
 
 
 def _digest_of_folder(folder: Path) -> "hashlib._Hash":
-    sha, runs = hashlib.sha256(), {path.parent for path in folder.rglob("run.yaml")} - {folder}
+    sha = hashlib.sha256()
+    locked = {path.parent for path in folder.rglob(LOCK_NAME)} - {folder}
+    runs = {path for path in locked if (path / "run.yaml").is_file()}
     for path in sorted(folder.rglob("*")):
-        foreign = path.name.startswith(".") or path.name in LEFT_BY_BROWSERS or path.suffix == PARTIAL
+        parts = path.relative_to(folder).parts
+        foreign = any(part.startswith(".") or part in LEFT_BY_BROWSERS for part in parts) or path.suffix == PARTIAL
         if foreign or not path.is_file() or not runs.isdisjoint(path.parents):
             continue
         size = path.stat().st_size
         sha.update(f"{path.relative_to(folder)} {size}\n".encode(errors="surrogateescape"))
-        with path.open("rb") as file:
-            file.seek(max(0, size // 2 - MIDDLE // 2))
-            sha.update(file.read(MIDDLE))
+        with suppress(PermissionError), path.open("rb") as file:
+            for share in PARTS:
+                file.seek(int(share * max(0, size - PART)))
+                sha.update(file.read(PART))
     return sha
 
 
@@ -91,10 +97,10 @@ def _stamp(path: Path) -> list[int] | None:
 
 
 def digest(source: Path) -> str:
-    """SHA-256 of a file; of a folder, of its files' names, sizes and middles, since pictures that are not compressed
-    have one size. Runs in the folder, and what file browsers leave in it, do not belong to it."""
+    """SHA-256 of a file; of a folder, of its files' names and sizes, and of parts of each, since pictures that are not
+    compressed have one size. Runs in the folder, and what file browsers leave in it, do not belong to it."""
     if source.is_dir():
-        return OF_MIDDLES + _digest_of_folder(source).hexdigest()
+        return OF_PARTS + _digest_of_folder(source).hexdigest()
     sha = hashlib.sha256()
     with source.open("rb") as file:
         while block := file.read(1 << 20):

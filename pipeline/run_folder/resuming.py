@@ -3,20 +3,21 @@
 from pathlib import Path
 
 from haustra.core.errors import HaustraError
-from pipeline.config import Config, is_of_surface
+from pipeline.config import Config, beyond_surface
 from pipeline.run_folder.inputs import changed_inputs, record_inputs
 from pipeline.run_folder.lock import RunLock
 from pipeline.run_folder.workspace import REFUSED, Workspace, clear_if_begun, open_workspace
 
 FROM_SURFACE = ("surface", "coverage", "report")  # stages, in their order
-OF_SURFACE = ("scale file",)  # inputs that no stage before reads
+OF_SURFACE = ("scale file", "lamp file")  # inputs that no stage before reads
 
 
 def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
     """An existing run of the same source and settings, locked, to go on with.
 
-    Where the scale or how depth is fused is another, the surface and what follows are made anew; `made_anew` says why.
-    The record then names the source and the settings as they are given now: either may have been moved.
+    Where another scale or fusion is given, the surface and what follows are made anew; `made_anew` says why. The record
+    then names the source and the settings as they are given now: either may have been moved. A scale that the run has
+    and that is not given again is no such wish, and refused as every other setting is.
     """
     open_workspace(root)  # says so if it is none
     lock = RunLock(root)
@@ -48,7 +49,9 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     if fixed:
         raise HaustraError(f"{root} was run with another setting ({fixed[0]}); use --overwrite")
     different = workspace.config.differences(config)
-    other = [difference for difference in different if not is_of_surface(difference)]
+    if None not in (workspace.config.scale_file, config.scale_file):  # one file by another path is the same
+        different = [difference for difference in different if not difference.startswith("scale_file:")]
+    other = beyond_surface(different, config)
     if other:
         raise HaustraError(f"{root} was run with other settings ({other[0]}); repeat them, or use --overwrite")
     others = [name for name in changed if name not in OF_SURFACE]
@@ -57,6 +60,7 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     if different or changed:
         if FROM_SURFACE[0] in workspace.record["stages"]:
             workspace.made_anew = different[0] if different else f"the {changed[0]} has changed"
+            workspace.set_aside()
         for stage in FROM_SURFACE:
             workspace.record["stages"].pop(stage, None)
     if different or changed or workspace.record["source"]["path"] != str(source.resolve()):

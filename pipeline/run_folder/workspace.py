@@ -5,6 +5,7 @@ stopped anywhere goes on after its last finished stage. Records and depth maps a
 stopped is done again.
 """
 
+import copy
 import importlib.metadata
 import json
 import os
@@ -20,7 +21,7 @@ import yaml
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name
-from pipeline.config import Config, is_of_surface, read_recorded, retired_differences
+from pipeline.config import Config, beyond_surface, read_recorded, retired_differences
 from pipeline.run_folder.inputs import inputs_of, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
 from pipeline.run_folder.lock import RunLock
@@ -69,6 +70,7 @@ class Workspace:
         self.record: dict[str, Any] = {"stages": {}}
         self.lock: RunLock | None = None  # held where this process writes
         self.made_anew = ""  # why the surface of a run that is gone on with is made anew; empty where it is not
+        self._before: dict[str, Any] | None = None  # the record with the surface that is being replaced
 
     def __enter__(self) -> "Workspace":
         return self
@@ -78,8 +80,22 @@ class Workspace:
             with suppress(OSError):  # a full disk may be the reason itself
                 self.record[REFUSED] = str(error)
                 self.save()
+        if isinstance(error, HaustraError) and self._before is not None:
+            with suppress(OSError):  # the wish was refused, and the surface is still the old one
+                self.record = self._before
+                self.save()
         if self.lock is not None:
             self.lock.release()
+
+    def set_aside(self) -> None:
+        """Keep the record as it is: where what is asked for now is refused, the run has it again."""
+        self._before = copy.deepcopy(self.record)
+
+    def replace_surface(self) -> None:
+        """Before the first file of a new surface: what was written of an older one is no longer the run's."""
+        self._before = None
+        for path in (self.report, self.metrics, self.recording):
+            path.unlink(missing_ok=True)
 
     def forget_features(self) -> None:
         """Remove COLMAP's database."""
@@ -190,7 +206,7 @@ def _ways_on(root: Path, config: Config) -> str:
         other = []
     if not other:
         return "add --resume to go on with it or --overwrite to redo it"
-    if all(is_of_surface(difference) for difference in other):
+    if not beyond_surface(other, config):
         return f"add --resume to make its surface anew ({other[0]}), or --overwrite to redo all of it"
     return f"its settings were others ({other[0]}), so --overwrite redoes it, and --resume goes on with those alone"
 

@@ -82,6 +82,8 @@ def _fuse_all(
                 "the keyframes agree on no surface: too few of them see the same place "
                 f"({len(submap)} keyframes, {settings.fusion.min_observations} must agree)"
             )
+        if number == 0:
+            workspace.replace_surface()
         write_mesh(surface.mesh, mesh_path(workspace, number))
         surfaces.append(surface)
     workspace.finish(STAGE, surfaces=[_record(surface) for surface in surfaces])

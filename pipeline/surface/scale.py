@@ -13,7 +13,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from pipeline.depth.sensor.sensor_scale import SensorScale
 from pipeline.input.pose_files.pose_table import POSES_UNIT
-from pipeline.input.sensor.sensor_depth import doubt_of_view
+from pipeline.input.sensor.sensor_depth import check_view, doubt_of_view
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -60,13 +60,15 @@ SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of
 
 def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None = None) -> Scale:
     """Of a submap made from given poses, one scene unit of which is `unit` of theirs; doubted where the wall is then at
-    a distance that few endoscopes see it from."""
+    a distance that few endoscopes see it from, and HaustraError where none does."""
     if mm_per_unit is None:
         return Scale(unit, "scene", "the unit of the given poses; give --poses-mm to have mm")
     factor, doubt = unit * mm_per_unit, ""
     depths = np.zeros(0) if submap is None else submap.depths()
     if (depths > 0).any():
-        doubt = doubt_of_view(factor * float(np.median(depths[depths > 0])), "poses", POSES_UNIT)
+        distance = factor * float(np.median(depths[depths > 0]))
+        check_view(distance, "poses", POSES_UNIT)
+        doubt = doubt_of_view(distance, "poses", POSES_UNIT)
     return Scale(factor, "mm", f"poses that were given: {mm_per_unit:g} mm per unit", doubt)
 
 
@@ -107,7 +109,7 @@ def _chosen_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Sca
     if source.file is None:
         return without_file
     scale = _scale_from_file(source.file, submap, without_file)
-    others = [other for other in source.given if other is not without_file]
+    others = [one for one in source.given if one is not None and one.factor != without_file.factor]
     return checked_against(scale, [without_file, *others])
 
 
@@ -171,7 +173,8 @@ def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
     numbers = check_scale_file(path)
     if "mm_per_unit" in numbers:
         times, unit = numbers["mm_per_unit"], "mm that there are without it" if without_file.unit == "mm" else "unit"
-        return Scale(times * without_file.factor, "mm", f"scale file {path.name}: {times:g} mm per {unit}")
+        told = f"scale file {path.name}: {times:g} mm per {unit}"
+        return Scale(times * without_file.factor, "mm", told, without_file.doubt)
     centres = []
     for name in ("frame_a", "frame_b"):
         row = np.flatnonzero(submap.frames == int(numbers[name]))

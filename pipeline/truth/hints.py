@@ -146,10 +146,10 @@ def surface_hint(wall: Array, centres: Array) -> str:
     near any of them, or it is far smaller than their path. "" where it can."""
     size, way = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (wall, centres))
     if size < SMALLEST * way:
-        return f"the true wall is {size:.3g} mm in size and the true path {way:.3g} mm: is its mesh in metres?"
+        return f"the true wall is {size:.3g} mm in size and the true path {way:.3g} mm: is it in metres?"
     nearest = float(cKDTree(wall).query(centres)[0].min())
     if nearest > FARTHEST_MM:
-        return f"no true camera is nearer than {nearest:.0f} mm to the true wall: its mesh has another frame or unit"
+        return f"no true camera is nearer than {nearest:.0f} mm to the true wall: it has another frame or unit"
     return ""
 
 

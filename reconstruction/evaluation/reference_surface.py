@@ -88,9 +88,9 @@ def reference_from_mesh(
     """
     mesh, seen = read_mesh(path), read_face_property(path, "seen")
     nearest = read_face_property(path, "nearest_mm")
-    nowhere = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+    nowhere = int((~np.isfinite(mesh.vertices[mesh.faces]).all(axis=(1, 2))).sum())
     if nowhere:
-        raise ReconstructionError(f"{path} has {counted(nowhere, 'vertex', 'vertices')} whose place is no number")
+        raise ReconstructionError(f"{path} has {counted(nowhere, 'face')} with a corner whose place is no number")
     whole = np.ones(len(mesh.faces), bool) if seen is None else seen == 1
     if not whole.any():
         raise ReconstructionError(f"{path} has no face that was seen")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from haustra.core.errors import HaustraError
 from pipeline import compare
 from reconstruction.mesh.mesh_io import write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -23,3 +24,11 @@ def test_a_perfect_surface_is_perfect_at_every_distance(tmp_path, tau):
     truth = compare._true_surface(tmp_path, compare.spacing_of(tau))
     errors = compare._surface(mesh, np.eye(4), truth, tau)
     assert min(errors.precision, errors.recall) > 0.99
+
+
+def test_a_distance_finer_than_the_truth_can_be_is_refused_where_there_is_a_surface(tmp_path):
+    path = tmp_path / "trajectory.txt"
+    path.write_text("0 0 0 0 0 0 0 1\n")
+    assert compare._true_surface(path, compare.spacing_of(0.1)) is None
+    with pytest.raises(HaustraError, match=r"F-score at 0\.1 mm cannot be measured"):
+        compare._true_surface(tmp_path, compare.spacing_of(0.1))

@@ -28,8 +28,10 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     text = read_text(path)
     rows = list(csv.DictReader(text.splitlines(), delimiter=";" if ";" in text.split("\n", 1)[0] else ","))
     rows = [{(name or "").strip().lower(): value for name, value in row.items()} for row in rows]
-    count, numbers = len(rows), [str(row.get("frame") or "").strip() for row in rows]
+    numbers = tuple(str(row.get("frame") or "").strip() for row in rows)
     kept = [k for k, row in enumerate(rows) if str(row.get("state", "")).strip().lower() not in LOST]
+    if rows and not kept:
+        raise HaustraError(f"{path}: all {len(rows)} lines are marked as lost; none has a pose")
     rows, names = [rows[k] for k in kept], tuple(numbers[k] for k in kept)
     place, turn = (_present(rows, choices, path) for choices in (PLACE, TURN))
     time = next((name for name in TIMES if rows and name in rows[0]), None)
@@ -48,11 +50,13 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     except (TypeError, ValueError) as error:
         raise HaustraError(f"{path}: a line's place, quaternion or time is no number") from error
     world_from_camera = rigid(world_from_sensor, str(path)) @ sensor_from_camera
-    if seconds is None and not all(names):  # a line's own place says which frame it is of
-        return PoseTable(path, world_from_camera, None, None, tuple(kept), count, sensor_from_camera)
+    if seconds is None and (not any(numbers) or (all(numbers) and _without_gap(numbers, path))):
+        # A line's own place says which frame it is of: the tracker may have counted before the film began.
+        return PoseTable(path, world_from_camera, None, None, tuple(kept), len(numbers), sensor_from_camera)
     if seconds is None:
-        named = None if len(names) == count and _without_gap(names, path) else names
-        return PoseTable(path, world_from_camera, names=named, sensor_from_camera=sensor_from_camera)
+        if not all(names):
+            raise HaustraError(f"{path}: line {kept[names.index('')] + 2} has no frame number, and others have one")
+        return PoseTable(path, world_from_camera, names=names, sensor_from_camera=sensor_from_camera)
     order = np.argsort(seconds, kind="stable")
     table = PoseTable(path, world_from_camera[order], seconds[order], sensor_from_camera=sensor_from_camera)
     return _once_a_time(table)

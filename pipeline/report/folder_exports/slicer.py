@@ -29,8 +29,8 @@ def export_slicer(run: Run, target: Path) -> Path:
     """Write mesh.ply, path.mrk.json and, where there are any, missed_regions.mrk.json; returns the folder."""
     if run.unit() != "mm":
         raise HaustraError(
-            "Slicer measures in mm, and this run has no scale: make it anew with --overwrite and "
-            "--lumen-mm, --scale or --poses-mm, or with the depth of --stereo or --depth sensor"
+            "Slicer measures in mm, and this run has no scale: give its command again with --resume and --lumen-mm, "
+            "--scale or --poses-mm, or with --overwrite and the depth of --stereo or --depth sensor"
         )
     folder = empty_folder(target)
     write_ply(run.surfaces[0].mesh, folder / "mesh.ply", comments=("SPACE=LPS",))

@@ -135,16 +135,14 @@ def test_a_missing_recorder_is_told_before_the_work(monkeypatch, tmp_path, runs,
     assert runs == []
 
 
-@pytest.mark.parametrize(
-    ("tau", "said"), [*((tau, "positive distance") for tau in ("nan", "-1", "0", "inf")), ("0.1", "cannot be measured")]
-)
-def test_compare_wants_a_distance_that_can_be_measured(monkeypatch, capsys, tmp_path, tau, said):
+@pytest.mark.parametrize("tau", ["nan", "-1", "0", "inf"])
+def test_compare_wants_a_positive_distance(monkeypatch, capsys, tmp_path, tau):
     (tmp_path / "run.yaml").write_text("{}")
     monkeypatch.setattr(sys, "argv", ["haustra", "compare", str(tmp_path), str(tmp_path), "--tau-mm", tau])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 1
-    assert said in capsys.readouterr().err
+    assert "positive distance" in capsys.readouterr().err
 
 
 def test_a_missing_gpu_is_refused_before_anything_is_written(monkeypatch, tmp_path):

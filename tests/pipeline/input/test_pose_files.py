@@ -181,6 +181,21 @@ def test_lines_of_a_tracker_that_are_lost_or_in_any_order(tmp_path):
         assert_right(read_poses(*path), left)
         with pytest.raises(HaustraError, match="one for each frame is needed"):
             poses_by_frame(read_poses(*path), film(count=COUNT + 1))
+    for begun, lost in ((3, COUNT - 1), (5000, 0)):  # a tracker that counted before the film began
+        left = [k for k in range(COUNT) if k != lost]
+        path = csv_of(
+            tmp_path / "e.csv",
+            range(COUNT),
+            "State,Frame",
+            lambda k, lost=lost, begun=begun: f"{'Missing' if k == lost else 'OK'},{begun + k}",
+        )
+        assert_right(read_poses(*path), left)
+    blank = csv_of(tmp_path / "f.csv", range(COUNT), "Frame", lambda k: "" if k == 3 else f"{2 * k}")
+    with pytest.raises(HaustraError, match="line 5 has no frame number, and others have one"):
+        read_poses(*blank)
+    none = csv_of(tmp_path / "g.csv", range(COUNT), "State", lambda k: "Missing")
+    with pytest.raises(HaustraError, match="all 5 lines are marked as lost"):
+        read_poses(*none)
     times = csv_of(tmp_path / "b.csv", [3, 0, 4, 1, 1, 2], "Time", lambda k: SECONDS[k])
     assert_right(read_poses(*times))
     two = csv_of(tmp_path / "c.csv", range(COUNT), "Time", lambda k: SECONDS[k // 2])

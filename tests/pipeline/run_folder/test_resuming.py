@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
-from pipeline.config import is_of_surface, load_config
+from pipeline.config import _is_of_surface, load_config
 from pipeline.run_folder.inputs import _digest_of_sizes, digest
 from pipeline.run_folder.resuming import FROM_SURFACE, resume_workspace
 from pipeline.run_folder.workspace import create_workspace, open_workspace
@@ -54,13 +54,54 @@ def test_another_scale_or_fusion_makes_the_surface_anew_and_nothing_before_it(ru
         assert not again.made_anew
 
 
-def test_settings_of_the_surface_are_those_that_nothing_before_it_reads():
-    names = [name for section in ("fusion", "consistency") for name in load_config(None).model_dump()[section]]
-    assert names
+def test_a_scale_that_is_not_given_again_is_not_taken_away(tmp_path, film):
+    config, folder = load_config(None, lumen_mm=40.0), tmp_path / "run"
+    with create_workspace(folder, film, config, overwrite=False) as workspace:
+        workspace.finish("surface")
+    with pytest.raises(HaustraError, match=r"with other settings \(lumen_mm: 40.0, now None\); repeat them"):
+        resume_workspace(folder, film, load_config(None))
+    with resume_workspace(folder, film, load_config(None, lumen_mm=50.0)) as workspace:
+        assert workspace.made_anew == "lumen_mm: 40.0, now 50.0"
+
+
+def test_a_wish_that_is_refused_leaves_the_run_as_it_was(run, film):
+    before = open_workspace(run).record
+    (run / "report.html").write_text("old")
+
+    def fail(begun: bool, **changed):
+        with resume_workspace(run, film, load_config(None, **changed)) as workspace:
+            if begun:
+                workspace.replace_surface()
+            raise HaustraError("the keyframes agree on no surface")
+
+    with pytest.raises(HaustraError, match="agree on no surface"):
+        fail(False, fusion={"min_observations": 50})
+    assert open_workspace(run).record == before
+    with pytest.raises(HaustraError, match="agree on no surface"):
+        fail(True, lumen_mm=3.0)
+    assert "surface" not in open_workspace(run).record["stages"]
+    assert not (run / "report.html").exists()  # of the surface before
+
+
+def test_the_same_scale_file_elsewhere_is_the_same(tmp_path, film):
+    paths, folder = [tmp_path / "a.yaml", tmp_path / "b.yaml"], tmp_path / "run"
+    for path in paths:
+        path.write_text("mm_per_unit: 2")
+    first, second = (load_config(None, scale_file=str(path)) for path in paths)
+    with create_workspace(folder, film, first, overwrite=False) as workspace:
+        workspace.finish("surface")
+    with resume_workspace(folder, film, second) as workspace:
+        assert workspace.is_done("surface")
+    paths[1].write_text("mm_per_unit: 3")
+    with resume_workspace(folder, film, second) as workspace:
+        assert workspace.made_anew
+
+
+def test_which_settings_are_of_the_surface_alone():
     for name in ("scale_file", "lumen_mm", "poses.mm_per_unit", "fusion.voxel_size", "consistency.tolerance"):
-        assert is_of_surface(f"{name}: None, now 2")
+        assert _is_of_surface(name)
     for name in ("poses.file", "seed", "depth.multiview", "sensor.unit_mm", "frames.end_s"):
-        assert not is_of_surface(f"{name}: None, now 2")
+        assert not _is_of_surface(name)
 
 
 def test_a_scale_file_that_has_changed_makes_the_surface_anew(tmp_path, film):
@@ -95,6 +136,8 @@ def test_a_run_in_its_source_and_what_file_browsers_leave_change_no_source(film)
     folder, before = film / "film_run", digest(film)
     for name in (".DS_Store", "Thumbs.db"):
         (film / name).write_bytes(b"browser")
+    (film / "@eaDir").mkdir()
+    (film / "@eaDir" / "00000.bmp").write_bytes(b"thumbnail")
     with create_workspace(folder, film, load_config(None), overwrite=False) as workspace:
         workspace.images.mkdir()
         shutil.copy(film / "00000.bmp", workspace.images)
@@ -102,6 +145,13 @@ def test_a_run_in_its_source_and_what_file_browsers_leave_change_no_source(film)
     assert digest(film) == before
     with resume_workspace(folder, film, load_config(None)) as workspace:
         assert workspace.is_done("frames")
+
+
+def test_a_users_own_run_yaml_hides_no_picture(tmp_path, film):
+    (film / "run.yaml").write_text("mine")
+    before = digest(tmp_path)
+    (film / "00001.bmp").write_bytes((film / "00001.bmp").read_bytes()[::-1])
+    assert digest(tmp_path) != before
 
 
 def test_a_run_of_version_01_goes_on(run, film):

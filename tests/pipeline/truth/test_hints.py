@@ -139,5 +139,5 @@ def test_a_true_wall_that_no_camera_could_see_is_named(seed: int) -> None:
     rng, centres = np.random.default_rng(seed), winding(seed)
     wall = centres[rng.integers(0, FRAMES, 4000)] + 25 * Rotation.random(4000, random_state=seed).as_matrix()[:, 0]
     assert surface_hint(wall, centres) == ""
-    assert "is its mesh in metres?" in surface_hint(wall / 1000, centres)
+    assert "is it in metres?" in surface_hint(wall / 1000, centres)
     assert "another frame or unit" in surface_hint(wall + 1000, centres)
