@@ -105,16 +105,9 @@ def find_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
 
 
 def _chosen_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
-    without_file = _scale_without_file(source, submap, mesh)
-    if source.file is None:
-        return without_file
-    scale = _scale_from_file(source.file, submap, without_file)
-    others = [one for one in source.given if one is not None and one.factor != without_file.factor]
-    return checked_against(scale, [without_file, *others])
-
-
-def _scale_without_file(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Scale:
     given = next((scale for scale in source.given if scale is not None), SCENE)
+    if source.file is not None:
+        return checked_against(_scale_from_file(source.file, submap, given), source.given)
     if source.lumen_mm is None:
         return given
     # One median depth ahead: in a tube that is where the picture's middle ground lies.
@@ -169,7 +162,8 @@ def _unscaled(without_file: Scale, why: str) -> Scale:
 
 
 def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
-    """`mm_per_unit` is measured in a run without the file, whose unit `without_file` makes of scene units."""
+    """`mm_per_unit` is measured in a run without the file and a lumen's width, whose unit `without_file` makes of scene
+    units."""
     numbers = check_scale_file(path)
     if "mm_per_unit" in numbers:
         times, unit = numbers["mm_per_unit"], "mm that there are without it" if without_file.unit == "mm" else "unit"
