@@ -42,8 +42,6 @@ READ = """
   mesh. The bytes of a result stay.
 - **Features found once.** SIFT features of the front end's keyframes are kept for the stage that triangulates points
   anew ([points.md](points.md)), which came after `before`. It needs those of some more frames, as the film moves on.
-- **No search for loops** in a film whose keyframes all share points. Refined points read each frame's picture once. The
-  report's still pictures of the surface are drawn with two rays a pixel, not four.
 - **Bundle adjustment by vector instructions**: the blocks of the reduced camera system are summed by compiled code
   that adds a row at once, each sum in its order as before, so that the bytes of a result stay
   (`pipeline/optimization/kernels.py`).
