@@ -72,7 +72,7 @@ def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> 
     axes = np.linalg.eigh(np.cov(mesh.vertices.T))[1][:, ::-1].T  # longest first
     long_axis, second_axis = (axis * np.sign(axis[np.abs(axis).argmax()]) for axis in axes[:2])
     views = [_square_to(long_axis, down, width >= height) for down in _quarter_turns(long_axis, second_axis)]
-    shown = [_lumen_shown(mesh, np.cross(*view)) for view in views]
+    shown = [lumen_shown(mesh, np.cross(*view)) for view in views]
     right, down = views[int(np.argmax(shown)) if max(shown) > TURNED_FOR * shown[0] else 0]
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = np.column_stack([right, down, np.cross(right, down)])
@@ -96,7 +96,7 @@ def _square_to(
     return (long_axis, across) if is_wide else (across, long_axis)
 
 
-def _lumen_shown(mesh: SurfaceMesh, forward: NDArray[np.float64]) -> float:
+def lumen_shown(mesh: SurfaceMesh, forward: NDArray[np.float64]) -> float:
     """Area of the faces that turn to a camera far away, as it appears to it; what hides them does not count."""
     return float(np.maximum(-(mesh.face_normals @ forward), 0) @ mesh.face_areas)
 

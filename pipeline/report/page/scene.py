@@ -17,7 +17,7 @@ from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
 from reconstruction.mesh.decimation import decimated
-from reconstruction.mesh.rendering import brightened
+from reconstruction.mesh.rendering import TURNED_FOR, brightened, lumen_shown
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 TRIANGLES = 60_000  # of all submaps' meshes together
@@ -25,7 +25,6 @@ FEWEST_TRIANGLES = 2_000  # that a submap keeps, unless there are many:
 FLOOR_SHARE = 0.25  # of all triangles are for what small submaps keep beyond their share
 PATCH_TRIANGLES = 16_000  # of all missed regions together,
 MOST_PATCH_TRIANGLES = 8_000  # and of a submap's
-MOSTLY = 0.25  # mean of the wall's normals towards the eye; of a whole tube 0
 PATH_POINTS = 20_000  # of all camera paths together,
 MOST_PATH_POINTS = 5_000  # and of a submap's
 
@@ -87,8 +86,8 @@ def _submap(
     points = np.concatenate([coarse.vertices, submap.centres])
     low, high = points.min(axis=0), points.max(axis=0)
     axes = _axes(coarse.vertices if len(coarse.faces) else submap.centres, world_from_camera)
-    if len(coarse.faces) and np.mean(coarse.normals @ axes[2]) < -MOSTLY:
-        axes = axes * [[-1.0], [1.0], [-1.0]]  # wall that is open to the other side is seen from there
+    if len(coarse.faces):
+        axes = _turned_to_lumen(axes, coarse)
     seen = points @ axes.T  # as the first view shows them
     return {
         "unit": unit,
@@ -204,6 +203,17 @@ def _axes(points: NDArray[np.float64], world_from_camera: NDArray[np.float64]) -
         up = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 else [0, 1.0, 0])
     up /= np.linalg.norm(up)
     return np.stack([along, up, np.cross(along, up)])
+
+
+def _turned_to_lumen(axes: NDArray[np.float64], mesh: SurfaceMesh) -> NDArray[np.float64]:
+    """The axes, or those of a view from the other side, from above or from below that shows clearly more of the lumen's
+    side: wall that was seen on one side alone would be cut away."""
+    along, up, towards = axes
+    found = axes
+    for view in ((-along, up, -towards), (along, -towards, up), (along, towards, -up)):
+        if lumen_shown(mesh, -view[2]) > TURNED_FOR * lumen_shown(mesh, -found[2]):
+            found = np.stack(view)
+    return found
 
 
 def _pose(world_from_camera: NDArray[np.float64]) -> list[float]:

@@ -253,13 +253,13 @@ def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
     assert page.count("<li>submap ") == count - 6
 
 
-@pytest.mark.parametrize("side", [-1, 1])
-def test_open_wall_is_first_seen_from_the_side_that_is_open(tmp_path, side):
-    """Else all of it faces away, and "cut open" shows nothing."""
+@pytest.mark.parametrize(("across", "side"), [(0, -1), (0, 1), (1, -1), (1, 1)])
+def test_open_wall_is_first_seen_from_the_side_that_is_open(tmp_path, across, side):
+    """Else all of it faces away, and "cut open" shows nothing: left, right, above and below the path."""
     made = make_tiny_run(tmp_path)
     whole = made.surfaces[0].mesh
     middles = whole.vertices[whole.faces].mean(axis=1)
-    half = SurfaceMesh.from_triangles(whole.vertices, whole.faces[side * middles[:, 0] > 0], colours=whole.colours)
+    half = SurfaceMesh.from_triangles(whole.vertices, whole.faces[side * middles[:, across] > 0], colours=whole.colours)
     made.surfaces[0] = replace(made.surfaces[0], mesh=half)
     write_page(*made.parts)
     towards = np.array(scene_of(made.workspace.report.read_text())["submaps"][0]["axes"][2])
