@@ -88,7 +88,7 @@ def reconstruct(
             )
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
         completed = complete(frames, retriangulated, later.completer, config.depth, workspace, progress)
-        completed = refine_depth(completed, later.completer, config.depth, workspace, progress)
+        completed = refine_depth(frames, completed, later.completer, config.depth, workspace, progress)
         later.forget()
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)

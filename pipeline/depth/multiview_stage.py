@@ -17,12 +17,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from completion.confidence import error_from_confidence
-from haustra.core.progress import Progress
+from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import REFINED, DiskKeyframes
 from pipeline.depth.preparation import LoadCompleter
-from pipeline.depth.sparse_depth import SparseDepthMaker
+from pipeline.depth.sensor.joined_points import points_of
+from pipeline.depth.sparse_depth import SparseDepth
+from pipeline.input.frames import Frames
+from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.run_folder.malloc import freed_memory_kept
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
@@ -40,6 +43,7 @@ CACHED = 2 * max(STEPS) + 2  # first depths in memory
 
 
 def refine_depth(
+    frames: Frames,
     completed: list[CompletedSubmap],
     load_completer: LoadCompleter,
     settings: DepthSettings,
@@ -51,22 +55,27 @@ def refine_depth(
         return completed
 
     def make() -> None:
-        _refine_all(completed, load_completer(), workspace, progress)
+        _refine_all(frames, completed, load_completer(), workspace, progress)
 
     refined = DiskKeyframes(workspace)
     return load_or_make(workspace, STAGE, lambda: [replace(one, store=refined) for one in completed], make)
 
 
 def _refine_all(
-    completed: list[CompletedSubmap], completer: DepthCompleter, workspace: Workspace, progress: Progress
+    frames: Frames,
+    completed: list[CompletedSubmap],
+    completer: DepthCompleter,
+    workspace: Workspace,
+    progress: Progress,
 ) -> None:
-    store = DiskKeyframes(workspace)
+    store, sensor = DiskKeyframes(workspace), open_sensor(workspace, frames.camera.width)
     done, total = 0, sum(len(one) for one in completed)
     with freed_memory_kept(), progress.bar("depth from several views", total) as advance:
         for one in completed:
-            maker, first = SparseDepthMaker(one.submap, one.camera), _first_views(one)
+            # Those that the first depth was completed from; what there is to say of them was said then.
+            points, first = points_of(one, frames, sensor, SilentProgress()), _first_views(one)
             for place in range(len(one)):
-                _refine(one, place, maker, first, completer, store)
+                _refine(one, place, points, first, completer, store)
                 done += 1
                 advance(done)
     workspace.finish(STAGE)
@@ -90,7 +99,7 @@ def _first_views(completed: CompletedSubmap) -> Callable[[int], UnsureView]:
 def _refine(
     completed: CompletedSubmap,
     place: int,
-    maker: SparseDepthMaker,
+    points: Callable[[int], SparseDepth],
     first: Callable[[int], UnsureView],
     completer: DepthCompleter,
     store: DiskKeyframes,
@@ -107,9 +116,9 @@ def _refine(
         others = [first(other) for other in near if 0 <= other < len(completed)]
         cell = max(2, round(CELL * depth.shape[1]))
         carried, carried_error = transferred(depth.shape, completed.camera.matrix, world_from_camera, others, cell)
-        sparse, error = maker.sparse_depth(row).maps(*depth.shape)
+        sparse, error = points(row).maps(*depth.shape)
         measured = sparse > 0
-        points = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
-        refined, doubt = completer.refine(completed.rgb(row), *points, depth, confidence)
+        known = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
+        refined, doubt = completer.refine(completed.rgb(row), *known, depth, confidence)
     nothing = np.float32(0)
     store.write_depth(index, np.where(depth > 0, refined, nothing), np.where(depth > 0, doubt, nothing))

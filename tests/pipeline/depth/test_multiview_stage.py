@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from pipeline.config import Config, DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.multiview_stage import refine_depth
+from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.tiny_run import make_tiny_run
 
 ON = DepthSettings(multiview=True)
+FRAMES = SimpleNamespace(camera=SimpleNamespace(width=64))
 
 
 class Recorder:
@@ -52,7 +55,7 @@ def unwanted() -> DepthCompleter:
 
 
 def refined(submap: CompletedSubmap, workspace: Workspace, completer: Recorder) -> CompletedSubmap:
-    return refine_depth([submap], lambda: completer, ON, workspace, SilentProgress())[0]
+    return refine_depth(FRAMES, [submap], lambda: completer, ON, workspace, SilentProgress())[0]
 
 
 def test_every_keyframe_is_refined_from_first_depths_and_the_first_ones_go(completed) -> None:
@@ -75,14 +78,23 @@ def test_points_of_the_neighbours_lie_on_the_wall_that_they_saw_and_leave_measur
     recorder = Recorder()
     refined(submap, workspace, recorder)
     call = recorder.calls[len(recorder.calls) // 2]
-    from pipeline.depth.sparse_depth import SparseDepthMaker
-
     row = int(submap.rows[len(recorder.calls) // 2])
     own, _ = SparseDepthMaker(submap.submap, submap.camera).sparse_depth(row).maps(*call["sparse"].shape)
     np.testing.assert_array_equal(call["sparse"][own > 0], own[own > 0])
     carried = (call["sparse"] > 0) & (own == 0)
     assert carried.sum() > 20
     assert (call["error"][carried] > 0).all()
+
+
+def test_the_points_are_those_of_the_first_depth_a_sensors_too(completed, monkeypatch) -> None:
+    submap, workspace = completed
+    sensed = SparseDepth(np.array([[10.5, 20.5], [30.5, 12.5]]), np.array([1.25, 0.75]), np.array([0.01, 0.02]))
+    monkeypatch.setattr("pipeline.depth.multiview_stage.points_of", lambda *_: lambda _: sensed)
+    recorder = Recorder()
+    refined(submap, workspace, recorder)
+    for call in recorder.calls:
+        assert (call["sparse"][20, 10], call["sparse"][12, 30]) == (1.25, 0.75)
+        assert call["error"][[20, 12], [10, 30]] == pytest.approx([0.01, 0.02])
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(completed) -> None:
@@ -117,4 +129,4 @@ def test_a_network_of_one_iteration_keeps_its_first_depth(completed) -> None:
 
 def test_without_the_setting_nothing_is_done(completed) -> None:
     submap, workspace = completed
-    assert refine_depth([submap], unwanted, Config().depth, workspace, SilentProgress()) == [submap]
+    assert refine_depth(FRAMES, [submap], unwanted, Config().depth, workspace, SilentProgress()) == [submap]
