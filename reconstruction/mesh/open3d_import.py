@@ -1,6 +1,8 @@
 """Import of Open3D where system libraries may be missing, and its ray casting scene."""
 
 import ctypes
+from contextlib import suppress
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import ReconstructionError
 
 DEBIAN_PACKAGES = "libegl1 libgl1 libx11-6 libgomp1"
+TRIES = 20
 
 
 def import_open3d() -> ModuleType:
@@ -17,13 +20,22 @@ def import_open3d() -> ModuleType:
     if not _loads("libusb-1.0.so.0"):
         _preload_packaged_libusb()
     try:
-        import open3d
+        open3d = _imported()
     except (ImportError, OSError) as error:
         reason = f"Open3D cannot be loaded ({error})"
         raise ReconstructionError(
             f"{reason}; on Debian or Ubuntu, `apt-get install {DEBIAN_PACKAGES}` provides what it needs."
         ) from error
     return open3d
+
+
+def _imported() -> ModuleType:
+    """Open3D goes through the list of loaded modules as it loads, and gives up (`RuntimeError`) where another thread
+    loads one just then. What it had loaded by then stays, so that the next try is over in no time."""
+    for _ in range(TRIES - 1):
+        with suppress(RuntimeError):
+            return import_module("open3d")
+    return import_module("open3d")
 
 
 def ray_scene(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Any:
