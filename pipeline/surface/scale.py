@@ -80,8 +80,11 @@ def scale_of_sensor(found: SensorScale | None) -> Scale | None:
 def without_sensor(otherwise: Scale | None) -> Scale:
     """Of a submap of which a sensor saw too little: what is known otherwise, and that the sensor gave nothing."""
     scale = SCENE if otherwise is None else otherwise
-    none = "the sensor saw too few of the map's points: neither its depth nor its millimetres are used"
-    return replace(scale, doubt=f"{scale.doubt}; {none}" if scale.doubt else none)
+    return _doubted(scale, "the sensor saw too few of the map's points: neither its depth nor its millimetres are used")
+
+
+def _doubted(scale: Scale, why: str) -> Scale:
+    return replace(scale, doubt="; ".join(filter(None, [scale.doubt, why])))
 
 
 def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
@@ -157,8 +160,9 @@ def check_scale_frames(path: Path | None, frames: NDArray[np.int64]) -> None:
 
 def _unscaled(without_file: Scale, why: str) -> Scale:
     """A run of hours is not ended for a scale: it can be given again."""
-    told = f"{why}, so that the file gives no scale; correct it, and give the same command with --resume"
-    return replace(without_file, doubt="; ".join(filter(None, [without_file.doubt, told])))
+    return _doubted(
+        without_file, f"{why}, so that the file gives no scale; correct it, and give the same command with --resume"
+    )
 
 
 def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:

@@ -24,7 +24,7 @@ BRIGHT = 240  # grey level that `brightened` puts the 95th percentile of the bri
 CHUNK = 65_536  # rays cast and shaded in one go: some twenty megabytes
 MAX_LAYERS = 24  # back faces that one ray passes in a cut-away image before it is given up
 RAY_OFFSET = 1e-5  # relative step past a face, so that the next cast does not meet it again
-TURNED_FOR = 1.2  # times as much of the lumen's side, for which the automatic view is another than the first
+TURNED_FOR = 1.2  # times as much of the lumen's side, for which a view is taken that is not the preferred one
 FRAME_MARGIN = 1.06  # image extent over object extent in the automatic view
 
 
@@ -71,9 +71,10 @@ def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> 
     centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     axes = np.linalg.eigh(np.cov(mesh.vertices.T))[1][:, ::-1].T  # longest first
     long_axis, second_axis = (axis * np.sign(axis[np.abs(axis).argmax()]) for axis in axes[:2])
-    views = [_square_to(long_axis, down, width >= height) for down in _quarter_turns(long_axis, second_axis)]
-    shown = [lumen_shown(mesh, np.cross(*view)) for view in views]
-    right, down = views[int(np.argmax(shown)) if max(shown) > TURNED_FOR * shown[0] else 0]
+    third_axis = np.cross(long_axis, second_axis)
+    turns = (second_axis, third_axis, -second_axis, -third_axis)
+    views = [(long_axis, across) if width >= height else (across, long_axis) for across in turns]
+    right, down = views[clearest_view(mesh, np.cross(*np.transpose(views, (1, 0, 2))))]
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = np.column_stack([right, down, np.cross(right, down)])
     x, y, z = ((mesh.vertices - centre) @ world_from_camera[:3, :3]).T
@@ -83,22 +84,15 @@ def outside_view(mesh: SurfaceMesh, width: int, height: int, fov_deg: float) -> 
     return world_from_camera
 
 
-def _quarter_turns(axis: NDArray[np.float64], first: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """A unit vector square to a unit axis, turned about it by 0, 90, 180 and 270 degrees."""
-    second = np.cross(axis, first)
-    return [first, second, -first, -second]
-
-
-def _square_to(
-    long_axis: NDArray[np.float64], across: NDArray[np.float64], is_wide: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What points right and down in the image."""
-    return (long_axis, across) if is_wide else (across, long_axis)
-
-
-def lumen_shown(mesh: SurfaceMesh, forward: NDArray[np.float64]) -> float:
-    """Area of the faces that turn to a camera far away, as it appears to it; what hides them does not count."""
-    return float(np.maximum(-(mesh.face_normals @ forward), 0) @ mesh.face_areas)
+def clearest_view(mesh: SurfaceMesh, forward: NDArray[np.float64]) -> int:
+    """Row of the direction of view (N,3), preferred ones first, in which most of the lumen's side faces a camera far
+    away, by apparent area; a later one must show `TURNED_FOR` times as much. What hides a face does not count."""
+    shown = np.maximum(-(mesh.area_vectors @ forward.T), 0).sum(axis=0)
+    best = 0
+    for row in range(1, len(shown)):
+        if shown[row] > TURNED_FOR * shown[best]:
+            best = row
+    return best
 
 
 def brightened(colours: NDArray[np.uint8]) -> Floats:

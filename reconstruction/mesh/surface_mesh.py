@@ -61,7 +61,12 @@ class SurfaceMesh:
     @property
     def face_areas(self) -> NDArray[np.float64]:
         """(F,) in squared units of the vertices."""
-        return np.linalg.norm(_doubled_face_vectors(self.vertices, self.faces), axis=1) / 2
+        return np.linalg.norm(self.area_vectors, axis=1)
+
+    @property
+    def area_vectors(self) -> NDArray[np.float64]:
+        """(F,3) along each face's normal, as long as its area."""
+        return _doubled_face_vectors(self.vertices, self.faces) / 2
 
     @property
     def face_normals(self) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 from pipeline.surface.scale import unit_label
 from reconstruction.mesh.decimation import decimated
-from reconstruction.mesh.rendering import TURNED_FOR, brightened, lumen_shown
+from reconstruction.mesh.rendering import brightened, clearest_view
 from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 TRIANGLES = 60_000  # of all submaps' meshes together
@@ -209,11 +209,8 @@ def _turned_to_lumen(axes: NDArray[np.float64], mesh: SurfaceMesh) -> NDArray[np
     """The axes, or those of a view from the other side, from above or from below that shows clearly more of the lumen's
     side: wall that was seen on one side alone would be cut away."""
     along, up, towards = axes
-    found = axes
-    for view in ((-along, up, -towards), (along, -towards, up), (along, towards, -up)):
-        if lumen_shown(mesh, -view[2]) > TURNED_FOR * lumen_shown(mesh, -found[2]):
-            found = np.stack(view)
-    return found
+    views = np.array([axes, (-along, up, -towards), (along, -towards, up), (along, towards, -up)])
+    return np.asarray(views[clearest_view(mesh, -views[:, 2])])
 
 
 def _pose(world_from_camera: NDArray[np.float64]) -> list[float]:
