@@ -79,7 +79,7 @@ def _refine(
 ) -> None:
     warnings: list[str] = []
     if len(submaps) == 1 and not may_have_loops(submaps[0], settings.max_keyframes):
-        workspace.finish(STAGE, submaps=[_unmoved(0)], warnings=warnings)
+        workspace.finish(STAGE, submaps=[_entry([0], False, 0, 0, [])], warnings=warnings)
         return
     with progress.bar("loop detection", len(submaps)) as advance:
         pieces = []
@@ -188,18 +188,15 @@ def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) ->
         folder = _folder(workspace, number)
         write_model(completed.submap, refined_camera(frames.camera, completed.submap), folder)
         np.savez(folder / "depth_scale.npz", rows=completed.rows, depth_scale=np.asarray(completed.depth_scale))
-    return {
-        "members": piece.members,
-        "moved": deform,
-        "proposed": piece.candidates,
-        "supported": piece.consistent,
-        "loops": [list(pair) for pair in piece.loops],
-    }
+    return _entry(piece.members, deform, piece.candidates, piece.consistent, piece.loops)
 
 
-def _unmoved(number: int) -> dict[str, Any]:
-    """The record of a submap that has no loops to close."""
-    return {"members": [number], "moved": False, "proposed": 0, "supported": 0, "loops": []}
+def _entry(
+    members: list[int], moved: bool, proposed: int, supported: int, loops: list[tuple[int, int]]
+) -> dict[str, Any]:
+    """Of a submap in the stage's record."""
+    pairs = [list(pair) for pair in loops]
+    return {"members": members, "moved": moved, "proposed": proposed, "supported": supported, "loops": pairs}
 
 
 def _loaded(

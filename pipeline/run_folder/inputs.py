@@ -61,7 +61,7 @@ def _is_same_content(path: Path, recorded: str) -> bool:
     return digest(path) == recorded
 
 
-def _digest_of_folder(folder: Path) -> "hashlib._Hash":
+def _digest_of_folder(folder: Path) -> str:
     sha = hashlib.sha256()
     locked = {path.parent for path in folder.rglob(LOCK_NAME)} - {folder}
     runs = {path for path in locked if (path / "run.yaml").is_file()}
@@ -76,7 +76,7 @@ def _digest_of_folder(folder: Path) -> "hashlib._Hash":
             for share in PARTS:
                 file.seek(int(share * max(0, size - PART)))
                 sha.update(file.read(PART))
-    return sha
+    return OF_PARTS + sha.hexdigest()
 
 
 def _digest_of_sizes(folder: Path) -> str:
@@ -100,7 +100,7 @@ def digest(source: Path) -> str:
     """SHA-256 of a file; of a folder, of its files' names and sizes, and of parts of each, since pictures that are not
     compressed have one size. Runs in the folder, and what file browsers leave in it, do not belong to it."""
     if source.is_dir():
-        return OF_PARTS + _digest_of_folder(source).hexdigest()
+        return _digest_of_folder(source)
     sha = hashlib.sha256()
     with source.open("rb") as file:
         while block := file.read(1 << 20):

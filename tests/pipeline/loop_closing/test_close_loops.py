@@ -49,7 +49,8 @@ def test_a_submap_without_keyframes_that_may_close_a_loop_is_not_searched(worksp
         completed
     ]
     found = workspace.result("refinement")
-    assert found == {"submaps": [stage._unmoved(0)], "warnings": []}
+    entry = {"members": [0], "moved": False, "proposed": 0, "supported": 0, "loops": []}
+    assert found == {"submaps": [entry], "warnings": []}
 
 
 @pytest.fixture
