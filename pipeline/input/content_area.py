@@ -22,10 +22,12 @@ LEAST_PART = 0.01  # of the picture: smaller ones, cut off by text, are leftover
 
 @dataclass(frozen=True)
 class ContentArea:
-    """mask: (H,W) uint8, 255 = tissue, in source pixels; box: x0, y0, width, height around it."""
+    """mask: (H,W) uint8, 255 = tissue, in source pixels; box: x0, y0, width, height around it; lit: (H,W), nonzero
+    where the frames that it was found by are ever lit, tissue or not."""
 
     mask: NDArray[np.uint8]
     box: tuple[int, int, int, int]
+    lit: NDArray[np.uint8]
 
 
 def find_content(frames: Sequence[NDArray[np.uint8]]) -> ContentArea:
@@ -43,7 +45,7 @@ def find_content(frames: Sequence[NDArray[np.uint8]]) -> ContentArea:
     overlay = find_overlay(frames)
     # Text beside the picture would draw the hull over the border; text across it parts the picture in two.
     parts = _pieces(np.where(overlay, 0, largest[0]), LEAST_PART * np.count_nonzero(largest[0]))
-    area = _area_of(_tidy(parts or largest))
+    area = _area_of(_tidy(parts or largest), lit)
     return replace(area, mask=np.where(overlay, 0, area.mask).astype(np.uint8))
 
 
@@ -81,9 +83,9 @@ def _outline(part: NDArray[np.uint8], kernel: NDArray[np.uint8]) -> list[NDArray
     return [max(contours, key=cv2.contourArea)] if contours else []
 
 
-def _area_of(mask: NDArray[np.uint8]) -> ContentArea:
+def _area_of(mask: NDArray[np.uint8], lit: NDArray[np.uint8]) -> ContentArea:
     x, y, width, height = cv2.boundingRect(mask)
-    return ContentArea(mask, (int(x), int(y), int(width), int(height)))
+    return ContentArea(mask, (int(x), int(y), int(width), int(height)), lit)
 
 
 def has_cut_corners(area: ContentArea) -> bool:

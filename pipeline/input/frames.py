@@ -21,7 +21,8 @@ from haustra.core.threads import prefetched
 from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
-from pipeline.input.frame_quality import FrameJudge
+from pipeline.input.frame_quality import FrameJudge, Verdict
+from pipeline.input.picture_layout import PictureLayout
 from pipeline.input.video import RawFrame, Source
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption, write_json
@@ -89,11 +90,9 @@ def _read(source: Source, choice: str, settings: FrameSettings, workspace: Works
     counts = Counter(verdict for _, _, verdict in verdicts)
     if counts["used"] < MIN_FRAMES:
         raise HaustraError(_too_few(counts, source.notes))
-    unused = Counter({verdict: count for verdict, count in counts.items() if verdict != "used"})
-    if unused:
+    if unused := Counter({verdict: count for verdict, count in counts.items() if verdict != "used"}):
         progress.log(f"{unused.total()} of {counts.total()} frames are left out: {_listed(unused)}")
-    content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
-    write_png(workspace.masks / "content.png", content)
+    write_png(workspace.masks / "content.png", resized(area.mask, area, camera, cv2.INTER_NEAREST))
     write_json(workspace.frames, {"camera": camera.to_dict(), "frames": verdicts})
     workspace.finish(
         STAGE,
@@ -175,7 +174,7 @@ def _store_frames(
 ) -> list[tuple[int, float, str]]:
     """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
-    judge = FrameJudge()
+    judge, layout = FrameJudge(), PictureLayout(area)
     verdicts: list[tuple[int, float, str]] = []
 
     def used(advance: ProgressCallback) -> Iterator[_Used]:
@@ -184,7 +183,8 @@ def _store_frames(
             if frame.index % settings.stride:
                 continue
             rgb = resized(frame.rgb, area, camera, cv2.INTER_AREA)
-            verdict = judge.judge(rgb, content)
+            elsewhere = layout.is_elsewhere(frame.rgb, frame.seconds)
+            verdict: Verdict = "other layout" if elsewhere else judge.judge(rgb, content)
             verdicts.append((frame.index, frame.seconds, verdict))
             if verdict == "used":
                 yield _Used(frame.index, rgb, source.depth_mm())
@@ -192,6 +192,7 @@ def _store_frames(
     with progress.bar("reading frames", source.announced or None) as advance:
         for _ in prefetched(partial(_write_frame, workspace, content), used(advance), count=1):
             pass  # written while the next is judged
+    source.notes += layout.notes
     return verdicts
 
 
@@ -222,8 +223,7 @@ def resized(image: NDArray[np.uint8], area: ContentArea, camera: Camera, interpo
 
 def write_image(path: Path, rgb: NDArray[np.uint8]) -> None:
     """JPEG at 97 without chroma subsampling: a third of PNG's size, and finer than the video's own compression."""
-    options = [cv2.IMWRITE_JPEG_QUALITY, 97]
-    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    options = [cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     _write(path, rgb[..., ::-1], options)
 
 

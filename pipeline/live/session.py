@@ -41,6 +41,7 @@ ADVICE = {
     "no texture": "nothing can be seen: clean the lens, or move away from the wall",
     "blurred": "the picture is blurred: move slowly",
     "duplicate": "the picture stands still",
+    "other layout": "the processor shows the picture elsewhere than at the start: change its layout back",
 }
 
 

@@ -14,6 +14,7 @@ from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge, Verdict
 from pipeline.input.frames import resized, working_scale
+from pipeline.input.picture_layout import PictureLayout
 
 LOOKED_AT = 8  # frames from which the content area is found, and
 LOOK_EVERY_S = 0.06  # how far they are apart: the run at the end looks at the whole film
@@ -38,13 +39,16 @@ class WorkingView:
         scale = working_scale(area.box[2:], settings.long_side)
         self.camera: Camera = calibration.camera.cropped_and_scaled(*area.box, scale)
         self.content = resized(area.mask, area, self.camera, cv2.INTER_NEAREST)
-        self._judge = FrameJudge()
+        self._judge, self._layout = FrameJudge(), PictureLayout(area)
 
     def working_frame(self, number: int, seconds: float, rgb: NDArray[np.uint8]) -> WorkingFrame:
         """A frame (h,w,3) of the source."""
         own = resized(rgb, self.area, self.camera, cv2.INTER_AREA)
         mask = np.where(highlight_mask(own) > 0, 0, self.content).astype(np.uint8)
-        return WorkingFrame(number, seconds, own, mask, self._judge.judge(own, self.content))
+        elsewhere = self._layout.is_elsewhere(rgb, seconds)
+        return WorkingFrame(
+            number, seconds, own, mask, "other layout" if elsewhere else self._judge.judge(own, self.content)
+        )
 
 
 class ViewFinder:

@@ -264,7 +264,8 @@ def test_a_colonoscope_s_picture_is_known_by_its_corners(cut, said):
     shown = {"none": off < 9, "octagon": off < 1.5, "one corner under text": (off < 1.5) | ((x < 60) & (y > 180))}
     shown |= {"left": (off < 1.5) | (x > 160), "disc": (x - 159.5) ** 2 + (y - 119.5) ** 2 < 119**2}
     left = int(np.flatnonzero(shown[cut].any(axis=0))[0])
-    area = ContentArea(np.where(shown[cut], 255, 0).astype(np.uint8), (left, 0, 320 - 2 * left, 240))
+    mask = np.where(shown[cut], 255, 0).astype(np.uint8)
+    area = ContentArea(mask, (left, 0, 320 - 2 * left, 240), mask)
     assert has_cut_corners(area) == said
 
 

@@ -15,7 +15,8 @@ from pipeline.mapping.submap_of_map import to_submap
 
 
 def make_tracker():
-    whole = ContentArea(np.full((SIDE, SIDE), 255, np.uint8), (0, 0, SIDE, SIDE))
+    everywhere = np.full((SIDE, SIDE), 255, np.uint8)
+    whole = ContentArea(everywhere, (0, 0, SIDE, SIDE), everywhere)
     config = Config()
     view = WorkingView(whole, Calibration(small_camera(), "drawn"), config.frames)
     tracker = LiveTracker(view, config.odometry, config.depth, config.seed)
