@@ -29,6 +29,7 @@ WIDTHS, HEIGHTS, SIZES = ("imagewidth", "width", "w"), ("imageheight", "height",
 AREAS = ("full", "roi")  # x, y, width, height
 FLAGS = ("fisheyemodel", "fisheye", "isfisheye")
 FISHEYE = ("fisheye", "equidistant", "kannala")
+MOST_TANGENTIAL = 0.05  # p1 or p2 of a plane lens; of nine real endoscopes, the largest is 0.014
 
 
 def read_matrix_file(document: CameraDocument) -> CalibratedLens | None:
@@ -39,10 +40,31 @@ def read_matrix_file(document: CameraDocument) -> CalibratedLens | None:
     found = next((fields[name] for name in TERMS if name in fields), None)
     if found is None:
         raise HaustraError("it has a camera matrix but no distortion coefficients; write zeros if there is none")
-    said = " ".join(str(fields.get(name, "")) for name in ("distortionmodel", "cameramodel", "model", "type")).lower()
+    said = (
+        " ".join(str(fields.get(name, "")) for name in ("distortionmodel", "cameramodel", "model", "type"))
+        .strip()
+        .lower()
+    )
     fisheye = any(word in said for word in FISHEYE) or any(fields.get(name) in (True, 1) for name in FLAGS)
-    note = "the first camera of the rig" if {"m2", "k2", "d2"} & fields.keys() else ""
-    return from_matrix(_numbers(matrix).reshape(3, 3), _numbers(found).ravel().tolist(), _size(fields), fisheye, note)
+    terms = _numbers(found).ravel().tolist()
+    notes = ["the first camera of the rig"] if {"m2", "k2", "d2"} & fields.keys() else []
+    if len(terms) == 4 and not said and not fisheye:
+        notes.append(_unnamed_model(terms))
+    return from_matrix(_numbers(matrix).reshape(3, 3), terms, _size(fields), fisheye, "; ".join(notes))
+
+
+def _unnamed_model(terms: list[float]) -> str:
+    """What to say of four terms without a model's name, which cv2.fisheye and older plane calibrations both write.
+
+    Raises `HaustraError` where the last two are no tangential terms that a lens has.
+    """
+    largest = max(map(abs, terms[2:]))
+    if largest > MOST_TANGENTIAL:
+        raise HaustraError(
+            f"it has four distortion terms and names no lens model; as tangential terms {largest:.3g} is more than a "
+            'lens has, so they seem to be of cv2.fisheye: add "model": "fisheye" to the file, or "model": "opencv"'
+        )
+    return 'four terms read as k1 k2 p1 p2; of cv2.fisheye, add "model": "fisheye" to the file'
 
 
 def _is_matrix(value: Any) -> bool:

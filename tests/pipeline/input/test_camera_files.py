@@ -179,6 +179,7 @@ def test_a_file_without_a_size(tmp_path):
         ("a.txt", "all about my camera\n", "no camera file that is known"),
         ("a.json", json.dumps(PYTHON_JSON | {"camera_matrix": [[0.8, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]}), "shares of"),
         ("a.json", json.dumps(PYTHON_JSON | {"camera_matrix": [[8, 0, 5], [7, 8, 5], [0, 0, 1]]}), "fx 0 cx"),
+        ("a.json", json.dumps(PYTHON_JSON | {"dist_coeff": [[-0.1], [0.02], [0.2], [-0.1]]}), 'add "model": "fisheye"'),
         ("a.mat", "MATLAB 5.0 MAT-file", "jsonencode"),
         ("a.yaml", ROS.replace("410.0", "-410.0"), "focal length positive"),
         ("a.yaml", ROS.replace("640", "1" + 400 * "0"), "over 100000 pixels a side"),
@@ -225,3 +226,16 @@ def test_trusted_is_true_or_false(tmp_path, value):
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     with pytest.raises(HaustraError, match="must be true or false"):
         read_lens(tmp_path / "camera.json")
+
+
+def test_four_terms_without_a_model_s_name_are_said_to_be_read_as_a_plane_lens(tmp_path):
+    """cv2.fisheye writes four as well; who names the model is believed and told nothing."""
+    text = json.dumps(PYTHON_JSON | {"dist_coeff": [-0.1, 0.02, 0.001, -0.002]})
+    (tmp_path / "a.json").write_text(text)
+    _, lens = read_lens(tmp_path / "a.json")
+    assert lens.model == "OPENCV"
+    assert "read as k1 k2 p1 p2" in lens.note
+    for model, read in (("fisheye", "OPENCV_FISHEYE"), ("opencv", "OPENCV")):
+        (tmp_path / "a.json").write_text(json.dumps(json.loads(text) | {"model": model}))
+        _, lens = read_lens(tmp_path / "a.json")
+        assert (lens.model, lens.note) == (read, "")
