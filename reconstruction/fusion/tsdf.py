@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import ReconstructionError
+from reconstruction.fusion.band_points import band_points
 from reconstruction.fusion.depth_frame import DepthFrame, prepare_frame
 from reconstruction.fusion.voxel_grid import BLOCK, VoxelGrid
 from reconstruction.fusion.voxel_integration import CONFIDENCE_STEPS, average_frame
@@ -23,8 +24,6 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 BLOCKS_PER_TASK = 64  # blocks that a thread updates in one call
 THREADS = 2  # `average_frame` releases the GIL
-MAX_STRIDE = 4  # pixels between the rays along which blocks are allocated
-STEP_OF_BLOCK = 0.6  # block edges between the points along such a ray
 PIXELS_PER_VOXEL = 2.5  # footprint of a voxel at the median depth
 MIN_RELATIVE_VOXEL = 0.01  # voxel size over median depth
 TYPICAL_DEPTH_VOXELS = 100  # depth in voxels at which a pixel seen head-on weighs as much as its confidence
@@ -139,39 +138,21 @@ class SurfaceFusion:
 
     def _update(self, frame: DepthFrame) -> None:
         """Touch the blocks near the depth and average the frame into them."""
-        rows, origins = self._grid.touch(self._points_near_surface(frame))
+        truncation, edge = self.settings.truncation * self.settings.voxel_size, BLOCK * self.settings.voxel_size
+        world_from_camera = np.linalg.inv(frame.camera_from_world)
+        points = band_points(frame.depth, frame.centred_intrinsics, world_from_camera, truncation, edge)
+        rows, origins = self._grid.touch(points)
         rotation, shift = frame.camera_from_world[:3, :3], frame.camera_from_world[:3, 3]
         corners = (origins @ rotation.T + shift).astype(np.float32)
         offsets = self._grid.offsets_in_block @ rotation.T.astype(np.float32)
         pinhole = frame.centred_intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].astype(np.float32)
-        truncation = np.float32(self.settings.truncation * self.settings.voxel_size)
         images = (frame.depth, frame.weight, frame.confidence, frame.colour)
         values = [self._grid.channel(name)[..., 0] for name in ("evidence", "observations", "tsdf", "confidence")]
         channels = (*values, self._grid.channel("colour"))
 
         def average(part: slice) -> None:
-            average_frame(rows[part], corners[part], offsets, pinhole, *images, truncation, *channels)
+            average_frame(rows[part], corners[part], offsets, pinhole, *images, np.float32(truncation), *channels)
 
         with ThreadPoolExecutor(THREADS) as threads:  # no block is in two parts
             parts = [slice(start, start + BLOCKS_PER_TASK) for start in range(0, len(rows), BLOCKS_PER_TASK)]
             list(threads.map(average, parts))
-
-    def _points_near_surface(self, frame: DepthFrame) -> NDArray[np.float32]:
-        """World points (N,3) along the rays, within the truncation of the depth, dense enough to hit every block."""
-        block = BLOCK * self.settings.voxel_size
-        reach = self.settings.truncation * self.settings.voxel_size
-        focal = frame.centred_intrinsics[[0, 1], [0, 1]].min()
-        middle = np.median(frame.depth[frame.depth > 0])
-        stride = int(np.clip(0.5 * block * focal / middle, 1, MAX_STRIDE))
-        if not frame.depth[::stride, ::stride].any():
-            stride = 1
-        row, column = np.nonzero(frame.depth[::stride, ::stride])
-        depth = frame.depth[::stride, ::stride][row, column]
-        pixel = np.stack([column * stride, row * stride, np.ones_like(row)])
-        ray = (np.linalg.inv(frame.centred_intrinsics) @ pixel).T.astype(np.float32)
-        world_from_camera = np.linalg.inv(frame.camera_from_world)
-        turned = ray @ world_from_camera[:3, :3].T.astype(np.float32)
-        steps = np.linspace(-reach, reach, 1 + int(np.ceil(2 * reach / (STEP_OF_BLOCK * block))), dtype=np.float32)
-        along = np.maximum(depth[:, None] + steps, 0)
-        points = along[..., None] * turned[:, None] + world_from_camera[:3, 3].astype(np.float32)
-        return points.reshape(-1, 3)
