@@ -19,7 +19,7 @@ from pipeline.frontend.odometry.tracking import MAX_JUMP, MAX_LOST_FRAMES, Track
 from pipeline.mapping.local_map import LocalMap
 
 COPIED = 12  # keyframes of the map's beginning that the reversed map starts from
-OVERLAP = 20  # frames of an earlier map after which there is no need to go on; half of them must agree
+OVERLAP = 20  # frames of an earlier map after which there is no need to go on
 Look = Callable[[int], tuple[NDArray[np.uint8], TrackerImage]]  # a frame's picture (H,W,3), and as the tracker needs it
 
 
@@ -88,7 +88,9 @@ def _with_earlier_frames(
     if min(reversed_map.frames) >= min(local_map.frames):
         return local_map
     similarity = first_from_second(reversed_map, local_map)
-    return local_map if similarity is None else stitch(reversed_map, local_map, similarity)
+    if similarity is None:
+        return local_map
+    return stitch(reversed_map, local_map, similarity, common_tracks=len(local_map.tracks))
 
 
 def _reversed_beginning(local_map: LocalMap) -> tuple[LocalMap, CornerTracks]:

@@ -88,19 +88,28 @@ def _scale(
     return (float(np.median(ratio[good])), float(np.median(depth))) if good.sum() >= MIN_FEATURES else None
 
 
-def stitch(first: LocalMap, second: LocalMap, first_from_second: Array) -> LocalMap:
+def stitch(first: LocalMap, second: LocalMap, first_from_second: Array, common_tracks: int = 0) -> LocalMap:
     """One map in the first one's world, frames in order. What either saw in a frame is seen in it; up to the middle of
-    the shared frames poses are the first one's, from there on the second's. Neither map may have features."""
+    the shared frames poses are the first one's, from there on the second's. Neither map may have features.
+
+    Tracks numbered below `common_tracks` are the same in both maps: their points, and in shared frames their pixels,
+    are the second map's.
+    """
     here, there = frame_observations(first), frame_observations(second)
     middle = np.median(sorted(here.keys() & there.keys()) or [max(here)])
     offset = 1 + max(int(s.ids.max(initial=-1)) for s in here.values())
     result = LocalMap(first.rays)
     result.tracks.place(0, first.tracks)
+    result.tracks.has_point[:common_tracks] = False
     moved = transform_points(first_from_second, second.tracks.points)
     result.tracks.place(offset, replace(second.tracks, points=moved))
     for frame in sorted(here.keys() | there.keys()):
         mine, theirs = here.get(frame), there.get(frame)
-        parts = [(s.ids + o, s.pixels) for s, o in ((mine, 0), (theirs, offset)) if s is not None]
+        parts = [(theirs.ids + offset, theirs.pixels)] if theirs is not None else []
+        if mine is not None:
+            is_common = mine.ids < common_tracks
+            own = ~is_common | (theirs is None)
+            parts.insert(0, (np.where(is_common, mine.ids + offset, mine.ids)[own], mine.pixels[own]))
         ids, pixels = (np.concatenate(of) for of in zip(*parts, strict=True))
         if mine is not None and (theirs is None or frame < middle):
             camera_from_world = mine.camera_from_world

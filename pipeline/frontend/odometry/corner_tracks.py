@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.frontend.odometry.klt import Pixels, TrackerImage, detect, track_klt
+from pipeline.frontend.odometry.klt import Pixels, TrackerImage, detect, in_whole_cells, track_klt
 
 CELLS = 484  # about, where windows fit: one track in each; a square of 320 px has so many, of 14 px
 LEAST_CELL_PX, LEAST_CELL_SHARE = 6, 0.7  # and of the side by which the whole picture would have so many
@@ -76,7 +76,8 @@ def cell_side(mask: NDArray[np.uint8]) -> int:
 
 def _open_cells(mask: NDArray[np.uint8], side: int) -> int:
     """Number of cells of the grid of `detect` that have some of the mask in them."""
-    rows, columns = mask.shape[0] // side, mask.shape[1] // side
+    padded = in_whole_cells(mask, side)
+    rows, columns = padded.shape[0] // side, padded.shape[1] // side
     # One axis after the other: both at once take several times as long, and every keyframe asks.
-    bands = mask[: rows * side, : columns * side].reshape(rows, side, columns * side).max(axis=1)
+    bands = padded.reshape(rows, side, columns * side).max(axis=1)
     return int(np.count_nonzero(bands.reshape(rows, columns, side).max(axis=2)))

@@ -6,6 +6,7 @@ and the local spread evens out what is left of exposure and gamma.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -130,15 +131,20 @@ def detect(view: TrackerImage, occupied: Pixels, cell: int) -> Pixels:
     """
     strength = cv2.cornerMinEigenVal(view.image, 5, ksize=3)
     strength[view.mask == 0] = 0
-    rows, columns = strength.shape[0] // cell, strength.shape[1] // cell
-    cut = strength[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
-    cells = cut.transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)
+    padded = in_whole_cells(strength, cell)
+    rows, columns = padded.shape[0] // cell, padded.shape[1] // cell
+    cells = padded.reshape(rows, cell, columns, cell).transpose(0, 2, 1, 3).reshape(rows * columns, cell * cell)
     best = cells.argmax(axis=1)
     value = cells[np.arange(len(cells)), best]
     x = np.arange(rows * columns) % columns * cell + best % cell
     y = np.arange(rows * columns) // columns * cell + best // cell
     found = np.stack([x, y], axis=1)[value > MIN_CORNER].astype(np.float32) + 0.5
     return found[_is_apart(found, occupied, 0.7 * cell, strength.shape)]
+
+
+def in_whole_cells(image: NDArray[Any], cell: int) -> NDArray[Any]:
+    """The image (H,W), with zeros to the right and below up to whole cells of so many pixels a side."""
+    return np.pad(image, [(0, -length % cell) for length in image.shape])
 
 
 def _is_apart(found: Pixels, occupied: Pixels, distance: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:

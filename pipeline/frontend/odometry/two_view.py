@@ -46,7 +46,7 @@ class Hypothesis:
 
     second_from_first: |t| = 1. points (N,3) in the first camera. inlier (N,) in all views. angle_deg: median.
     support: mean over the tracks of 1 - (error / limit)^2, none below 0: it tells a good fit from a tolerable one,
-    where with little parallax a count cannot. light: rank correlation of distance and brightness over the inliers,
+    where with little parallax a count cannot. lighting: rank correlation of distance and brightness over the inliers,
     0 if not asked.
     """
 

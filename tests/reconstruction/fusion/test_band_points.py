@@ -44,7 +44,8 @@ def test_far_wall_seen_at_a_slant_has_no_holes():
     """From z = 3 to 4 the tube's wall is seen at 72 to 76 degrees from its normal, within the limit of 80."""
     fusion = SurfaceFusion(TsdfSettings(voxel_size=0.04, truncation=5.0))
     rgb = np.full((SIDE, SIDE, 3), 128, np.uint8)
-    intrinsics = CENTRED + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+    intrinsics = CENTRED.copy()
+    intrinsics[:2, 2] += 0.5
     fusion.integrate(rgb, tube_depth(5.0), None, intrinsics, np.eye(4))
     mesh = fusion.extract()
     middle = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]

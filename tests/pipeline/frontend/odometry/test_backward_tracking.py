@@ -53,6 +53,12 @@ def test_frames_before_a_map_began_are_posed(images: list[np.ndarray]) -> None:
     off, turned = errors(whole)
     assert off < 0.5  # of a path of 72 mm
     assert turned < 1.5 * turned_before  # a path so nearly straight hardly fixes the alignment's tilt
+    for keyframe in whole.keyframes:  # a corner that was tracked to both sides is one track
+        assert len(np.unique(keyframe.ids)) == len(keyframe.ids)
+        assert len(np.unique(keyframe.pixels, axis=0)) == len(keyframe.pixels)
+    both = [frame for frame in whole.keyframes if frame.frame >= begun]
+    earlier = [frame for frame in whole.keyframes if frame.frame < begun]
+    assert len(np.intersect1d(earlier[-1].ids, both[0].ids)) > 0.3 * len(earlier[-1].ids)
 
 
 def test_two_maps_parted_by_a_few_blind_frames_become_one(images: list[np.ndarray]) -> None:
