@@ -4,6 +4,8 @@ The tree is 3D_maps/NNN/points3D.txt, camera_trajectory/cam_traj_map_NNN.txt and
 submission instructions have it. Frames are numbered from 1.
 """
 
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -36,21 +38,24 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
         mine, theirs = paired(film.seconds, true_seconds, reference)
         truth = film.index[mine] + 1, world_from_camera[theirs]
     fps = 1 / float(np.median(np.diff(film.seconds)))
-    return climb_errors(submaps, truth, fps, seconds_per_frame(finished), min_common)
+    loop = loop_seconds(finished)
+    return climb_errors(submaps, truth, fps, None if loop is None else loop / len(film.index), min_common)
 
 
 def write_submission(run: Path, folder: Path) -> Path:
     """Write one run folder of a submission. Raises `HaustraError` where the folder holds something else, or the run
     does not say how long its frame loop took. A run does not record the time before that loop, which the benchmark does
-    not score: init_seconds is 0."""
+    not score: init_seconds is 0. An earlier submission in the folder is replaced."""
     finished = open_run(run)
-    pace = seconds_per_frame(finished)
-    if pace is None:
+    loop = loop_seconds(finished)
+    if loop is None:
         raise HaustraError(f"{run} does not say how long its frame loop took, which runtime.txt needs; use odometry")
     if folder.exists() and any(folder.iterdir()) and not (folder / "runtime.txt").exists():
         raise HaustraError(f"{folder} holds something else; give another folder")
-    paths = folder / "camera_trajectory"
-    paths.mkdir(parents=True, exist_ok=True)
+    paths, maps = folder / "camera_trajectory", folder / "3D_maps"
+    for part in (paths, maps):
+        shutil.rmtree(part, ignore_errors=True)  # an earlier run's submaps would be read as this one's
+        part.mkdir(parents=True)
     film = FilmFrames.of(finished.workspace)
     taken = {int(frame) for submap in finished.submaps for frame in submap.frames}
     for number, submap in enumerate(finished.submaps):
@@ -59,29 +64,30 @@ def write_submission(run: Path, folder: Path) -> Path:
         between = np.array([frame for frame in inside.tolist() if frame not in taken], np.int64)
         table = _lines(film, posed, world_from_camera, between)
         (paths / f"cam_traj_map_{number:03d}.txt").write_text(HEADER + "".join(table))
-        target = folder / "3D_maps" / f"{number:03d}"
-        target.mkdir(parents=True, exist_ok=True)
+        target = maps / f"{number:03d}"
+        target.mkdir()
         points = submap.points * finished.surfaces[number].scale.factor
         rows = (f"{k} {x:.6f} {y:.6f} {z:.6f} 128 128 128 0\n" for k, (x, y, z) in enumerate(points, start=1))
         (target / "points3D.txt").write_text("# POINT3D_ID, X, Y, Z, R, G, B, ERROR\n" + "".join(rows))
-    runtime = f"init_seconds=0\nprocessing_seconds={pace * len(film.index):.6f}\n"
+    runtime = f"init_seconds=0\nprocessing_seconds={loop:.6f}\n"
     (folder / "runtime.txt").write_text(runtime)
     return folder
 
 
 def read_numbered_images(path: Path) -> tuple[NDArray[np.int64], Array]:
-    """Numbers (N,) in the pictures' names and world_from_camera (N,4,4) of a COLMAP images.txt."""
+    """Last numbers (N,) in the pictures' names and world_from_camera (N,4,4) of a COLMAP images.txt."""
     table = read_colmap_poses(path)
-    digits = ["".join(filter(str.isdecimal, name)) for name in (table.names if table else None) or ()]
-    if table is None or not all(digits):
+    numbers = [re.findall(r"\d+", Path(name).stem) for name in (table.names if table else None) or ()]
+    if table is None or not all(numbers):
         raise HaustraError(f"{path}: not an images.txt of COLMAP with numbered pictures")
-    return np.array([int(number) for number in digits]), table.world_from_camera
+    return np.array([int(found[-1]) for found in numbers]), table.world_from_camera
 
 
-def seconds_per_frame(run: Run) -> float | None:
-    """Wall time of tracking and local mapping a frame of the source; None of a front end without a frame loop."""
+def loop_seconds(run: Run) -> float | None:
+    """Wall time of tracking and local mapping; None of a front end without a frame loop. Frames that were left out
+    before, such as blurred ones, were not in it."""
     pace = run.workspace.result("structure").get("stats", {}).get("frames_per_second")
-    return 1 / float(pace) if pace else None
+    return len(run.frames.index) / float(pace) if pace else None
 
 
 def _lines(

@@ -102,11 +102,12 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    points, surface, coverage, surface_se3 = _true_surface(truth, spacing_of(tau)), None, None, None
+    points, surface, surface_se3 = _true_surface(truth, spacing_of(tau)), None, None
+    truth_from_run = align_poses(estimated, true)
+    coverage = _coverage(finished, truth_from_run, truth)
     if points is not None:
-        truth_from_run, mesh = align_poses(estimated, true), read_mesh(finished.mesh)
+        mesh = read_mesh(finished.mesh)
         surface = _surface(mesh, truth_from_run, points, tau)
-        coverage = _coverage(finished, truth_from_run, truth)
         if se3 is not None:
             surface_se3 = _surface(mesh, align_poses(estimated, true, with_scale=False), points, tau)
     true_path_of_run = Timed(true_seconds, true_world_from_camera[:, :3, 3])

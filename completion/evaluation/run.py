@@ -1,6 +1,5 @@
 """`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
 
-import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -38,6 +37,7 @@ from completion.evaluation.predictors import Predictor, load_predictor
 from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 from haustra.core.progress import Progress, ProgressCallback
+from haustra.core.text import json_text
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _run(
 def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> None:
     """Write the files that cover all records: JSON, sweep and calibration plots."""
     if outputs.json:
-        outputs.json.write_text(json.dumps(records, indent=1) + "\n")
+        outputs.json.write_text(json_text(records) + "\n")
     if outputs.sweep:
         averaging = records[0]["protocol"]["averaging"]
         sweep_plot(outputs.sweep, _curves(records), f"{len(records[0]['frames'])} frames; {averaging} mean")

@@ -1,10 +1,11 @@
-"""A count in words; text and JSON that a user wrote, in what editors and shells save.
+"""A count in words; JSON that every program reads; text and JSON that a user wrote, in what editors and shells save.
 
 That is UTF-8 and UTF-16, with a mark or without.
 """
 
 import codecs
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -73,3 +74,16 @@ def read_json(path: Path | str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise HaustraError(f"{path} must hold a JSON object with names, not {type(found).__name__}")
     return found
+
+
+def json_text(value: Any) -> str:
+    """`value` as indented JSON, which has no NaN and no infinity: null is in their place."""
+    return json.dumps(_finite(value), indent=2, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,7 +7,6 @@ stopped is done again.
 
 import copy
 import importlib.metadata
-import json
 import os
 import platform
 import shutil
@@ -20,7 +19,7 @@ from typing import Any
 import yaml
 
 from haustra.core.errors import HaustraError
-from haustra.core.text import check_name
+from haustra.core.text import check_name, json_text
 from pipeline.config import Config, beyond_surface, read_recorded, retired_differences
 from pipeline.run_folder.inputs import inputs_of, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
@@ -281,7 +280,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    write_text(path, json.dumps(value, indent=2) + "\n")
+    """`value` as JSON, which has no NaN and no infinity: null in their place."""
+    write_text(path, json_text(value) + "\n")
 
 
 @contextmanager

@@ -127,8 +127,11 @@ def _chosen_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Sca
 
 def check_scale_file(path: Path) -> dict[str, float]:
     """The contents of a scale file: `mm_per_unit`, or `frame_a`, `frame_b` and `distance_mm` between the cameras."""
+    text = read_text(path)
     try:
-        values = yaml.safe_load(read_text(path))
+        values = yaml.safe_load(text)
+        if any(isinstance(value, bool) for value in values.values()):
+            raise ValueError("a truth value is no number")
         numbers = {str(name): float(value) for name, value in values.items()}
     except (yaml.YAMLError, AttributeError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise HaustraError(
@@ -136,9 +139,11 @@ def check_scale_file(path: Path) -> dict[str, float]:
         ) from error
     lengths = [numbers.get(name, 1.0) for name in ("mm_per_unit", "distance_mm")]
     known = set(numbers) in ({"mm_per_unit"}, {"frame_a", "frame_b", "distance_mm"})
-    if not known or not np.isfinite(list(numbers.values())).all() or min(lengths) <= 0:
+    whole = all(number.is_integer() for name, number in numbers.items() if name.startswith("frame_"))
+    if not known or not np.isfinite(list(numbers.values())).all() or min(lengths) <= 0 or not whole:
         raise HaustraError(
-            f"the scale file {path} must give mm_per_unit, or frame_a, frame_b and distance_mm, as positive numbers"
+            f"the scale file {path} must give mm_per_unit, or frame_a, frame_b and distance_mm, as positive numbers; "
+            "frames are whole ones"
         )
     return numbers
 

@@ -38,18 +38,18 @@ def read_coverage_mesh(path: Path) -> TrueWall | None:
     """None where there is no such file. HaustraError where its faces do not say who was seen."""
     if not path.is_file():
         return None
-    vertices: list[list[float]] = []
-    corners: list[list[list[str]]] = []
-    for line in read_text(path).splitlines():
-        kind, *values = line.split() or [""]
-        if kind == "v":
-            vertices.append([float(value) for value in values[:3]])
-        elif kind == "f":
-            corners.append([value.split("/") for value in values])
+    rows = [line.split() for line in read_text(path).splitlines()]
+    corners = [[value.split("/") for value in row[1:]] for row in rows if row[:1] == ["f"]]
     if not corners or any(len(face) != 3 or len(corner) < 2 for face in corners for corner in face):
         raise HaustraError(f"{path} is no coverage mesh of C3VD: triangles v/vt are expected")
-    faces = np.array([[int(corner[0]) - 1 for corner in face] for face in corners])
+    try:
+        vertices = np.array([row[1:4] for row in rows if row[:1] == ["v"]], np.float64).reshape(-1, 3)
+        faces = np.array([[int(corner[0]) - 1 for corner in face] for face in corners])
+    except ValueError as error:
+        raise HaustraError(f"{path} is no coverage mesh of C3VD: a vertex or a face is not of numbers") from error
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise HaustraError(f"{path} is no coverage mesh of C3VD: it has {len(vertices)} vertices, and faces of others")
     told = np.array([[corner[1] for corner in face] for face in corners])
     if not np.isin(told, ["1", "2"]).all():
         raise HaustraError(f"{path} is no coverage mesh of C3VD: its texture coordinates are not 1 (seen) and 2")
-    return TrueWall(SurfaceMesh.from_triangles(np.array(vertices), faces), (told == "1").all(axis=1))
+    return TrueWall(SurfaceMesh.from_triangles(vertices, faces), (told == "1").all(axis=1))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
@@ -70,6 +71,14 @@ def _rays(camera: Camera, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.uin
     plane, _ = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1))
     usable = RayTable(camera).usable
     return np.column_stack([plane, np.ones(len(plane))]).reshape(height, width, 3), usable[:height, :width]
+
+
+def rotations_of(path: Path, quaternions: Array) -> Array:
+    """Rotation matrices (N,3,3) of quaternions x y z w (N,4) in a file. HaustraError where one has no direction."""
+    nothing = np.flatnonzero(np.linalg.norm(quaternions, axis=1) < 1e-9)
+    if len(nothing):
+        raise HaustraError(f"{path} has a quaternion of length 0 as pose {nothing[0] + 1}")
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
 
 
 def table_of(path: Path, columns: int, delimiter: str | None = None, skip: int = 0) -> Array:

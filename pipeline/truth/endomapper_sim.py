@@ -7,7 +7,7 @@ and no surface is made of its depth.
 from pathlib import Path
 
 from haustra.core.text import read_text
-from pipeline.truth.data_set_truth import DataSetTruth, table_of
+from pipeline.truth.data_set_truth import DataSetTruth, rotations_of, table_of
 from pipeline.truth.simcol3d import right_handed
 
 COLUMNS = "tx;ty;tz;rx;ry;rz;rw;time"
@@ -22,4 +22,5 @@ def read_endomapper_sim(folder: Path) -> DataSetTruth | None:
     if head.strip().lower().replace(" ", "") != COLUMNS:
         return None
     table = table_of(path, 8, ";", skip=1)
-    return DataSetTruth(right_handed(MM_PER_DM * table[:, :3], table[:, 3:7]), seconds=table[:, 7] - table[0, 7])
+    rotations = rotations_of(path, table[:, 3:7])
+    return DataSetTruth(right_handed(MM_PER_DM * table[:, :3], rotations), seconds=table[:, 7] - table[0, 7])

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from completion.data.laparoscopes import depth_of_points, points_of
 from haustra.core.camera import Camera
@@ -26,7 +25,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.se3 import inverse
 from haustra.core.text import read_text
 from pipeline.input.camera_files.calibrated_lens import from_matrix
-from pipeline.truth.data_set_truth import Array, DataSetTruth, views_apart
+from pipeline.truth.data_set_truth import Array, DataSetTruth, rotations_of, views_apart
 
 MM_PER_M = 1000.0
 THINNED = 4000  # points of a frame that are compared
@@ -69,7 +68,7 @@ def read_stereomis(folder: Path) -> DataSetTruth | None:
     if table.ndim != 2 or table.shape[1] != 8 or not np.isfinite(table).all():
         raise HaustraError(f"{path} must have eight finite numbers on each line")
     world_from_camera = np.tile(np.eye(4), (len(table), 1, 1))
-    world_from_camera[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+    world_from_camera[:, :3, :3] = rotations_of(path, table[:, 4:])
     world_from_camera[:, :3, 3] = MM_PER_M * table[:, 1:4]
     return DataSetTruth(world_from_camera)
 

@@ -6,12 +6,11 @@ Unity's world is left-handed: a pose P becomes T P T with T = diag(1, -1, 1, 1),
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from completion.data.readers import read_evaluation_frames
 from haustra.core.errors import HaustraError
 from pipeline.input.camera_presets import PRESETS
-from pipeline.truth.data_set_truth import Array, DataSetTruth, table_of
+from pipeline.truth.data_set_truth import Array, DataSetTruth, rotations_of, table_of
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 MM_PER_CM = 10.0
@@ -28,12 +27,13 @@ def read_simcol3d(folder: Path) -> DataSetTruth | None:
     has_depth = next(folder.glob("Depth_*.png"), None) is not None
     depths = (frame.depth for frame in read_evaluation_frames(folder, "simcol3d")) if has_depth else ()
     camera = PRESETS["simcol3d"].camera if has_depth else None
-    return DataSetTruth(right_handed(MM_PER_CM * places, turns), depths=depths, camera=camera)
+    rotations = rotations_of(turn, turns)
+    return DataSetTruth(right_handed(MM_PER_CM * places, rotations), depths=depths, camera=camera)
 
 
-def right_handed(places: Array, quaternions: Array) -> Array:
-    """world_from_camera (N,4,4), OpenCV's axes, of Unity's places (N,3) and quaternions x y z w (N,4)."""
+def right_handed(places: Array, rotations: Array) -> Array:
+    """world_from_camera (N,4,4), OpenCV's axes, of Unity's places (N,3) and rotations (N,3,3)."""
     world_from_camera = np.tile(np.eye(4), (len(places), 1, 1))
-    world_from_camera[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+    world_from_camera[:, :3, :3] = rotations
     world_from_camera[:, :3, 3] = places
     return np.asarray(MIRROR @ world_from_camera @ MIRROR)

@@ -112,7 +112,10 @@ def lumen_radius(walls: WallRays, world_from_camera: Array) -> float:
     distance = walls.distance(thinned[:, None, :3, 3], directions)
     if not np.isfinite(distance).any():
         raise NotATube("no camera has reconstructed wall around it, so there is no lumen to judge")
-    return float(np.median(distance[np.isfinite(distance)])) / TUBE_RATIO
+    radius = float(np.median(distance[np.isfinite(distance)])) / TUBE_RATIO
+    if radius == 0:
+        raise NotATube("the cameras lie on the reconstructed wall, so there is no lumen to judge")
+    return radius
 
 
 def trace_centreline(mesh: SurfaceMesh, world_from_camera: Array, radius: float) -> Centreline:

@@ -48,7 +48,7 @@ class ClimbErrors:
     matched: int
     reference: int
     submaps: int  # that count
-    submaps_left_out: int  # that share too few frames with the reference
+    submaps_left_out: int  # that share too few frames with the reference, or do not move
     seconds_per_frame: float | None
     time_factor: float | None
     score: float | None  # mm-like, lower is better
@@ -83,7 +83,7 @@ class ClimbErrors:
             )
         if self.submaps_left_out:
             left_out = counted(self.submaps_left_out, "submap")
-            lines.append(f"            not counted: {left_out} with too few frames of the reference")
+            lines.append(f"            not counted: {left_out} with too few frames of the reference, or without motion")
         return "\n".join(lines)
 
     def _nothing_counts(self) -> str:
@@ -113,7 +113,11 @@ def climb_errors(
     if len(frames) < 2 or len(np.unique(frames)) != len(frames):
         raise ReconstructionError(f"the reference needs two or more frames, each once; it has {len(frames)}")
     long_enough = [one for one in submaps if len(np.intersect1d(one[0], frames)) >= max(min_common, 3)]
-    counted = [_submap_errors(*mine, true) for mine, true in _matched(long_enough, frames, truth) if len(true) >= 3]
+    counted = [
+        _submap_errors(*mine, true)
+        for mine, true in _matched(long_enough, frames, truth)
+        if len(true) >= 3 and all(np.ptp(poses[:, :3, 3], axis=0).any() for poses in (mine[1], true))
+    ]
     matched = sum(len(distance) for distance, _ in counted)
     tracked = matched / len(frames)
     weights = np.array([len(distance) for distance, _ in counted]) / max(matched, 1)

@@ -139,7 +139,7 @@ class SurfaceFusion:
     def _update(self, frame: DepthFrame) -> None:
         """Touch the blocks near the depth and average the frame into them."""
         truncation, edge = self.settings.truncation * self.settings.voxel_size, BLOCK * self.settings.voxel_size
-        world_from_camera = np.linalg.inv(frame.camera_from_world)
+        world_from_camera = np.linalg.inv(frame.camera_from_world).astype(np.float64)
         points = band_points(frame.depth, frame.centred_intrinsics, world_from_camera, truncation, edge)
         rows, origins = self._grid.touch(points)
         rotation, shift = frame.camera_from_world[:3, :3], frame.camera_from_world[:3, 3]

@@ -33,6 +33,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TinyRun:
             record=tiny.workspace.record,
             result=lambda _: {"stats": {"frames_per_second": 20.0}},
         ),
+        frames=tiny.frames,
         submaps=[one.submap for one in tiny.completed],
         surfaces=tiny.surfaces,
         trajectory=trajectory,
@@ -67,8 +68,11 @@ def test_the_tree_has_each_submap_with_frames_from_one_and_skipped_ones_marked(r
         points = [line.split() for line in (folder / "3D_maps" / f"{number:03d}" / "points3D.txt").open()]
         assert len([line for line in points if line[0] != "#"]) == len(submap.points)
     told = dict(line.split("=") for line in (folder / "runtime.txt").read_text().split())
-    read = len(run.frames.index) + 7  # with the seven that were left out
-    assert float(told["processing_seconds"]) == pytest.approx(read / 20)
+    assert float(told["processing_seconds"]) == pytest.approx(len(run.frames.index) / 20)
+    (folder / "camera_trajectory" / "cam_traj_map_007.txt").write_text("of an earlier run")
+    (folder / "3D_maps" / "007").mkdir()
+    write_submission(tmp_path / "run", tmp_path / "out")
+    assert len(list((folder / "camera_trajectory").iterdir())) == len(list((folder / "3D_maps").iterdir())) == 2
 
 
 def test_a_folder_with_something_else_is_refused(run: TinyRun, tmp_path: Path) -> None:
@@ -97,8 +101,15 @@ def test_the_reference_may_be_a_tum_file_or_a_numbered_images_txt(run: TinyRun, 
         found = compare_climb(tmp_path / "run", tmp_path / reference, 20)
         assert found.ate_mean_mm == pytest.approx(0, abs=1e-4)
         assert (found.matched, found.reference, found.submaps, found.submaps_left_out) == (90, 90, 1, 1)
-        assert found.seconds_per_frame == pytest.approx(0.05)
-        assert found.time_factor == pytest.approx(1.25)
+        pace = 0.05 * len(run.frames.index) / (len(run.frames.index) + 7)  # seven were left out before the loop
+        assert found.seconds_per_frame == pytest.approx(pace)
+        assert found.time_factor == pytest.approx(1 + 0.5 * (30 * pace - 1))
+
+
+def test_a_picture_s_number_is_the_last_in_its_name(tmp_path: Path) -> None:
+    lines = [f"{k} 1 0 0 0 {k} 0 0 1 HCULB_00364/frame_{k:06d}.jp2\n" for k in (12, 13)]
+    (tmp_path / "images.txt").write_text("\n".join(lines) + "\n")
+    assert read_numbered_images(tmp_path / "images.txt")[0].tolist() == [12, 13]
 
 
 @pytest.mark.parametrize("text", ["", "1 2 3\n\n", "1 1 0 0 0 0 0 0 1 picture.png\n\n"])
@@ -118,7 +129,7 @@ def test_a_reference_of_another_clock_is_refused_as_everywhere(run: TinyRun, tmp
 def test_without_the_time_of_the_frame_loop_nothing_is_written(
     run: TinyRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(climb, "seconds_per_frame", lambda _: None)
+    monkeypatch.setattr(climb, "loop_seconds", lambda _: None)
     with pytest.raises(HaustraError, match="frame loop"):
         write_submission(tmp_path / "run", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -42,6 +42,8 @@ def read_recording(path: Path) -> tuple[Array, Array]:
         rows = np.empty(0)
     if rows.ndim != 2 or rows.shape[1] != 8 or not np.isfinite(rows).all():
         raise PhantomError(f"{path}: not a TUM trajectory (lines of 8 numbers: seconds, position, quaternion)")
+    if not (np.linalg.norm(rows[:, 4:], axis=1) > 0).all():
+        raise PhantomError(f"{path}: has a quaternion of length 0")
     if len(rows) < SHORTEST or not (np.diff(rows[:, 0]) > 0).all():
         raise PhantomError(f"{path}: needs at least {SHORTEST} poses in order of time, has {len(rows)}")
     world_from_camera = np.tile(np.eye(4), (len(rows), 1, 1))

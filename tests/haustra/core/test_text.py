@@ -9,7 +9,7 @@ import pytest
 
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
-from haustra.core.text import counted, read_json, read_text
+from haustra.core.text import counted, json_text, read_json, read_text
 from reconstruction.evaluation.trajectory_io import read_tum
 
 ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"]
@@ -61,3 +61,9 @@ def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("number", "told"), [(0, "0 submaps"), (1, "1 submap"), (2, "2 submaps")])
 def test_one_is_singular(number: int, told: str) -> None:
     assert counted(number, "submap") == told
+
+
+def test_json_has_no_nan_and_no_infinity():
+    value = {"a": [1.5, float("nan"), (2, float("inf"))], "b": {"c": -float("inf"), "d": "NaN"}}
+    read = json.loads(json_text(value), parse_constant=pytest.fail)
+    assert read == {"a": [1.5, None, [2, None]], "b": {"c": None, "d": "NaN"}}

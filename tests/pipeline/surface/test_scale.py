@@ -72,6 +72,8 @@ def test_scale_files(tmp_path):
         ("mm_per_unit: .nan", "positive numbers"),
         ("width: 3", "must give mm_per_unit"),
         ("mm_per_unit: wide", "must name numbers"),
+        ("mm_per_unit: true", "must name numbers"),
+        ("frame_a: 10.7\nframe_b: 12\ndistance_mm: 5", "frames are whole ones"),
         ("12.5", "must name numbers, as"),
         ("mm_per_unit: 1" + 400 * "0", "must name numbers"),
     ):

@@ -112,6 +112,9 @@ def test_simcol3d_is_left_handed_and_in_centimetres(tmp_path):
     np.testing.assert_allclose(found.world_from_camera, truth, atol=1e-6)
     surface = found.surface()
     assert np.percentile(np.abs(surface.required[:, 2] - PLANE_MM), 95) < 0.02
+    np.savetxt(folder.parent / "SavedRotationQuaternion_S1.txt", 0 * turns)
+    with pytest.raises(HaustraError, match="quaternion of length 0 as pose 1"):
+        read_data_set_truth(folder)
     (folder.parent / "SavedPosition_S1.txt").write_text("1 2\n")
     with pytest.raises(HaustraError, match="3 finite numbers"):
         read_data_set_truth(folder)
@@ -159,6 +162,10 @@ def test_c3vd_s_coverage_mesh_says_which_wall_was_seen(tmp_path):
     path.write_text("\n".join([*corners, "f 1 2 3"]))
     with pytest.raises(HaustraError, match="v/vt are expected"):
         read_data_set_truth(tmp_path / "cecum_t1_a")
+    for line, said in (("f 1/1 2/1 9/1", "4 vertices, and faces of others"), ("f 1/1 2/1 x/1", "not of numbers")):
+        path.write_text("\n".join([*corners, line]))
+        with pytest.raises(HaustraError, match=said):
+            read_data_set_truth(tmp_path / "cecum_t1_a")
     path.write_text("\n".join([*corners, "f 1/1 2/2 3/3"]))
     with pytest.raises(HaustraError, match="not 1"):
         read_data_set_truth(tmp_path / "cecum_t1_a")

@@ -94,6 +94,14 @@ def test_a_frame_belongs_to_the_first_submap_and_short_submaps_do_not_count() ->
     assert found.tracked_fraction == 1.0
 
 
+def test_a_submap_that_does_not_move_is_left_out_and_does_not_end_the_clip() -> None:
+    truth = walk(300, 5)
+    still = np.tile(np.eye(4), (120, 1, 1))
+    submaps = [(np.arange(0, 120), still), (np.arange(120, 300), disturbed(truth[120:], 1))]
+    found = climb_errors(submaps, (np.arange(300), truth), FPS)
+    assert (found.submaps, found.submaps_left_out, found.matched) == (1, 1, 180)
+
+
 def test_a_clip_tracked_for_half_of_its_frames_has_failed() -> None:
     truth = walk(300, 6)
     exact = [(np.arange(150), truth[:150])]
