@@ -21,9 +21,10 @@ from pipeline.cli.live import live
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
 
-OF_FILE_SYSTEM = ("ENOSPC", "EACCES", "EROFS", "EDQUOT", "EFBIG", "ENOENT", "ENOTDIR", "EISDIR")
+OF_FILE_SYSTEM = ("ENOSPC", "EACCES", "EROFS", "EDQUOT", "EFBIG", "ENOENT", "ENOTDIR", "EISDIR", "ENAMETOOLONG")
 FILE_SYSTEM_SAYS_NO: tuple[int, ...] = tuple(getattr(errno, name) for name in OF_FILE_SYSTEM)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
+KEPT = "a run folder that was begun keeps what is finished: --resume goes on; without one, give the command again"
 # Help is plain text: rich's boxes take as long to load as all else.
 PLAIN: dict[str, Any] = {"rich_markup_mode": None, "context_settings": {"max_content_width": 120}}
 
@@ -263,14 +264,13 @@ def run_cleanly(command: Callable[[], Any]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("stopped; what was finished is kept: the same command goes on (reconstruct: --resume)", file=sys.stderr)
+        print(f"stopped; {KEPT}", file=sys.stderr)
         return INTERRUPTED
     except OSError as error:
         if error.errno not in FILE_SYSTEM_SAYS_NO:
             raise
         where = f" ({error.filename})" if error.filename else ""
-        way_on = "mend that, and the same command goes on (reconstruct: --resume)"
-        print(f"error: {os.strerror(error.errno)}{where}; what was finished is kept: {way_on}", file=sys.stderr)
+        print(f"error: {os.strerror(error.errno)}{where}; mend that: {KEPT}", file=sys.stderr)
         return 1
     finally:
         gc.freeze()  # or the interpreter, as it ends, looks for cycles among the 400,000 objects that libraries have

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import cv2
 import numpy as np
@@ -21,10 +21,10 @@ from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.input.frames import write_image, write_png
 from pipeline.live.live_tracking import SettledKeyframe
-from pipeline.live.surface_part import SurfacePart, part_of
+from pipeline.live.surface_part import KeyframeFate, SurfacePart, part_of
 from pipeline.live.warm_up import SIDE, small_camera, small_keyframes
 from pipeline.run_folder.workspace import Workspace
-from pipeline.surface.depth_filter import LEAST_CONFIDENCE, MAX_CONTRADICTED, SEVERITY
+from pipeline.surface.depth_filter import admitted_confidence
 from reconstruction.fusion.depth_consistency import DepthView, agreement
 from reconstruction.fusion.tsdf import SurfaceFusion, TsdfSettings, choose_voxel_size
 from reconstruction.mesh.decimation import decimated
@@ -59,14 +59,13 @@ class LiveCamera:
 @dataclass(frozen=True)
 class DenseResult:
     """What became of a keyframe. depth_png: (H,W) depth as a picture for the page, empty where it had too few
-    points. is_fused: False where the keyframes before it contradict it. parts: those that changed; the last one
-    grows. came: as the keyframe has it."""
+    points. fate: "unsure" there too. parts: those that changed; the last one grows. came: as the keyframe has it."""
 
     frame: int
     map_number: int
     came: float
     depth_png: bytes
-    is_fused: bool
+    fate: KeyframeFate
     parts: tuple[SurfacePart, ...]
 
 
@@ -100,15 +99,15 @@ class DenseWork:
             parts += self._closed_part()
             self._map_number = keyframe.map_number
             self._views.clear()
-        shown = b""
+        shown, fate = b"", cast(KeyframeFate, "unsure")
         completed = self._completed(keyframe)
         if completed is not None:
             rgb, depth, confidence = completed
             self._keep(keyframe, depth, confidence)
             shown = painted_png(depth)
-            parts += self._fused(keyframe, rgb, depth, confidence)
-        fused = self._frames[1] == keyframe.frame and self._fusion is not None
-        return DenseResult(keyframe.frame, keyframe.map_number, keyframe.came, shown, fused, tuple(parts))
+            fate, changed = self._fused(keyframe, rgb, depth, confidence)
+            parts += changed
+        return DenseResult(keyframe.frame, keyframe.map_number, keyframe.came, shown, fate, tuple(parts))
 
     def _completed(
         self, keyframe: SettledKeyframe
@@ -133,33 +132,34 @@ class DenseWork:
         rgb: NDArray[np.uint8],
         depth: NDArray[np.float32],
         confidence: NDArray[np.float32],
-    ) -> list[SurfacePart]:
-        """Fuse what the keyframes before it do not contradict; the parts that changed."""
+    ) -> tuple[KeyframeFate, list[SurfacePart]]:
+        """Fuse what is sure enough and the keyframes before it do not contradict; the parts that changed."""
         parts = self._closed_part() if self._keyframes >= PART_KEYFRAMES else []
         world_from_camera, matrix = keyframe.around.world_from_camera[keyframe.row], self.rectifier.camera.matrix
         sure = np.where(confidence < self.settings.min_confidence, np.float32(0), depth)
         view = DepthView(sure, matrix, world_from_camera)
         votes = agreement(view, list(self._views), self.consistency.tolerance)
         self._views.append(view)
-        if not sure.any() or votes.is_outvoted(MAX_CONTRADICTED):
-            return parts
+        if not sure.any():
+            return "unsure", parts
+        voxel = self._voxel_of_a_run(sure)
+        limits = self.settings.min_confidence, self.settings.max_error_voxels * voxel
+        admitted = admitted_confidence(confidence, depth, votes, *limits)
+        if admitted is None:
+            return "contradicted", parts
         if self._fusion is None:
-            size = self.settings.voxel_size or choose_voxel_size([sure], matrix)
-            self._fusion = SurfaceFusion(TsdfSettings(COARSER * size, LIVE_TRUNCATION_VOXELS))
+            self._fusion = SurfaceFusion(TsdfSettings(COARSER * voxel, LIVE_TRUNCATION_VOXELS))
             self._part, self._version, self._keyframes = self._part + 1, 0, 0
             self._frames = (keyframe.frame, keyframe.frame)
-        remaining = np.where(sure > 0, confidence * votes.weight(SEVERITY), np.float32(0))
-        self._fusion.integrate(rgb, depth, self._near_enough(remaining, depth), matrix, world_from_camera)
+        self._fusion.integrate(rgb, depth, admitted, matrix, world_from_camera)
         self._keyframes, self._frames = self._keyframes + 1, (self._frames[0], keyframe.frame)
-        return parts + self._current_part()
+        return "fused", parts + self._current_part()
 
-    def _near_enough(self, confidence: NDArray[np.float32], depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Without depth whose expected error is more than the voxels of a run allow."""
-        from completion.confidence import error_from_confidence
-
-        assert self._fusion is not None
-        most = self.settings.max_error_voxels * self._fusion.settings.voxel_size / COARSER
-        return np.where(error_from_confidence(confidence, LEAST_CONFIDENCE) * depth > most, np.float32(0), confidence)
+    def _voxel_of_a_run(self, depth: NDArray[np.float32]) -> float:
+        """Size of the voxels that a run would have, by the depth of the part's first keyframe."""
+        if self._fusion is not None:
+            return self._fusion.settings.voxel_size / COARSER
+        return self.settings.voxel_size or choose_voxel_size([depth], self.rectifier.camera.matrix)
 
     def _current_part(self, faces: int | None = None) -> list[SurfacePart]:
         assert self._fusion is not None

@@ -1,11 +1,15 @@
-"""The key `q` in the terminal, without Enter."""
+"""How a session is ended from the terminal: the key `q`, without Enter, and Ctrl-C."""
 
+import os
+import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 WAIT_S = 0.2
+MOST_TYPED = 64  # characters that are read at once
 
 
 @contextmanager
@@ -24,7 +28,10 @@ def watched_keyboard(asked: threading.Event) -> Iterator[None]:
 
     def watch() -> None:
         while not over.is_set():
-            if select.select([terminal], [], [], WAIT_S)[0] and sys.stdin.read(1) in ("q", "Q", ""):
+            if not select.select([terminal], [], [], WAIT_S)[0]:
+                continue
+            typed = os.read(terminal, MOST_TYPED)  # not by sys.stdin, which would keep the rest where select is blind
+            if not typed or b"q" in typed.lower():
                 asked.set()
                 return
 
@@ -35,5 +42,25 @@ def watched_keyboard(asked: threading.Event) -> Iterator[None]:
         yield
     finally:
         over.set()
+        thread.join()
         with suppress(OSError, termios.error):
             termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def first_interrupt_asks(asked: threading.Event) -> Iterator[None]:
+    """While it lasts the first Ctrl-C sets `asked`, wherever the program is; a second one interrupts as ever."""
+    if threading.current_thread() is not threading.main_thread():  # only that one may say what a signal does
+        yield
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def ask(*_: Any) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

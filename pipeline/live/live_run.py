@@ -77,11 +77,13 @@ def live(
             state.wait_until_told(LAST_LOOK_S)
             raise
         finally:
-            lock.release()
-            if state.counts.came == 0:  # the corrected command may have the folder
-                forget_record(folder)
-            else:
-                write_record(folder, replace(read_record(folder), figures=state.figures()))
+            try:
+                if state.counts.came == 0:  # the corrected command may have the folder
+                    forget_record(folder)
+                else:
+                    write_record(folder, replace(read_record(folder), figures=state.figures()))
+            finally:
+                lock.release()
         if state.counts.came == 0:
             raise HaustraError(f"the session ended before {film.name} gave a picture")
         for sentence in (*state.sentences, state.summary, f"the film: {film.recording}"):

@@ -49,7 +49,8 @@ class _Waiting:
 class LiveTracker:
     """Odometry on frames as they come. It forgets closed maps: what they showed was completed, and is recorded.
 
-    map_number: of the current map, from 0; -1 before the first. last_keyframe: picture to go back to when lost.
+    map_number: of the current map, from 0; -1 before the first. last_keyframe: picture to go back to when lost. A map
+    that the light contradicts is dropped; `refused`: numbers of those.
     """
 
     def __init__(self, view: WorkingView, odometry: OdometrySettings, depth: DepthSettings, seed: int) -> None:
@@ -60,7 +61,9 @@ class LiveTracker:
         self.map_number = -1
         self.last_keyframe: WorkingFrame | None = None
         self.left: tuple[int, Submap] | None = None  # number and end of the map before, once it was left
+        self.refused: set[int] = set()
         self._map: LocalMap | None = None
+        self._is_closed = False  # that map: lost for good, and right as far as it went
         self._waiting: deque[_Waiting] = deque()
         self._chosen: Keyframe | None = None  # the latest that was taken to be completed
 
@@ -100,17 +103,26 @@ class LiveTracker:
         return to_submap(part, self.view.camera.params, refit=False)
 
     def _follow_map(self) -> list[SettledKeyframe]:
-        """Notice that another map was begun; what waits in the old one is taken as it is."""
+        """Notice that another map was begun; what waits in the old one is taken as it is, unless it was refused."""
+        self._is_closed |= any(kept is self._map for kept in self.odometry.maps)
         self.odometry.maps.clear()
         tracker = self.odometry.tracker
         now = None if tracker is None else tracker.map
+        if now is None and self._map is not None and not self._is_closed:
+            self._refuse()
         if now is None or now is self._map:
             return []
         released = self._released(len(self._waiting))
         end = self.submap(LEFT_KEYFRAMES)
         self.left = None if end is None else (self.map_number, end)
-        self._map, self._chosen, self.map_number = now, None, self.map_number + 1
+        self._map, self._chosen, self.map_number, self._is_closed = now, None, self.map_number + 1, False
         return released
+
+    def _refuse(self) -> None:
+        """Forget the current map: nothing of it is to be shown."""
+        self.refused.add(self.map_number)
+        self._map = self._chosen = self.last_keyframe = None
+        self._waiting.clear()
 
     def settled(self, now: float) -> list[SettledKeyframe]:
         """The keyframes that are to be completed at a time by `time.monotonic()`, whether frames come or not."""

@@ -11,6 +11,7 @@ from pipeline.config import Config
 from pipeline.live.capture.frame_feed import FedFrame, FrameFeed
 from pipeline.live.capture.live_film import LiveFilm
 from pipeline.live.dense_worker import DenseResult, DenseWorker, LiveCamera, LiveSetup
+from pipeline.live.keyboard import first_interrupt_asks
 from pipeline.live.live_tracking import LiveTracker
 from pipeline.live.page.live_state import LiveState
 from pipeline.live.review_worker import Review, ReviewJob, ReviewWorker
@@ -55,7 +56,7 @@ class LiveSession:
         self._pace: deque[float] = deque()
         self._unusable = 0
         self._seconds: dict[int, float] = {}  # of frames, by number
-        self._keyframes: dict[int, list[int]] = {}  # completed, of the current map and the one before it
+        self._keyframes: dict[int, list[int]] = {}  # completed, of the current map
         self._next_review = 0.0
         self._came = 0.0  # when the latest frame came, by time.monotonic(),
         self._began: float | None = None  # and the first that was tracked
@@ -70,7 +71,7 @@ class LiveSession:
             self._dense, self._review = dense, review
             warm_tracking()
             dense.wait_until_ready(READY_S)
-            with FrameFeed(self.film) as feed:
+            with FrameFeed(self.film) as feed, first_interrupt_asks(self.state.stop_asked):
                 self._follow(feed)
             self.state.counts.came, self.state.counts.skipped = feed.came, feed.skipped
             if feed.fault and self.state.counts.came == 0:
@@ -83,10 +84,7 @@ class LiveSession:
         finder = ViewFinder(self.config.camera, self.film.recording, self.config.frames)
         self.state.phase = "live"
         while not self.state.stop_asked.is_set() and not feed.ended:
-            try:
-                fed = feed.take(0.1)
-            except KeyboardInterrupt:  # as q; a second one is not caught
-                break
+            fed = feed.take(0.1)
             counts = self.state.counts
             counts.came, counts.skipped = feed.came, feed.skipped
             if self._tracker is not None:
@@ -138,6 +136,8 @@ class LiveSession:
         """How the tracking goes, for the page."""
         state = self.state
         state.counts.tracked += 1
+        for number in tracker.refused:
+            state.forget_map(number)
         if tracker.map_number != map_before:
             state.counts.maps += 1
             if tracker.left is not None:
@@ -176,21 +176,25 @@ class LiveSession:
             if result is not None:
                 self._show(result)
         for review in self._review.results():
-            if review is not None:
+            if review is not None and review.map_number not in self._refused:
                 state.counts.reviews += 1
                 state.add_review(self._with_times(review))
         if time.monotonic() >= self._next_review and self._review.free:
             self._ask_for_review()
 
+    @property
+    def _refused(self) -> set[int]:
+        return set() if self._tracker is None else self._tracker.refused
+
     def _show(self, result: DenseResult) -> None:
         state = self.state
-        state.add_parts(result.parts)
+        if result.map_number not in self._refused:
+            state.add_parts(result.parts)
         if not result.depth_png:
             state.counts.empty += 1
             return
-        state.counts.shown += result.is_fused
-        state.counts.contradicted += not result.is_fused
-        if result.is_fused:
+        state.counts.count_keyframe(result.fate)
+        if result.fate == "fused":
             state.add_latency(time.monotonic() - result.came)
         state.keep_picture("depth.png", result.depth_png)
         if result.map_number in self._keyframes:
@@ -229,7 +233,7 @@ class LiveSession:
 
     def _wait_for_room(self) -> None:
         end = time.monotonic() + LAST_S
-        while self._dense.waiting > WAITING_KEYFRAMES and time.monotonic() < end and not self._dense.failure:
+        while self._dense.is_full and time.monotonic() < end and not self._dense.failure:
             time.sleep(0.02)
 
     def _remember(self, number: int, seconds: float) -> None:

@@ -2,11 +2,15 @@
 
 import struct
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.mesh.surface_mesh import SurfaceMesh
+
+# What became of a keyframe's depth: in the surface; the keyframes before it contradict it; nothing of it was sure.
+KeyframeFate = Literal["fused", "contradicted", "unsure"]
 
 
 @dataclass(frozen=True)
@@ -31,9 +35,6 @@ class SurfacePart:
         head = struct.pack("<II", len(self.vertices), len(self.faces))
         arrays = (self.vertices.astype("<f4"), self.faces.astype("<u4"), self.colours)
         return head + b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
-
-    def to_mesh(self) -> SurfaceMesh:
-        return SurfaceMesh.from_triangles(self.vertices, self.faces, colours=self.colours)
 
 
 def part_of(

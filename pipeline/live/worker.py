@@ -57,6 +57,12 @@ class Worker(Generic[Setup, Job, Result]):
             return len(self._first) + len(self._waiting) + self._working
 
     @property
+    def is_full(self) -> bool:
+        """Whether a further job would take the place of one that waits."""
+        with self._lock:
+            return len(self._waiting) >= self._most
+
+    @property
     def free(self) -> bool:
         """Whether a job would be begun at once."""
         return self.waiting == 0 and not self.failure
@@ -86,7 +92,7 @@ class Worker(Generic[Setup, Job, Result]):
             yield found
 
     def wait_until_ready(self, timeout: float) -> None:
-        """Until the first job can begin. HaustraError where the process cannot work."""
+        """Until the first job can begin, or the seconds are over. HaustraError where the process cannot work."""
         with self._lock:
             self._lock.wait_for(lambda: self._ready or self.failure, timeout)
             if self.failure:

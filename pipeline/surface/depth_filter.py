@@ -20,7 +20,7 @@ CACHED = 64  # depth maps kept while the check moves along the keyframes; more t
 class DepthFilter:
     """Agreement of each keyframe of a submap with keyframes before and after it, and what that leaves to be fused.
 
-    max_error: scene units, greatest expected error (1 sigma) of a depth that is fused. It takes the place of a greatest
+    max_error: scene units, greatest expected error of a depth that is fused. It takes the place of a greatest
     depth: far wall enters where it is sure.
     """
 
@@ -46,24 +46,33 @@ class DepthFilter:
         return agreement(self._view(number), others, self.settings.tolerance)
 
     def confidence(self, number: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The keyframe's confidence (H,W) times what the votes leave of it; 0 where either alone is below the least
-        that is fused, or the error that the product stands for is over the greatest; None where the frame as a whole
-        is contradicted.
+        """What is left of the keyframe's confidence (H,W), as `admitted_confidence` has it."""
+        depth, limits = self._view(number).depth, (self.min_confidence, self.max_error)
+        return admitted_confidence(confidence, depth, self(number), *limits)
 
-        The least confidence is no limit of the product: wall that a frame is half sure of would go for one
-        contradiction of many votes.
-        """
-        votes = self(number)
-        if votes.is_outvoted(MAX_CONTRADICTED):
-            return None
-        left = votes.weight(SEVERITY)
-        kept = (confidence >= self.min_confidence) & (left >= self.min_confidence)
-        remaining = np.where(kept, confidence * left, np.float32(0))
-        if np.isfinite(self.max_error):
-            depth = self._view(number).depth
-            error = error_from_confidence(remaining, LEAST_CONFIDENCE) * depth
-            remaining[error > self.max_error] = 0
-        return remaining
+
+def admitted_confidence(
+    confidence: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    votes: Agreement,
+    min_confidence: float,
+    max_error: float,
+) -> NDArray[np.float32] | None:
+    """Confidence (H,W) of a frame's depth (H,W) times what the votes leave of it; 0 where either alone is below the
+    least that is fused, or the error that the product stands for is over the greatest, in the depth's unit; None where
+    the frame as a whole is contradicted.
+
+    The least confidence is no limit of the product: wall that a frame is half sure of would go for one contradiction of
+    many votes.
+    """
+    if votes.is_outvoted(MAX_CONTRADICTED):
+        return None
+    left = votes.weight(SEVERITY)
+    kept = (confidence >= min_confidence) & (left >= min_confidence)
+    remaining = np.where(kept, confidence * left, np.float32(0))
+    if np.isfinite(max_error):
+        remaining[error_from_confidence(remaining, LEAST_CONFIDENCE) * depth > max_error] = 0
+    return remaining
 
 
 def _view_of(completed: CompletedSubmap, min_confidence: float, number: int) -> DepthView:

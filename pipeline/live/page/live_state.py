@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from haustra.core.se3 import Array
 from pipeline.live.review_worker import Review
-from pipeline.live.surface_part import SurfacePart
+from pipeline.live.surface_part import KeyframeFate, SurfacePart
 
 Phase = Literal["opening", "live", "ending", "finishing", "recorded", "done", "failed"]
 View = Literal["waiting", "starting", "tracking", "lost", "no view", "no pictures"]
@@ -29,7 +29,8 @@ SOON_S = 2.0  # after its picture a keyframe's surface should be there
 class Counts:
     """came, skipped (not kept up with), looked_at (to find the picture in them), tracked (given to the tracker), posed:
     frames. unusable: black, blurred or without texture. shown (fused), contradicted (by those before), empty (too few
-    points), dropped (not kept up with): keyframes. maps: begun; reviews: finished."""
+    points), unsure (no depth that is sure enough to be fused), dropped (not kept up with): keyframes. maps: begun;
+    reviews: finished."""
 
     came: int = 0
     looked_at: int = 0
@@ -41,8 +42,15 @@ class Counts:
     contradicted: int = 0
     reviews: int = 0
     empty: int = 0
+    unsure: int = 0
     dropped: int = 0
     maps: int = 0
+
+    def count_keyframe(self, fate: KeyframeFate) -> None:
+        """One more keyframe whose depth was completed."""
+        self.shown += fate == "fused"
+        self.contradicted += fate == "contradicted"
+        self.unsure += fate == "unsure"
 
 
 @dataclass
@@ -127,6 +135,15 @@ class LiveState:
             while len(self._parts) > MOST_PARTS:
                 del self._parts[min(self._parts)]
                 self._forgotten += 1
+
+    def forget_map(self, number: int) -> None:
+        """Take down what was shown of a map that turned out to be wrong."""
+        with self._lock:
+            self._parts = {key: part for key, part in self._parts.items() if part.map_number != number}
+            if self._review is not None and self._review.map_number == number:
+                self._review = None
+            if number == self._map_number:
+                self._path, self._pose = [], []
 
     def add_review(self, review: Review) -> None:
         with self._lock:

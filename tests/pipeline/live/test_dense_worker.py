@@ -64,7 +64,14 @@ def test_a_keyframe_with_too_few_points_leaves_all_as_it_was(work):
     keyframe = small_keyframes()[0]
     few = keyframe.around.without_points(np.arange(len(keyframe.around.points)) >= 5)
     result = work(replace(keyframe, around=few))
-    assert (result.depth_png, result.parts) == (b"", ())
+    assert (result.depth_png, result.fate, result.parts) == (b"", "unsure", ())
+
+
+def test_a_keyframe_of_which_nothing_is_sure_is_not_called_contradicted(work):
+    work.completer = lambda rgb, depth, error: (plane(rgb, depth, error)[0], np.zeros(depth.shape, np.float32))
+    result = work(small_keyframes()[0])
+    assert (result.fate, result.parts) == ("unsure", ())
+    assert result.depth_png
 
 
 def test_depth_that_the_one_before_looks_through_is_not_fused(work, tmp_path):
@@ -75,7 +82,8 @@ def test_depth_that_the_one_before_looks_through_is_not_fused(work, tmp_path):
     work.completer = lambda rgb, depth, error: tuple(
         np.float32(k) * v for k, v in zip((0.5, 1), plane(rgb, depth, error))
     )
-    assert work(keyframes[1]).parts == ()
+    result = work(keyframes[1])
+    assert (result.fate, result.parts) == ("contradicted", ())
     assert len(surface.faces)
 
 

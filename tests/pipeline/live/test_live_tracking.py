@@ -76,3 +76,22 @@ def test_the_map_of_the_latest_keyframes_is_that_part_of_the_whole():
     whole, all_of_it = (to_submap(m, small_camera().params, refit=False) for m in (local_map, local_map.latest(AROUND)))
     np.testing.assert_array_equal(whole.frames, all_of_it.frames)
     np.testing.assert_array_equal(whole.points, all_of_it.points)
+
+
+def test_a_map_that_the_light_contradicts_is_forgotten_and_named():
+    tracker = make_tracker()
+    waiting(tracker, came=0.0)
+    assert tracker._follow_map() == []  # the odometry has no map any more, and did not keep this one
+    assert tracker.refused == {0}
+    assert tracker.settled(1e9) == []
+    assert tracker.submap(10) is None
+
+
+def test_a_map_that_was_lost_for_good_is_still_shown():
+    tracker = make_tracker()
+    waiting(tracker, came=0.0)
+    tracker.odometry.maps.append(tracker._map)
+    for _ in range(3):
+        assert tracker._follow_map() == []
+    assert tracker.refused == set()
+    assert len(tracker.settled(1e9)) == KEYFRAMES

@@ -32,7 +32,8 @@ def test_results_come_in_order_and_what_waits_too_long_is_dropped():
         worker.wait_until_ready(30)
         worker.submit("slow")
         wait_for(lambda: worker.waiting == 1 and not worker._waiting, 10)  # it is in work
-        for job in (1, 2, 3, 4):
+        for job, full in ((1, False), (2, False), (3, True), (4, True)):
+            assert worker.is_full == full
             worker.submit(job)
         assert worker.wait_until_idle(30)
         assert list(worker.results()) == ["slowslow", 6, 8]
