@@ -62,7 +62,6 @@ PAPER: dict[str, Any] = {
     "augmentation": False,
     "ema": 0.0,
 }
-PAPER_EPOCHS = 10
 RENAMED = {"looks": "iterations"}  # of checkpoints that earlier releases wrote
 
 

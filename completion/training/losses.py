@@ -4,6 +4,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+SCALES = 4  # of `gradient_matching`
+
 
 def masked_mean(values: Tensor, valid: Tensor) -> Tensor:
     """Mean of `values` where `valid`; 0 where nothing is. Masked indexing would take a tenth of a training step."""
@@ -21,15 +23,15 @@ def laplace_nll(prediction: Tensor, log_scale: Tensor, target: Tensor, valid: Te
     return masked_mean(error * torch.exp(-log_scale) + log_scale, valid)
 
 
-def gradient_matching(prediction: Tensor, target: Tensor, valid: Tensor, scales: int = 4) -> Tensor:
-    """Mean L1 of the error's horizontal and vertical differences at `scales` halved resolutions.
+def gradient_matching(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """Mean L1 of the error's horizontal and vertical differences at `SCALES` resolutions, each half the last.
 
     Keeps fold edges sharp and surfaces smooth where plain L1 is content with blur (MegaDepth, CVPR 2018).
     """
     error = torch.where(valid, prediction - target, torch.zeros_like(target))
     mask = valid.float()
     total = error.new_zeros(())
-    for scale in range(scales):
+    for scale in range(SCALES):
         if scale:
             weight = F.avg_pool2d(mask, 2)
             error = F.avg_pool2d(error * mask, 2) / weight.clamp_min(1e-6)
@@ -37,7 +39,7 @@ def gradient_matching(prediction: Tensor, target: Tensor, valid: Tensor, scales:
         for axis in (2, 3):
             both = mask.narrow(axis, 1, mask.shape[axis] - 1) * mask.narrow(axis, 0, mask.shape[axis] - 1)
             total = total + (error.diff(dim=axis).abs() * both).sum() / both.sum().clamp_min(1)
-    return total / scales
+    return total / SCALES
 
 
 def completion_loss(log_depth: Tensor, log_scale: Tensor, target: Tensor, valid: Tensor) -> Tensor:

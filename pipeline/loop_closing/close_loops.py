@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import QhullError
 
+from haustra.core.errors import ReconstructionError
 from haustra.core.progress import Progress
 from pipeline.config import LoopClosingSettings
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -34,7 +35,7 @@ from pipeline.matching.place_recognition import VisualWords
 from pipeline.run_folder.workspace import Workspace, report_corruption
 
 STAGE = "refinement"  # its name in run.yaml since version 0.1
-FAILURES = (np.linalg.LinAlgError, QhullError, ValueError)
+FAILURES = (np.linalg.LinAlgError, QhullError, ReconstructionError)  # of geometry, not of files
 NOT_ADJUSTED = "too few features hold its keyframes together, or the adjusted map meets its loops no better"
 
 

@@ -111,7 +111,7 @@ def _features(
     maker = SparseDepthMaker(completed.submap, completed.camera)
 
     def of_row(row: int) -> KeyframeFeatures:
-        return known.get(row) or _lifted(completed, maker, rays, row)
+        return known[row] if row in known else _lifted(completed, maker, rays, row)
 
     with single_threaded():
         features = list(prefetched(of_row, rows.tolist(), workers(), workers()))

@@ -91,14 +91,14 @@ def summarised(submap: Submap, correlations: NDArray[np.float64]) -> LightingChe
     )
 
 
-def best_stretch(correlations: NDArray[np.float64], weight: float = CONTRADICTION) -> tuple[int, int]:
+def best_stretch(correlations: NDArray[np.float64]) -> tuple[int, int]:
     """First row and end of the frames in a row that agree best with their light: each frame that does counts 1, each
-    that contradicts it `weight` against.
+    that contradicts it `CONTRADICTION` against.
 
     A map that goes wrong does so from some frame on: what was right before is kept.
     """
     with np.errstate(invalid="ignore"):
-        value = np.where(np.isfinite(correlations), np.where(correlations > 0, -weight, 1.0), 0.0)
+        value = np.where(np.isfinite(correlations), np.where(correlations > 0, -CONTRADICTION, 1.0), 0.0)
     total = np.concatenate([[0.0], np.cumsum(value)])
     lowest = np.minimum.accumulate(total)
     end = int(np.argmax(total - lowest))

@@ -5,6 +5,7 @@ keyframe before it and 12 bytes for each point that it saw, which the result nee
 `map_adjustment`.
 """
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -123,6 +124,11 @@ class LocalMap:
     def frames(self) -> set[int]:
         """Numbers of all frames that the map poses."""
         return {k.frame for k in self.keyframes} | {p.frame for p in self.tracked_frames}
+
+    def copied(self) -> "LocalMap":
+        """A copy that shares the lens's rays and the sensor, which no adjustment changes."""
+        shared = {id(one): one for one in (self.rays, self.depth_at) if one is not None}
+        return copy.deepcopy(self, shared)
 
     def latest(self, count: int) -> "LocalMap":
         """The map of its latest `count` keyframes and the frames after the first of them; tracks and keyframes are

@@ -26,6 +26,7 @@ REFERENCES = 5  # keyframes at a piece's end that say by how much it grew; the l
 MIN_POINTS = 20  # points of such a keyframe
 MOST_GROWTH = 3.0  # of a piece; the tracker's unit has drifted by half over two hundred keyframes
 FINAL_ITERATIONS = 25
+POINT_ITERATIONS = 10  # of points alone, poses fixed
 # With the usual 1e-4 the first steps leave a bend where it is, gain nothing, and are taken for the last ones.
 FINAL_DAMPING = 1e-8
 FINAL_TOLERANCE = 1e-5  # share of the cost; a bent scale costs little, and taking that back gains little at each step
@@ -84,7 +85,7 @@ def adjust_all(
     advance(len(passes), len(passes), "adjusted")
 
 
-def fit_points(local_map: LocalMap, iterations: int = 10) -> None:
+def fit_points(local_map: LocalMap) -> None:
     """All points fitted to the keyframes as they stand, `CHUNK` at a time, and those dropped that do not fit."""
     for first in range(0, len(local_map.tracks), CHUNK):
         chunk = np.zeros_like(local_map.tracks.has_point)
@@ -93,7 +94,7 @@ def fit_points(local_map: LocalMap, iterations: int = 10) -> None:
         if len(tracks) == 0:
             continue
         fixed = np.ones(len(bundle.fixed), dtype=bool)
-        result = adjust(replace(bundle, fixed=fixed), iterations, LOSS_PX)
+        result = adjust(replace(bundle, fixed=fixed), POINT_ITERATIONS, LOSS_PX)
         local_map.tracks.points[tracks] = result.points
         _cull(local_map, result, tracks, local_map.keyframes, MAX_ERROR_PX)
 

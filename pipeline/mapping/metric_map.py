@@ -20,13 +20,10 @@ def make_all_metric(maps: list[LocalMap], depth_at: DepthAt, progress: Progress)
         progress.log(f"the sensor saw too few points of {scales.count(None)} of {len(maps)} maps to adjust them by it")
 
 
-def make_metric(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None = None) -> float | None:
+def make_metric(local_map: LocalMap, depth_at: DepthAt) -> float | None:
     """Bring the map to millimetres by the median ratio of its observations' depths, and let its adjustments see them;
-    None, and nothing done, where too few have one. Returns mm per former unit.
-
-    frames: of the keyframes that are asked; None: all.
-    """
-    scale = metric_scale(local_map, depth_at, frames)
+    None, and nothing done, where too few have one. Returns mm per former unit."""
+    scale = metric_scale(local_map, depth_at)
     if scale is not None:
         local_map.rescale(scale)
         local_map.depth_at = depth_at
@@ -34,7 +31,8 @@ def make_metric(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None
 
 
 def metric_scale(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None = None) -> float | None:
-    """mm per unit of the map; None where too few observations have a depth."""
+    """mm per unit of the map; None where too few observations have a depth. frames: of the keyframes that are asked;
+    None: all."""
     log_ratio = [np.zeros(0)]
     for keyframe in local_map.keyframes:
         if frames is not None and keyframe.frame not in frames:

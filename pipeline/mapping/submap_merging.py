@@ -5,7 +5,6 @@ pictures, one and the same similarity for two or more of them, and borne out by 
 sides; a single pair is enough where many around it bear it out.
 """
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,7 +56,7 @@ def merge_and_adjust(
     """
     if len(maps) < 2:
         return maps, 0
-    apart = copy.deepcopy(maps)
+    apart = [local_map.copied() for local_map in maps]
     with progress.bar("merging submaps", None):
         merged = merge_maps(maps, find, seed)
     result: list[LocalMap] = []

@@ -92,7 +92,6 @@ def robust_similarity(
     second: Correspondences,
     rng: np.random.Generator,
     most_rounds: int = 300,
-    max_error_px: float = MAX_ERROR_PX,
     fewest: int = 4,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """The 4x4 `second_from_first` with scale, and which pairs of points (N,) agree; None if no sample gave any.
@@ -111,23 +110,21 @@ def robust_similarity(
         found = _fits(first.points[sample], second.points[sample])
         if len(found) == 0:
             continue
-        agreeing = (_errors_of_each(found, first, second) < max_error_px).sum(axis=1)
+        agreeing = (_errors_of_each(found, first, second) < MAX_ERROR_PX).sum(axis=1)
         if agreeing.max() > most:
             best, most = found[agreeing.argmax()], int(agreeing.max())
             rounds = min(rounds, rounds_needed((most / count) ** 3))
-    return None if best is None else _refitted(best, first, second, max_error_px)
+    return None if best is None else _refitted(best, first, second)
 
 
-def _refitted(
-    best: Array, first: Correspondences, second: Correspondences, max_error_px: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _refitted(best: Array, first: Correspondences, second: Correspondences) -> tuple[Array, NDArray[np.bool_]]:
     """Fitted to all that agree, three times or until fewer do; and which do in the end."""
-    inlier = similarity_errors(best, first, second) < max_error_px
+    inlier = similarity_errors(best, first, second) < MAX_ERROR_PX
     for _ in range(3):
         refined = _fits(first.points[inlier][None], second.points[inlier][None])
         if len(refined) == 0:
             break
-        agreeing = similarity_errors(refined[0], first, second) < max_error_px
+        agreeing = similarity_errors(refined[0], first, second) < MAX_ERROR_PX
         if agreeing.sum() < inlier.sum():
             break
         best, inlier = refined[0], agreeing

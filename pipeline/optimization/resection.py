@@ -9,6 +9,7 @@ from pipeline.optimization.kernels import pose_equations
 
 MIN_POINTS = 6
 RANSAC_ROUNDS = 400
+SURE = 0.999  # chance that one of the samples is free of outliers
 
 
 def refine_poses(
@@ -96,6 +97,6 @@ def robust_pose(
     return best
 
 
-def rounds_needed(clean: float, confidence: float = 0.999) -> int:
-    """Samples to draw so that one of them is surely free of outliers; `clean`: chance that a single one is."""
-    return 1 if clean > confidence else int(np.ceil(np.log(1 - confidence) / np.log1p(-clean)))
+def rounds_needed(clean: float) -> int:
+    """Samples to draw so that one of them is free of outliers, as surely as `SURE`; `clean`: chance that one is."""
+    return 1 if clean > SURE else int(np.ceil(np.log(1 - SURE) / np.log1p(-clean)))

@@ -66,15 +66,15 @@ def distance_to_surface(points: NDArray[np.float64], mesh: SurfaceMesh) -> NDArr
     return scene.compute_distance(o3d.core.Tensor((points - middle).astype(np.float32))).numpy().astype(np.float64)
 
 
-def textured(light: SurfaceMesh, fine: SurfaceMesh, side: int | None = None) -> TexturedMesh:
-    """`light` with a texture of the colours of `fine`; `side` px, by default as fine as the vertices of `fine` are."""
+def textured(light: SurfaceMesh, fine: SurfaceMesh) -> TexturedMesh:
+    """`light` with a texture of the colours of `fine`, as fine as the vertices of `fine` are."""
     import xatlas
 
     if not len(light.faces) or not len(fine.vertices):
         raise ReconstructionError("a mesh without faces has nothing to lay a texture on")
     source, faces, uv = xatlas.parametrize(light.vertices.astype(np.float32), light.faces.astype(np.uint32))
     vertices, faces = light.vertices[source], faces.astype(np.int64)
-    side = side or _texture_side(fine)
+    side = _texture_side(fine)
     texel_face, points_on_light = _texel_points(vertices, faces, uv, side)
     texture = np.full((side, side, 3), UNCOLOURED, np.uint8)
     known = texel_face >= 0

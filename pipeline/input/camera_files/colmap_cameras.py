@@ -37,13 +37,6 @@ def read_colmap(document: CameraDocument) -> CalibratedLens | None:
     return lenses[0]
 
 
-def cameras_of_folder(folder: Path) -> dict[int, CalibratedLens]:
-    """The lenses of a model, by their numbers."""
-    if (folder / "cameras.bin").is_file():
-        return _binary(folder / "cameras.bin")
-    return cameras_of_text((folder / "cameras.txt").read_text())
-
-
 def cameras_of_text(text: str) -> dict[int, CalibratedLens]:
     """Lines of `id MODEL width height params`; none where the text is anything else."""
     cameras = {}

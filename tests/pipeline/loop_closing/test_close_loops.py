@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from haustra.core.errors import ReconstructionError
+from haustra.core.errors import HaustraError, ReconstructionError
 from haustra.core.progress import SilentProgress
 from pipeline.config import LoopClosingSettings
 from pipeline.frontend.points_stage import points_folder
@@ -83,6 +83,18 @@ def test_sparse_models_are_those_with_the_points_that_depth_was_completed_from(w
     assert model_sources(workspace) == [(points_folder(workspace) / "0", 1.0)]
 
 
+def test_a_damaged_file_is_no_failing_graph(workspace, frames, seen_twice, monkeypatch):
+    """It can be mended, and the stage must then be made: it is not finished with a warning."""
+
+    def fail(*_: object) -> None:
+        raise HaustraError("000012.png is missing or damaged")
+
+    monkeypatch.setattr(stage, "close_loops", fail)
+    with pytest.raises(HaustraError, match="missing or damaged"):
+        close_loops_stage(frames, [dense(workspace)], CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
+    assert not workspace.is_done("refinement")
+
+
 def test_a_failing_graph_is_a_warning(workspace, frames, seen_twice, monkeypatch):
     def fail(*_: object) -> None:
         raise ReconstructionError("the pose graph has no solution")
@@ -148,10 +160,11 @@ def test_submaps_that_became_the_largest_by_joining_come_first(workspace, frames
     monkeypatch.setattr(stage, "find_features", lambda completed, *_: seen(completed))
     for name in ("loop_candidates", "merge_candidates"):
         monkeypatch.setattr(stage, name, lambda *_: [])
-    joined = [parts[1], parts[2]]
-    monkeypatch.setattr(
-        stage, "verify_loops", lambda one, other, *_: links if [one.completed, other.completed] == joined else []
-    )
+
+    def verified(one, other, *_):
+        return links if one.completed is parts[1] and other.completed is parts[2] else []
+
+    monkeypatch.setattr(stage, "verify_loops", verified)
     refined = close_loops_stage(frames, parts, CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
     assert [record["members"] for record in workspace.result("refinement")["submaps"]] == [[1, 2], [0]]
     assert [len(one.submap.frames) for one in refined] == [56, 35]

@@ -47,3 +47,15 @@ def test_adjustment_with_depth_straightens_a_scale_that_pictures_leave_bent():
     bend = true[-8:].sum() / true[:8].sum()
     assert abs(lengths["depth"][1] - bend) < 0.01
     assert abs(lengths["depth"][1] - bend) < abs(lengths["pictures"][1] - bend)
+
+
+def test_a_copy_of_a_map_shares_the_lens_and_the_sensor_alone():
+    local_map, points = tube()
+    make_metric(local_map, sensed(points, 0.03))
+    copied, before = local_map.copied(), local_map.tracks.points.copy()
+    assert copied.rays is local_map.rays
+    assert copied.depth_at is local_map.depth_at
+    copied.rescale(2.0)
+    copied.keyframes[0].ids[:] = -1
+    np.testing.assert_array_equal(local_map.tracks.points, before)
+    assert (local_map.keyframes[0].ids >= 0).all()

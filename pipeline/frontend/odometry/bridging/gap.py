@@ -5,7 +5,6 @@ the sensor's clouds are followed from one to the other, in both directions (`dep
 sides are registered to each other (`cloud_registration`).
 """
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +43,7 @@ def bridge_maps(
             result.append(local_map)
             continue
         between = min(local_map.frames) - max(before.frames) - 1
-        whole = _joined(copy.deepcopy(before), copy.deepcopy(local_map), moved)
+        whole = _joined(before.copied(), local_map.copied(), moved)
         by = adjust_to_features(whole, find, may_part=False)
         first, held = min(local_map.frames), "" if by is not None else "; too few features agree to adjust it"
         progress.log(f"submap from frame {first} on joined to the one before over {between} frames by depth{held}")
