@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name
+from pipeline.input.decoding import claimed_seconds, decoded, film_stream, open_video, unread_share
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, RgbConverter, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
@@ -27,15 +28,11 @@ from pipeline.input.image_folder import (
 from pipeline.run_folder.workspace import RECORD_NAME
 
 if TYPE_CHECKING:
-    from av import Packet, VideoFrame
+    from av import VideoFrame
     from av.codec.context import CodecContext
-    from av.container import InputContainer
-    from av.video.stream import VideoStream
 
 SMALLEST = 32  # px of a picture's side that is looked at for faults
-STILLS = 0.1  # of another stream's number of pictures: one with fewer is a cover, or slides
 MOST_ASPECT = 4  # width over height of a pixel, or the other way round: DV's widest is 1.46
-MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
 # FFmpeg's names of formats that store a frame rate at most, and no times: what it derives runs backwards, or is none.
 NO_TIMES = ("h264", "hevc", "mjpeg")
 PALETTES = ("gif", "apng")
@@ -135,14 +132,14 @@ class Source:
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            claimed_s = _claimed_seconds(container)
+            claimed_s = claimed_seconds(container)
             has_times = container.format.name not in NO_TIMES
             # Of a bare stream the average is FFmpeg's default; what the stream itself says is in its headers.
             rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
             clock = Clock(self._rate or rate, has_times and not self._rate)
             aspect = stream.sample_aspect_ratio or Fraction(1)
             to_rgb = RgbConverter()
-            for frame in self._decode(container, stream):
+            for frame in decoded(container, stream, self._note):
                 rgb = self._upright(frame, to_rgb(frame), aspect)
                 size = size if count else (rgb.shape[1], rgb.shape[0])
                 stamp: float | None = frame.time
@@ -152,6 +149,7 @@ class Source:
                 count += 1
             for sentence in clock.notes:
                 self._note(sentence)
+            unread = unread_share(container, self.path)
         if count == 0:
             raise HaustraError(f"no frame of {self.path} can be decoded")
         if count < 0.98 * self.announced:
@@ -160,16 +158,18 @@ class Source:
             self._note(f"{what}: {count} of {self.announced} announced frames could be decoded")
         elif not self.announced and max(clock.last, clock.last_stamp) + clock.step < 0.9 * claimed_s:
             self._note(f"the video ends early: {clock.last + clock.step:.1f} of {claimed_s:.1f} s could be decoded")
+        elif unread:
+            self._note(f"the video ends early: nothing could be read of the last {100 * unread:.0f} % of its file")
 
     def _find_faults(self) -> FilmFaults:
         """What the beginning of the film shows, which no file says."""
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            decoded, to_rgb = self._decode(container, stream), RgbConverter()
+            to_rgb = RgbConverter()
             faults = look_at(
                 self._of_one_time(frame, to_rgb(frame))
-                for frame in decoded
+                for frame in decoded(container, stream, self._note)
                 if min(frame.width, frame.height) >= SMALLEST
             )
             codec: CodecContext | None = stream.codec_context  # PyAV has none where FFmpeg has no decoder
@@ -199,24 +199,6 @@ class Source:
         self._note(f"the film's size changes {change}: such frames were brought to the first size, as of the same lens")
         return sized
 
-    def _decode(self, container: "InputContainer", stream: "VideoStream") -> Iterator["VideoFrame"]:
-        """Frames of every packet that decodes; damaged packets are counted and passed over."""
-        import av
-
-        damaged = 0
-        for packet in packets_of(container, stream):
-            try:
-                yield from () if packet is None else packet.decode()
-                damaged += packet is None
-            except av.error.EOFError:
-                break
-            except av.error.FFmpegError:
-                damaged += 1
-            if damaged > MAX_DAMAGED:
-                break
-        if damaged:
-            self._note(f"{damaged} damaged pieces of the video were passed over")
-
     def _upright(self, frame: "VideoFrame", rgb: NDArray[np.uint8], aspect: Fraction) -> NDArray[np.uint8]:
         """A frame's pixels (H,W,3) as they are to be looked at: square, and turned upright."""
         flagged = frame.interlaced_frame and not self.rows_are_eyes
@@ -234,63 +216,3 @@ class Source:
     def _note(self, sentence: str) -> None:
         if sentence not in self.notes:
             self.notes.append(sentence)
-
-
-def open_video(path: Path) -> "InputContainer":
-    """An open PyAV container with a video stream; one sentence if there is none."""
-    import av
-
-    film = read_dicom_video(path) if is_dicom(path) else None
-    # "10:30.mp4" alone would be read as the address of a protocol.
-    file, kind = (str(path.absolute()), None) if film is None else (film.stream, film.kind)
-    try:
-        container = av.open(file, "r", format=kind)
-    except (av.error.FFmpegError, ValueError, OSError) as error:
-        raise HaustraError(f"{path} is not a video that FFmpeg can read (or its index is cut off)") from error
-    if not container.streams.video:
-        container.close()
-        raise HaustraError(f"{path} holds no video stream")
-    return container
-
-
-def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | None"]:
-    """Packets of one stream or several; None for each piece of the file that cannot be read."""
-    import av
-
-    for _ in range(MAX_DAMAGED + 1):
-        try:
-            yield from container.demux(streams)
-            return
-        except av.error.EOFError:
-            return
-        except (av.error.FFmpegError, IndexError):  # IndexError: of a stream that was not there at the beginning
-            yield None
-
-
-def film_stream(path: Path) -> tuple[int, int, int]:
-    """Number, among a file's video streams, of the film: the largest picture of those that move, first in the file of
-    equal ones; how many streams there are; and how many frames that one claims."""
-    with open_video(path) as container:
-        streams = list(container.streams.video)
-        number = 0
-        if len(streams) > 1:
-            pictures = dict.fromkeys((stream.index for stream in streams), 0)
-            for packet in packets_of(container, streams):
-                if packet is not None:
-                    pictures[packet.stream.index] += packet.size > 0
-            most = max(pictures.values())
-            moving = [place for place, one in enumerate(streams) if pictures[one.index] >= STILLS * most]
-            number = max(moving, key=lambda place: (streams[place].width * streams[place].height, -place))
-        return number, len(streams), _claimed_frames(container, streams[number])
-
-
-def _claimed_seconds(container: "InputContainer") -> float:
-    """Length that a Matroska file announces, which counts no frames; 0 of others, whose length FFmpeg infers."""
-    return (container.duration or 0) / 1e6 if "matroska" in container.format.name else 0.0
-
-
-def _claimed_frames(container: "InputContainer", stream: "VideoStream") -> int:
-    """Frames that a file announces, 0 where it does not; of MP4 no more than its edit list leaves of them."""
-    if "mp4" not in container.format.name or not (stream.duration and stream.time_base and stream.average_rate):
-        return stream.frames
-    return min(stream.frames, round(stream.duration * stream.time_base * stream.average_rate))

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from haustra.core.errors import HaustraError
 from pipeline.input.display import Clock, upper_field, upright
 from pipeline.input.video import Source
+from tests.helpers.videos import textured_frames, write_video
 
 SIGNED = [np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=2)]
 MATRICES = SIGNED + [m @ np.array([[0.0, 1.0], [1.0, 0.0]]) for m in SIGNED]
@@ -223,7 +224,7 @@ def test_two_streams_that_are_damaged_end_in_frames_or_a_sentence(tmp_path: Path
 
 def test_a_stream_that_begins_later_loses_no_picture_of_the_film(tmp_path: Path) -> None:
     """PyAV knows the streams of the beginning alone and ends on a packet of another."""
-    from pipeline.input.video import packets_of
+    from pipeline.input.decoding import packets_of
 
     class Container:
         calls = 0
@@ -235,3 +236,31 @@ def test_a_stream_that_begins_later_loses_no_picture_of_the_film(tmp_path: Path)
                 raise IndexError("list index out of range")
 
     assert list(packets_of(Container(), None)) == [1, None, 2, None, 3, None, 4]
+
+
+def test_what_is_decoded_from_a_damaged_frame_is_left_out(tmp_path: Path) -> None:
+    """Of a transport stream FFmpeg gives smeared pictures up to the next keyframe, without an error."""
+    frames = textured_frames(60)
+    path = write_video(tmp_path / "film.ts", frames, g="20", bf="0", sc_threshold="0")
+    data = bytearray(path.read_bytes())
+    rng, size = np.random.default_rng(0), len(data)
+    begin, end = size * 4 // 10, size * 5 // 10
+    data[begin:end] = rng.integers(256, size=end - begin, dtype=np.uint8).tobytes()
+    path.write_bytes(bytes(data))
+    source = Source(path)
+    read = list(source)
+    assert 20 < len(read) < 60
+    for frame in read:
+        assert np.abs(frame.rgb.astype(int) - frames[round(30 * (frame.seconds - read[0].seconds))]).mean() < 6
+    assert any("damaged pieces of the video or decoded from such" in note for note in source.notes)
+
+
+def test_a_transport_stream_whose_end_is_noise_says_so(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "film.ts", textured_frames(60), g="20")
+    data = bytearray(path.read_bytes())
+    begin = len(data) * 6 // 10
+    data[begin:] = np.random.default_rng(0).integers(256, size=len(data) - begin, dtype=np.uint8).tobytes()
+    path.write_bytes(bytes(data))
+    source = Source(path)
+    assert 20 < len(list(source)) < 45
+    assert any("nothing could be read of the last 4" in note or "of the last 39" in note for note in source.notes)
