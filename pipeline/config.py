@@ -14,6 +14,7 @@ from pydantic import Field, PositiveInt, ValidationError, model_validator
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
+from haustra.core.unique_yaml import load_unique
 from pipeline.given_settings import LumenMm, PoseSettings, SensorSettings, Settings, StereoSettings
 from pipeline.retired_settings import FIXED, OLD_SECTIONS, RENAMED, REPLACED, RETIRED
 
@@ -194,7 +195,7 @@ def load_config(path: Path | None, **overrides: object) -> Config:
     values: dict[str, object] = {}
     if path is not None:
         try:
-            values = yaml.safe_load(read_text(path)) or {}
+            values = load_unique(read_text(path)) or {}
             json.dumps(values, default=str)  # an alias within itself has no end
         except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
             raise HaustraError(f"cannot read the configuration {path}: {str(error).splitlines()[0]}") from error

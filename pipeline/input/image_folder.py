@@ -127,7 +127,8 @@ def what_else_is_in(folder: Path) -> str:
         if path.is_dir() and any(one.suffix.lower() in IMAGE_SUFFIXES for one in path.iterdir()):
             return f"there are some in {path.name} inside it: give that folder"
     if films:
-        return f"it holds the film {films[0]}: give the file" + (", or all to haustra batch" if len(films) > 1 else "")
+        several = f", or all of them, as {folder}/*{Path(films[0]).suffix}, to haustra batch" if len(films) > 1 else ""
+        return f"it holds the film {films[0]}: give the file{several}"
     kinds = Counter(path.suffix.lower() or "no suffix" for path in inside if path.is_file()).most_common(1)
     found = f"most of its files are {kinds[0][0]}" if kinds else "it is empty"
     return f"{found}; those that are: {' '.join(sorted(IMAGE_SUFFIXES))}"

@@ -21,7 +21,7 @@ import yaml
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name, json_text
 from pipeline.config import Config, beyond_surface, read_recorded, retired_differences
-from pipeline.run_folder.inputs import inputs_of, record_inputs
+from pipeline.run_folder.inputs import changed_inputs, inputs_of, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
 from pipeline.run_folder.lock import RunLock
 
@@ -169,7 +169,7 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     before it had a camera path, is in nobody's way: the command is given again, corrected."""
     replaced = workspace.record_path.exists()
     if replaced and not overwrite and not _is_in_nobodys_way(workspace.root):
-        raise HaustraError(f"{workspace.root} already holds a run; {_ways_on(workspace.root, config)}")
+        raise HaustraError(f"{workspace.root} already holds a run; {_ways_on(workspace.root, source, config)}")
     if replaced:
         _check_survives(workspace, source, config)
     workspace.record |= {
@@ -197,12 +197,16 @@ def _check_survives(workspace: Workspace, source: Path, config: Config) -> None:
             )
 
 
-def _ways_on(root: Path, config: Config) -> str:
-    """What can be done about a run that is in the way: with other settings it cannot be gone on with."""
+def _ways_on(root: Path, source: Path, config: Config) -> str:
+    """What can be done about a run that is in the way: of another film it cannot be gone on with, nor with other
+    settings."""
     try:
-        other = open_workspace(root).config.differences(config)
+        before = open_workspace(root)
+        other, inputs = before.config.differences(config), before.record["source"]
     except HaustraError:  # a damaged record
-        other = []
+        return "--overwrite replaces it"
+    if "source" in changed_inputs(source, config, inputs, trust_stamps=True):
+        return f"it is of another source, {inputs['path']}: give another folder (-o), or --overwrite to replace it"
     if not other:
         return "add --resume to go on with it or --overwrite to redo it"
     if not beyond_surface(other, config):

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
+from haustra.core.unique_yaml import load_unique
 from pipeline.depth.sensor.sensor_scale import SensorScale
 from pipeline.input.pose_files.pose_table import POSES_UNIT
-from pipeline.input.sensor.sensor_depth import check_view, doubt_of_view
+from pipeline.input.sensor.usual_distances import check_view, doubt_of_view
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -129,7 +130,7 @@ def check_scale_file(path: Path) -> dict[str, float]:
     """The contents of a scale file: `mm_per_unit`, or `frame_a`, `frame_b` and `distance_mm` between the cameras."""
     text = read_text(path)
     try:
-        values = yaml.safe_load(text)
+        values = load_unique(text)
         if any(isinstance(value, bool) for value in values.values()):
             raise ValueError("a truth value is no number")
         numbers = {str(name): float(value) for name, value in values.items()}

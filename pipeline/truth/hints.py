@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from haustra.core.errors import HaustraError
 from haustra.core.sim3 import umeyama
 from pipeline.frontend.known_poses.pose_check import MIRROR, Y_UP, inverted, scalar_first
+from pipeline.input.sensor.usual_distances import FARTHEST_MM
 from pipeline.mapping.readjustment import path_difference
 from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
@@ -26,7 +27,6 @@ UNITS = ((1.0, "metres"), (10.0, "centimetres"))  # a length in mm over the numb
 BAD_TURN_DEG = 15.0  # between a run's rotations and the true ones, where the centres fit
 NO_FIT, NO_TURN_DEG = 0.25, 45.0  # from which on a path is none of this film, or wrong
 SMALLEST = 0.1  # of the path, below which no wall has been seen along it
-FARTHEST_MM = 200.0  # from which an endoscope sees wall
 SHORTEST_MM = 1.0  # a path over which nothing could be triangulated: its numbers are of another unit
 
 

@@ -97,3 +97,10 @@ def test_a_retired_setting_fixed_anew_differs_neither_by_its_old_default_nor_by_
     with pytest.raises(HaustraError, match="fixed at 5; remove it"):
         validate_config({"fusion": {"truncation_voxels": 12.0}})
     assert FIXED["fusion.truncation_voxels"] == TRUNCATION_VOXELS
+
+
+def test_a_section_that_stands_twice_is_refused_and_named(tmp_path):
+    path = tmp_path / "run.yaml"
+    path.write_text("frames: {start_s: 60}\nseed: 1\nframes: {stride: 2}\n")
+    with pytest.raises(HaustraError, match=r"'frames' stands twice, on lines 1 and 3; keep one"):
+        load_config(path)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.text import counted
 from pipeline.depth.sparse_depth import reliable_points
-from pipeline.input.sensor.sensor_depth import SensorDepth, check_unit, doubt_of_unit
+from pipeline.input.sensor.sensor_depth import SensorDepth
+from pipeline.input.sensor.usual_distances import check_unit, doubt_of_unit
 from pipeline.mapping.submap import Submap
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from pipeline.frontend.known_poses.time_shift import first_by_pictures
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, first_numbers, poses_by_frame
 from pipeline.input.pose_files.registry import read_poses
-from pipeline.input.sensor.sensor_depth import check_view
+from pipeline.input.sensor.usual_distances import check_view
 from pipeline.mapping.feature_triangulation import choose_frames
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.map_adjustment import adjust_all

@@ -18,6 +18,9 @@ TERMS = (
     "distortioncoefficients",
     "distcoeffs",
     "distcoeff",
+    "distcoefs",
+    "distortioncoeffs",
+    "distortioncoefs",
     "distortion",
     "dist",
     "d",
@@ -25,7 +28,7 @@ TERMS = (
     "distortioncoefficientsleft",
     "distcoeffs1",
 )
-WIDTHS, HEIGHTS, SIZES = ("imagewidth", "width", "w"), ("imageheight", "height", "h"), ("imagesize", "size")
+WIDTHS, HEIGHTS, SIZES = ("imagewidth", "width", "w"), ("imageheight", "height", "h"), ("imagesize", "size", "dim")
 AREAS = ("full", "roi")  # x, y, width, height
 FLAGS = ("fisheyemodel", "fisheye", "isfisheye")
 FISHEYE = ("fisheye", "equidistant", "kannala")

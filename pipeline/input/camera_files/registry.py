@@ -5,7 +5,7 @@ from pathlib import Path
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
-from pipeline.input.camera_files.calibrated_lens import CalibratedLens
+from pipeline.input.camera_files.calibrated_lens import LEAST_FOCAL_PX, CalibratedLens
 from pipeline.input.camera_files.camera_json import read_camera_json
 from pipeline.input.camera_files.colmap_cameras import read_colmap
 from pipeline.input.camera_files.document import CameraDocument, open_document
@@ -51,7 +51,11 @@ def read_lens(path: Path) -> tuple[str, CalibratedLens]:
             if lens is not None:
                 if max(lens.size or (1, 1)) > MOST_PX:
                     raise HaustraError(f"its pictures have over {MOST_PX} pixels a side, which none has")
-                Camera(lens.model, *(lens.size or (1, 1)), lens.params)  # its numbers must be possible
+                focal_px = Camera(lens.model, *(lens.size or (1, 1)), lens.params).focal_px  # of possible numbers
+                if focal_px < LEAST_FOCAL_PX:
+                    raise HaustraError(
+                        f"its focal length is {focal_px:.3g}; it must be in pixels, and seems to be in mm"
+                    )
                 return name, lens
         except HaustraError as error:
             said = str(error)

@@ -44,4 +44,6 @@ def _reason(seconds: Array, file_seconds: Array, spacing: float) -> str:
     if np.allclose(file_seconds, np.round(file_seconds), rtol=0, atol=1e-6):
         return "; they look like frame numbers: divide them by the film's frames a second"
     shift = file_seconds[0] - seconds[0]
+    if abs(shift) < spacing:
+        return "; they begin at one time and are of another length: are they of this film, at its frames a second?"
     return f"; if both are of the same stretch of film, a clock {shift:+.3g} s off would explain that"

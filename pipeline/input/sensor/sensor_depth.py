@@ -19,6 +19,7 @@ from haustra.core.text import read_json
 from pipeline.config import SensorSettings
 from pipeline.input.frames import SENSED_MM
 from pipeline.input.image_folder import images_of, rows_by_number
+from pipeline.input.sensor.usual_distances import check_unit
 from pipeline.run_folder.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -26,13 +27,11 @@ SENSOR = "sensor"  # what an RGB-D folder's camera.json calls depth that is no t
 LEAST_CONFIDENCE = 1 / 255  # of a confidence image; 0 is no depth
 MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is of second order
 CACHED = 8
-UNIT_OPTION = "depth's unit (--depth-unit-mm)"
 LEAST_COVERED = 0.05  # of a film's frames: a slower sensor than the camera has fewer images
+ANEW = "copy it anew, or delete it, and its frame has no depth"
+MOST_STRETCH = 0.02  # of a depth image's height, or one cell: beyond, its grid is not that of the whole picture
 PNG_HEAD, PNG_TAIL, GREY_16 = b"\x89PNG\r\n\x1a\n", 1024, b"\x10\x00"
 LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
-NEAREST_MM, FARTHEST_MM = 4.0, 250.0  # median depth of an endoscope's view
-# Where most views' are. It is a factor of ten: a view between them whose unit is off by ten is always outside.
-USUAL_MM = 8.0, 80.0
 
 
 @dataclass(frozen=True)
@@ -131,14 +130,15 @@ def _fault(path: Path) -> str:
         whole = b"IEND" in file.read()
     if not head.startswith(PNG_HEAD) or head[-2:] != GREY_16:
         return "is no 16-bit depth image"
-    return "" if whole else "is a depth image that is cut off: copy it anew, or delete it, and its frame has no depth"
+    return "" if whole else f"is a depth image that is cut off: {ANEW}"
 
 
 def _read_depth(path: Path) -> NDArray[np.uint16]:
     """(h,w) as stored. HaustraError for any other image."""
     raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
-        raise HaustraError(f"{path} is no 16-bit depth image")
+        fault = _fault(path) or f"is a damaged depth image: {ANEW}; then go on with --resume"
+        raise HaustraError(f"{path} {fault}")
     return np.asarray(raw, np.uint16)
 
 
@@ -198,36 +198,6 @@ def _known(path: Path) -> Array:
     return raw[(raw > 0) & (_confidence(path, raw.shape) >= LEAST_CONFIDENCE)].astype(np.float64)
 
 
-def check_unit(median_mm: float, stereo: bool) -> None:
-    """HaustraError for a median depth, mm, that is none of an endoscope's view."""
-    check_view(median_mm, *("second eye", "baseline in the stereo calibration") if stereo else ("sensor", UNIT_OPTION))
-
-
-def check_view(median_mm: float, who: str, what: str) -> None:
-    """The same of any source `who` of millimetres, whose `what` is to be checked."""
-    if not NEAREST_MM <= median_mm <= FARTHEST_MM:
-        raise HaustraError(
-            f"by the {who} the wall is {median_mm:.3g} mm away in the median, and endoscopes look from "
-            f"{NEAREST_MM:g} to {FARTHEST_MM:g} mm: check the {what}"
-        )
-
-
-def doubt_of_unit(median_mm: float, stereo: bool) -> str:
-    """A sentence where a sensor's median depth, mm, is one that few endoscopes' views have; empty for a usual one, and
-    for a second eye, whose unit nobody types."""
-    return "" if stereo else doubt_of_view(median_mm, "sensor", UNIT_OPTION)
-
-
-def doubt_of_view(median_mm: float, who: str, what: str) -> str:
-    """The same of any source `who` of millimetres, whose `what` is to be checked."""
-    near, far = USUAL_MM
-    if near <= median_mm <= far:
-        return ""
-    told = f"by the {who} the wall is {median_mm:.3g} mm away in the median"
-    usual = f"most colonoscopes look from {near:g} to {far:g} mm"
-    return f"do not trust the millimetres before you have checked the {what}: {told}, and {usual}"
-
-
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
     """The sensor of a run, whose working pictures have that width; None where it has none."""
     if "source" not in workspace.record:  # frames that did not come from a film
@@ -239,16 +209,23 @@ def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
     if folder is None:
         return None
     told = workspace.result("frames")
-    box = tuple(told["content_box"])
-    return SensorDepth(
-        _by_frame(source, folder, folder != workspace.sensor),
-        settings,
-        _unit(source, folder, settings),
-        (box[0], box[1], box[2], box[3]),
-        width / box[2],
-        (told["source_size"][0], told["source_size"][1]),
-        folder == workspace.sensor,
-    )
+    x, y, *box = told["content_box"]
+    size, stereo = (told["source_size"][0], told["source_size"][1]), folder == workspace.sensor
+    files = _by_frame(source, folder, not stereo)
+    if files:
+        _check_shape(next(iter(files.values())), size)
+    unit_mm = _unit(source, folder, settings)
+    return SensorDepth(files, settings, unit_mm, (x, y, box[0], box[1]), width / box[0], size, stereo)
+
+
+def _check_shape(path: Path, size: tuple[int, int]) -> None:
+    """HaustraError where a depth image cannot cover the whole source picture of (width, height) by square cells."""
+    height, width = _read_depth(path).shape
+    if abs(height - size[1] * width / size[0]) > max(1, MOST_STRETCH * height):
+        raise HaustraError(
+            f"{path} has {width}x{height} px, another shape than the source picture of {size[0]}x{size[1]}: depth "
+            "images must show the whole of it, without a crop of their own"
+        )
 
 
 def _stereo_settings(workspace: Workspace) -> SensorSettings:

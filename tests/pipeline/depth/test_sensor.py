@@ -19,7 +19,9 @@ from pipeline.depth.sensor.sensor_points import sensor_points
 from pipeline.depth.sensor.sensor_scale import sensor_scale
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
-from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, doubt_of_unit, open_sensor
+from pipeline.input.sensor import sensor_depth
+from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
+from pipeline.input.sensor.usual_distances import doubt_of_unit
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.scale import ScaleSource, find_scale, scale_of_sensor
 from tests.helpers.tubes.sensed_tube import (
@@ -123,6 +125,26 @@ def test_a_wrong_unit_is_refused_before_any_work(tmp_path, unit_mm):
     check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05), 0)
     with pytest.raises(HaustraError, match="endoscopes look from 4 to 250 mm: check the depth's unit"):
         check_sensor(tmp_path, SensorSettings(folder=str(tmp_path / "depth"), unit_mm=unit_mm), 0)
+
+
+def test_a_damaged_depth_image_is_called_damaged(tmp_path):
+    """Its head and its end are whole, so that the check before the work lets it pass."""
+    path = tmp_path / "00000.png"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 60000, (200, 200)).astype(np.uint16))
+    data = bytearray(path.read_bytes())
+    data[2000:6000] = bytes(4000)
+    path.write_bytes(data)
+    with pytest.raises(HaustraError, match="is a damaged depth image: copy it anew"):
+        sensor_depth._read_depth(path)
+
+
+@pytest.mark.parametrize(("shape", "refused"), [((12, 16), False), ((9, 13), False), ((12, 12), True)])
+def test_depth_of_another_crop_is_refused(tmp_path, shape, refused):
+    """A coarse grid of the whole picture is rounded by up to a cell; a square of 4:3 is another crop."""
+    path = tmp_path / "00000.png"
+    cv2.imwrite(str(path), np.full(shape, 800, np.uint16))
+    with pytest.raises(HaustraError, match="must show the whole of it") if refused else nullcontext():
+        sensor_depth._check_shape(path, (640, 480))
 
 
 @pytest.mark.parametrize(("frames", "refused"), [(4, False), (60, False), (400, True)])

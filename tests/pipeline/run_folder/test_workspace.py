@@ -75,6 +75,9 @@ def test_a_refused_run_leaves_the_folder_unlocked(tmp_path):
         create_workspace(folder, video, load_config(None, seed=7), overwrite=False)
     with pytest.raises(HaustraError, match="other settings"):
         resume_workspace(folder, video, load_config(None, seed=7))
+    (tmp_path / "b.mp4").write_bytes(b"another film")
+    with pytest.raises(HaustraError, match=r"it is of another source, .*a\.mp4: give another folder"):
+        create_workspace(folder, tmp_path / "b.mp4", load_config(None), overwrite=False)
     RunLock(folder).release()
 
 
