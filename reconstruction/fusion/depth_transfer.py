@@ -17,7 +17,7 @@ from haustra.core.numba_cache import compiled
 
 MIN_Z = 1e-9  # below which a point lies behind the camera
 STRIDE = 2  # px between the pixels of a view that are carried over
-SAME_WALL = 3.0  # standard deviations of the two within which two views' points are of one wall
+SAME_WALL = 3.0  # times the two expected errors, within which two views' points are of one wall
 LEAST_GAP = 0.02  # relative difference that is of one wall whatever the errors
 INDEPENDENT = 2.0  # views of one wall err alike: however many agree, no more than so many count
 
@@ -29,7 +29,7 @@ class UnsureView:
     """A posed depth map with its errors; depth and translation in one unit."""
 
     depth: Depth  # (H,W) z-depth, 0 = none
-    error: Depth  # (H,W) expected relative error, 1 sigma
+    error: Depth  # (H,W) expected relative error: mean absolute, the scale of a Laplace distribution
     intrinsics: NDArray[np.float64]  # (3,3), the top-left pixel's centre at (0.5, 0.5)
     world_from_camera: NDArray[np.float64]  # (4,4)
 
@@ -41,7 +41,7 @@ def transferred(
     others: Sequence[UnsureView],
     cell_px: int,
 ) -> tuple[Depth, Depth]:
-    """Depth and relative error (H,W) of the wall that `others` saw, at one pixel of each cell at most, 0 = none.
+    """Depth and expected relative error (H,W) of the wall that `others` saw, at one pixel of each cell at most, 0 = none.
 
     shape, intrinsics (3,3), world_from_camera (4,4): of the view that they are carried into. cell_px: side of a cell.
     """
