@@ -14,7 +14,13 @@ from pipeline.truth.hints import Timed, clock_hint, misfit_hint, pose_hint, surf
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
-from reconstruction.evaluation.reference_surface import SPACING_MM, ReferenceSurface, read_reference_surface
+from reconstruction.evaluation.reference_surface import (
+    ALL_TIMES,
+    SPACING_MM,
+    ReferenceSurface,
+    has_wall_by_frames,
+    read_reference_surface,
+)
 from reconstruction.evaluation.surface_metrics import SurfaceErrors, surface_errors
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import (
@@ -102,9 +108,12 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    points, surface, surface_se3 = _true_surface(truth, spacing_of(tau)), None, None
+    between_s = asked_seconds(finished)
+    points, surface, surface_se3 = _true_surface(truth, spacing_of(tau), true_seconds, between_s), None, None
     truth_from_run = align_poses(estimated, true)
     coverage = _coverage(finished, truth_from_run, truth)
+    if coverage is not None and between_s != ALL_TIMES:
+        coverage = "not compared: the run is of a part of the film, and the truth knows what the whole of it saw"
     if points is not None:
         mesh = read_mesh(finished.mesh)
         surface = _surface(mesh, truth_from_run, points, tau)
@@ -114,9 +123,25 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     other = pose_hint(estimated, true) or clock_hint(Timed(seconds, world_from_camera[:, :3, 3]), true_path_of_run)
     hints = (other or misfit_hint(estimated, true), unit_hint(true_path_of_run, sim3.scale, se3 is not None))
     of_wall = surface_hint(points.seen, true_path_of_run.centres) if points is not None else ""
-    found = tuple(hint for hint in (*hints, of_wall) if hint)
+    of_part = part_hint(truth, between_s) if points is not None else ""
+    found = tuple(hint for hint in (*hints, of_wall, of_part) if hint)
     counts = metrics["frames"]["posed"], metrics["frames"]["total"], len(finished.submaps)
     return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3)
+
+
+def asked_seconds(run: Run) -> tuple[float, float]:
+    """First second of the film that a run was asked for, and the one before which it was to end."""
+    asked = run.workspace.config.frames
+    first, last = ALL_TIMES
+    return asked.start_s or first, last if asked.end_s is None else asked.end_s
+
+
+def part_hint(truth: Path, between_s: tuple[float, float]) -> str:
+    """A sentence where a run is of a part of the film, and its surface is measured against the wall of the whole."""
+    known = truth.is_dir() and (read_data_set_truth(truth) is not None or has_wall_by_frames(truth))
+    if known or between_s == ALL_TIMES:
+        return ""
+    return "the run is of a part of the film and the true wall of the whole: recall counts what the run never saw"
 
 
 def spacing_of(tau: float) -> float:
@@ -171,8 +196,11 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
     raise HaustraError(f"{truth} is neither an RGB-D folder nor a TUM trajectory")
 
 
-def _true_surface(truth: Path, spacing_mm: float) -> ReferenceSurface | None:
-    """The surface that the truth shows, in points `spacing_mm` apart; None where it has none."""
+def _true_surface(
+    truth: Path, spacing_mm: float, seconds: NDArray[np.float64], between_s: tuple[float, float]
+) -> ReferenceSurface | None:
+    """The surface that the truth shows, in points `spacing_mm` apart, to frames between two seconds alone where it
+    knows what each frame saw; None where it has none. seconds: (N,) of the true poses."""
     if not truth.is_dir():
         return None
     if 2 * spacing_mm < LEAST_TAU_MM:
@@ -180,6 +208,6 @@ def _true_surface(truth: Path, spacing_mm: float) -> ReferenceSurface | None:
             f"the F-score at {2 * spacing_mm:g} mm cannot be measured; from {LEAST_TAU_MM:g} mm on it can (--tau-mm)"
         )
     if (known := read_data_set_truth(truth)) is not None:
-        return known.surface(spacing_mm)
+        return known.surface(spacing_mm, (seconds >= between_s[0]) & (seconds < between_s[1]))
     has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
-    return read_reference_surface(truth, spacing_mm=spacing_mm) if has_surface else None
+    return read_reference_surface(truth, spacing_mm=spacing_mm, between_s=between_s) if has_surface else None

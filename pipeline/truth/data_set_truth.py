@@ -32,14 +32,17 @@ class DataSetTruth:
     camera: Camera | None = None
     wall: TrueWall | None = None
 
-    def surface(self, spacing_mm: float = SPACING_MM) -> ReferenceSurface | None:
-        """Reference surface from the depth images; None without any."""
+    def surface(
+        self, spacing_mm: float = SPACING_MM, asked: NDArray[np.bool_] | None = None
+    ) -> ReferenceSurface | None:
+        """Reference surface from the depth images; None without any. asked: (N,) which frames are to be taken."""
         if self.camera is None:
             return None
-        return reference_from_views(self._views(self.camera), spacing_mm=spacing_mm)
+        return reference_from_views(self._views(self.camera, asked), spacing_mm=spacing_mm)
 
-    def _views(self, camera: Camera) -> Iterator[tuple[Array, Array]]:
-        rays, step = None, views_apart(len(self.world_from_camera))
+    def _views(self, camera: Camera, asked: NDArray[np.bool_] | None) -> Iterator[tuple[Array, Array]]:
+        asked = np.ones(len(self.world_from_camera), bool) if asked is None else asked
+        rays, step = None, views_apart(int(asked.sum()))
         for number, (depth, world_from_camera) in enumerate(zip_longest(self.depths, self.world_from_camera)):
             if depth is None or world_from_camera is None:
                 kinds = ("poses", "depth images") if depth is None else ("depth images", "poses")
@@ -47,7 +50,7 @@ class DataSetTruth:
                     f"the truth has {number} {kinds[1]} and more {kinds[0]}, so that they cannot be paired: give the "
                     "whole data set, or a trajectory file alone"
                 )
-            if number % step:
+            if number % step or not asked[number]:
                 continue
             rays = _rays(camera, depth.shape) if rays is None else rays
             known = (depth > 0) & (rays[1] > 0)

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 SPACING_MM = 0.5  # half of the 1 mm at which surfaces are compared; a wider one would cost a perfect surface precision
 SAMPLES_PER_CUBE = 8  # random points per cube of a true mesh before thinning, so that hardly a cube is left empty
+ALL_TIMES = (-np.inf, np.inf)
 FRAMES_PER_THINNING = 16  # frames of points held before they are thinned, which bounds memory
 
 
@@ -43,17 +44,27 @@ class ReferenceSurface:
 
 
 def read_reference_surface(
-    folder: Path | str, every: int = 1, max_depth_mm: float = 60.0, spacing_mm: float = SPACING_MM
+    folder: Path | str,
+    every: int = 1,
+    max_depth_mm: float = 60.0,
+    spacing_mm: float = SPACING_MM,
+    between_s: tuple[float, float] = ALL_TIMES,
 ) -> ReferenceSurface:
     """Reference surface of an RGB-D folder: from its depth images, or where it has none from its `mesh.ply`.
 
     Where the wall moves, all the time or in contractions, depth images show it at many places; the
-    reference is then the wall at rest, the mesh.ply.
+    reference is then the wall at rest, the mesh.ply. between_s: of frames from the first second to before the last
+    alone; a mesh.ply knows no times and is taken whole.
     """
     folder = Path(folder)
-    if not (folder / "depth").is_dir() or _wall_moves(folder):
+    if not has_wall_by_frames(folder):
         return reference_from_mesh(folder / "mesh.ply", max_depth_mm, spacing_mm)
-    return reference_from_views(_views(folder, every), max_depth_mm, spacing_mm)
+    return reference_from_views(_views(folder, every, between_s), max_depth_mm, spacing_mm)
+
+
+def has_wall_by_frames(folder: Path) -> bool:
+    """Whether the reference of an RGB-D folder comes from depth images, which say what each frame saw."""
+    return (folder / "depth").is_dir() and not _wall_moves(folder)
 
 
 def _wall_moves(folder: Path) -> bool:
@@ -126,15 +137,18 @@ def _thin_views(views: list[tuple[Array, Array]], spacing: float) -> tuple[Array
     return np.add.reduceat(points[order], starts, axis=0) / count[:, None], np.minimum.reduceat(depth[order], starts)
 
 
-def _views(folder: Path, every: int) -> Iterator[tuple[Array, Array]]:
+def _views(folder: Path, every: int, between_s: tuple[float, float]) -> Iterator[tuple[Array, Array]]:
     """World points (N,3) of each frame's pixels with depth, and their z-depth (N,), mm."""
     camera, unit_mm = _read_camera(folder / "camera.json")
     rays, valid = _rays(camera)
-    _, world_from_camera = read_tum(folder / "trajectory.txt")
+    seconds, world_from_camera = read_tum(folder / "trajectory.txt")
     files = in_natural_order(list((folder / "depth").glob("[!.]*.png")))
     if len(files) != len(world_from_camera):
         raise ReconstructionError(f"{folder} has {len(files)} depth images for {len(world_from_camera)} poses")
-    for path, transform in list(zip(files, world_from_camera, strict=True))[::every]:
+    asked = (seconds >= between_s[0]) & (seconds < between_s[1])
+    if not asked.any():
+        raise ReconstructionError(f"{folder} has no pose from {between_s[0]:g} to {between_s[1]:g} s")
+    for path, transform in [(files[k], world_from_camera[k]) for k in np.flatnonzero(asked)[::every]]:
         depth = _read_depth(path, camera, unit_mm)
         known = (depth > 0) & valid
         yield (rays[known] * depth[known, None]) @ transform[:3, :3].T + transform[:3, 3], depth[known]

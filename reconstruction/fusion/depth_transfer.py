@@ -41,7 +41,7 @@ def transferred(
     others: Sequence[UnsureView],
     cell_px: int,
 ) -> tuple[Depth, Depth]:
-    """Depth and expected relative error (H,W) of the wall that `others` saw, at one pixel of each cell at most, 0 = none.
+    """Depth and its relative error (H,W) of the wall that `others` saw, at one pixel of each cell at most, 0 = none.
 
     shape, intrinsics (3,3), world_from_camera (4,4): of the view that they are carried into. cell_px: side of a cell.
     """

@@ -1,13 +1,18 @@
 """What a run is compared with: a truth that does not hold the wall that no frame saw says so."""
 
+import json
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
 
+from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from pipeline import compare
+from pipeline.config import Config, FrameSettings
+from reconstruction.evaluation.reference_surface import ALL_TIMES
 from reconstruction.evaluation.trajectory_io import write_tum
 from reconstruction.mesh.mesh_io import write_mesh
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -25,6 +30,7 @@ def test_true_coverage_is_compared_where_the_truth_has_no_depth(tmp_path, monkey
     poses = np.tile(np.eye(4), (5, 1, 1))
     poses[:, :3, 3] = rng.normal(size=(5, 3))
     run = SimpleNamespace(
+        workspace=SimpleNamespace(config=Config()),
         metrics={"submaps": [{"unit": "scene"}], "frames": {"posed": 5, "total": 5}},
         trajectory=lambda: (np.arange(5.0), poses),
         submaps=[None],
@@ -42,7 +48,7 @@ def test_a_perfect_surface_is_perfect_at_every_distance(tmp_path, tau):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=6)
     mesh = SurfaceMesh.from_triangles(np.asarray(ball.vertices), np.asarray(ball.faces))
     write_mesh(mesh, tmp_path / "mesh.ply")
-    truth = compare._true_surface(tmp_path, compare.spacing_of(tau))
+    truth = compare._true_surface(tmp_path, compare.spacing_of(tau), np.zeros(1), ALL_TIMES)
     errors = compare._surface(mesh, np.eye(4), truth, tau)
     assert min(errors.precision, errors.recall) > 0.99
 
@@ -50,6 +56,25 @@ def test_a_perfect_surface_is_perfect_at_every_distance(tmp_path, tau):
 def test_a_distance_finer_than_the_truth_can_be_is_refused_where_there_is_a_surface(tmp_path):
     path = tmp_path / "trajectory.txt"
     path.write_text("0 0 0 0 0 0 0 1\n")
-    assert compare._true_surface(path, compare.spacing_of(0.1)) is None
+    assert compare._true_surface(path, compare.spacing_of(0.1), np.zeros(1), ALL_TIMES) is None
     with pytest.raises(HaustraError, match=r"F-score at 0\.1 mm cannot be measured"):
-        compare._true_surface(tmp_path, compare.spacing_of(0.1))
+        compare._true_surface(tmp_path, compare.spacing_of(0.1), np.zeros(1), ALL_TIMES)
+
+
+@pytest.mark.parametrize(("start_s", "end_s", "walls"), [(0.0, None, [10, 20]), (0.0, 0.5, [10]), (0.5, None, [20])])
+def test_a_run_of_a_part_of_the_film_is_measured_by_the_wall_of_that_part(tmp_path, start_s, end_s, walls):
+    """Two frames from one place see two walls, of which one is behind the other."""
+    camera = Camera("PINHOLE", 8, 8, (8.0, 8.0, 4.0, 4.0), True)
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "camera.json").write_text(json.dumps(camera.to_dict() | {"depth_unit_mm": 0.01}))
+    write_tum(tmp_path / "trajectory.txt", np.array([0.0, 1.0]), np.tile(np.eye(4), (2, 1, 1)))
+    for number, wall in enumerate((10, 20)):
+        cv2.imwrite(str(tmp_path / f"depth/{number:05d}.png"), np.full((8, 8), 100 * wall, np.uint16))
+    frames = FrameSettings(start_s=start_s, end_s=end_s)
+    run = SimpleNamespace(workspace=SimpleNamespace(config=Config(frames=frames)))
+    between_s = compare.asked_seconds(run)
+    surface = compare._true_surface(tmp_path, 0.5, np.array([0.0, 1.0]), between_s)
+    assert sorted(set(surface.required[:, 2].round(6))) == walls
+    assert compare.part_hint(tmp_path, between_s) == ""
+    (tmp_path / "wall_motion.json").write_text("{}")
+    assert bool(compare.part_hint(tmp_path, between_s)) == (walls != [10, 20])
