@@ -78,7 +78,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 def json_text(value: Any) -> str:
     """`value` as indented JSON, which has no NaN and no infinity: null is in their place."""
-    return json.dumps(_finite(value), indent=2, allow_nan=False)
+    return json.dumps(_finite(value), indent=2, allow_nan=False)  # NumPy's own numbers are refused
 
 
 def _finite(value: Any) -> Any:

@@ -4,18 +4,30 @@ from typing import Any
 
 import yaml
 
-
-class _UniqueNames(yaml.SafeLoader):
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        lines: dict[str, int] = {}
-        for key, _ in node.value:
-            line = key.start_mark.line + 1
-            if isinstance(key, yaml.ScalarNode) and lines.setdefault(key.value, line) != line:
-                twice = f"'{key.value}' stands twice, on lines {lines[key.value]} and {line}; keep one"
-                raise yaml.constructor.ConstructorError(problem=twice)
-        return super().construct_mapping(node, deep)
+MERGE = "tag:yaml.org,2002:merge"  # of <<, which may stand twice
 
 
 def load_unique(text: str) -> Any:
     """What a YAML text holds. yaml.YAMLError, whose first line says what is wrong, where it is none."""
-    return yaml.load(text, _UniqueNames)
+    _check(yaml.compose(text, yaml.SafeLoader), set())
+    return yaml.safe_load(text)
+
+
+def _check(node: yaml.Node | None, seen: set[int]) -> None:
+    if node is None or id(node) in seen:  # an alias
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.SequenceNode):
+        for inner in node.value:
+            _check(inner, seen)
+    if isinstance(node, yaml.MappingNode):
+        lines: dict[tuple[str, str], int] = {}
+        for key, inner in node.value:
+            _check(inner, seen)
+            if not isinstance(key, yaml.ScalarNode) or key.tag == MERGE:
+                continue
+            name, line = (key.tag, key.value), key.start_mark.line + 1
+            if name in lines:
+                twice = f"'{key.value}' stands twice, on lines {lines[name]} and {line}; keep one"
+                raise yaml.constructor.ConstructorError(problem=twice)
+            lines[name] = line

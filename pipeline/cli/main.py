@@ -24,7 +24,7 @@ from pipeline.run_folder.malloc import keep_freed_memory
 OF_FILE_SYSTEM = ("ENOSPC", "EACCES", "EROFS", "EDQUOT", "EFBIG", "ENOENT", "ENOTDIR", "EISDIR", "ENAMETOOLONG")
 FILE_SYSTEM_SAYS_NO: tuple[int, ...] = tuple(getattr(errno, name) for name in OF_FILE_SYSTEM)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
-KEPT = "a run folder that was begun keeps what is finished: --resume goes on; without one, give the command again"
+KEPT = "what was finished is kept: the same command goes on (reconstruct, live: with --resume if the run was begun)"
 # Help is plain text: rich's boxes take as long to load as all else.
 PLAIN: dict[str, Any] = {"rich_markup_mode": None, "context_settings": {"max_content_width": 120}}
 

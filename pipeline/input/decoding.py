@@ -1,5 +1,6 @@
 """Packets and frames of a video file as FFmpeg reads it, damage and all: what cannot be read is counted, not fatal."""
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
 
 STILLS = 0.1  # of another stream's number of pictures: one with fewer is a cover, or slides
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
-MOST_SMEARED = 300  # frames after a damaged one that are left out where no keyframe of the codec comes
+MOST_SMEARED = 300  # frames after a loss that are left out where no keyframe of the codec comes
+FLAGS_REACH = 5  # packets after a flagged one in which the gap is
+LONGEST_STEP = 1.5  # of decoding times, in durations of a packet: more, and one is missing
 SENT = ("mpegts", "mpeg")  # FFmpeg's names of formats that are sent, and say nowhere how long they are
 LEAST_READ = 0.98  # share of such a file that packets must come from
 
@@ -52,32 +55,84 @@ def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | 
 
 
 def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[str], None]) -> Iterator["VideoFrame"]:
-    """Frames of every packet that decodes. Damaged packets are passed over. Of a stream that was sent, a frame that the
-    decoder calls corrupt, since part of it was lost, and those that are decoded from it, up to the codec's next
-    keyframe, are left out: they are smeared. Of a file of another kind, where single bytes are wrong, they are given.
+    """Frames of every packet that decodes. Damaged packets are passed over. Of a stream that was sent, frames
+    of which something was lost, and those that are decoded from such, up to the codec's next keyframe, are left out:
+    they are smeared. Of a file of another kind, where single bytes are wrong, they are given.
     `note` is told how many of each."""
     import av
 
-    damaged, smeared, doubtful, is_sent = 0, False, 0, container.format.name in SENT
-    for packet in packets_of(container, stream):
-        try:
-            for frame in () if packet is None else packet.decode():
-                smeared = frame.is_corrupt or (smeared and not frame.key_frame and doubtful < MOST_SMEARED)
-                doubtful += smeared
-                if not (smeared and is_sent):
-                    yield frame
-            damaged += packet is None
-        except av.error.EOFError:
-            break
-        except av.error.FFmpegError:
-            damaged += 1
-        if damaged > MAX_DAMAGED:
-            break
-    if damaged:
-        note(f"{damaged} damaged pieces of the video were passed over")
-    if doubtful:
-        which = f"{counted(doubtful, 'frame')} of damaged pieces of the video or decoded from such"
-        note(f"left out: {which}" if is_sent else f"may be wrong in places: {which}")
+    damaged, doubtful, is_sent = 0, 0, container.format.name in SENT
+    gaps, smear = Gaps(), Smear()
+    try:
+        for packet in packets_of(container, stream):
+            try:
+                if is_sent and (since := gaps.before(packet)) is not None:
+                    smear.begin(since)
+                for frame in () if packet is None else packet.decode():
+                    is_smeared = smear.covers(frame)
+                    doubtful += is_smeared
+                    if not (is_smeared and is_sent):
+                        yield frame
+                damaged += packet is None
+            except av.error.EOFError:
+                break
+            except av.error.FFmpegError:
+                damaged += 1
+                if is_sent and packet is not None and packet.pts is not None:
+                    smear.begin(packet.pts)
+            if damaged > MAX_DAMAGED:
+                break
+    finally:  # also where nobody asks for the rest
+        if damaged:
+            note(f"{damaged} damaged pieces of the video were passed over")
+        if doubtful:
+            which = f"{counted(doubtful, 'frame')} of damaged pieces of the video or decoded from such"
+            note(f"left out: {which}" if is_sent else f"may be wrong in places: {which}")
+
+
+class Gaps:
+    """Where packets of a stream that was sent are missing: FFmpeg flags one of the packets around a break in the
+    stream's counters, and times go on farther than one packet. Where whole streams were joined they go back."""
+
+    def __init__(self) -> None:
+        self._last: Packet | None = None
+        self._since_flag = FLAGS_REACH
+
+    def before(self, packet: "Packet | None") -> float | None:
+        """The decoding time from which on frames are missing before a packet; None where none are."""
+        if packet is None:
+            return -math.inf
+        last, self._last = self._last, packet
+        self._since_flag = 0 if packet.is_corrupt else self._since_flag + 1
+        if last is None or last.dts is None or packet.dts is None or not last.duration:
+            return None
+        is_gap = packet.dts - last.dts > LONGEST_STEP * last.duration
+        return last.dts + 1 if is_gap and self._since_flag < FLAGS_REACH else None
+
+
+class Smear:
+    """From a loss to the codec's next keyframe: what is decoded from lost frames shows smeared pictures."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None  # presentation time of the first frame that is lost
+        self._count = 0
+
+    def begin(self, since: float) -> None:
+        """With a presentation time."""
+        self._since, self._count = since if self._since is None else min(self._since, since), 0
+
+    def covers(self, frame: "VideoFrame") -> bool:
+        """Whether a frame, which the decoder gives some packets later, is of a loss or built on one."""
+        pts = math.inf if frame.pts is None else frame.pts
+        if frame.is_corrupt:
+            self._since, self._count = pts, 0
+        if self._since is None or pts < self._since:
+            return False
+        if self._count >= MOST_SMEARED or (frame.key_frame and not frame.is_corrupt and pts > self._since):
+            self._since = None
+            return False
+        self._count += 1
+        return True
 
 
 def unread_share(container: "InputContainer", path: Path) -> float:

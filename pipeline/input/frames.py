@@ -187,6 +187,7 @@ def _store_frames(
             verdict: Verdict = "other layout" if elsewhere else judge.judge(rgb, content)
             verdicts.append((frame.index, frame.seconds, verdict))
             if verdict == "used":
+                layout.remember(frame.seconds)
                 yield _Used(frame.index, rgb, source.depth_mm())
 
     with progress.bar("reading frames", source.announced or None) as advance:

@@ -42,9 +42,11 @@ def watched_keyboard(asked: threading.Event) -> Iterator[None]:
         yield
     finally:
         over.set()
-        thread.join()
-        with suppress(OSError, termios.error):
-            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+        try:
+            thread.join(2 * WAIT_S)
+        finally:  # also where an impatient Ctrl-C ends the waiting
+            with suppress(OSError, termios.error):
+                termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
 @contextmanager

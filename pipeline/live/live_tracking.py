@@ -63,7 +63,6 @@ class LiveTracker:
         self.left: tuple[int, Submap] | None = None  # number and end of the map before, once it was left
         self.refused: set[int] = set()
         self._map: LocalMap | None = None
-        self._is_closed = False  # that map: lost for good, and right as far as it went
         self._waiting: deque[_Waiting] = deque()
         self._chosen: Keyframe | None = None  # the latest that was taken to be completed
 
@@ -104,18 +103,17 @@ class LiveTracker:
 
     def _follow_map(self) -> list[SettledKeyframe]:
         """Notice that another map was begun; what waits in the old one is taken as it is, unless it was refused."""
-        self._is_closed |= any(kept is self._map for kept in self.odometry.maps)
         self.odometry.maps.clear()
         tracker = self.odometry.tracker
         now = None if tracker is None else tracker.map
-        if now is None and self._map is not None and not self._is_closed:
+        if self._map is not None and self.odometry.refused is self._map:
             self._refuse()
         if now is None or now is self._map:
             return []
         released = self._released(len(self._waiting))
         end = self.submap(LEFT_KEYFRAMES)
         self.left = None if end is None else (self.map_number, end)
-        self._map, self._chosen, self.map_number, self._is_closed = now, None, self.map_number + 1, False
+        self._map, self._chosen, self.map_number = now, None, self.map_number + 1
         return released
 
     def _refuse(self) -> None:

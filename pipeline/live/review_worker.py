@@ -47,12 +47,14 @@ MOST_LISTED = 4  # missed places, the nearest first
 
 @dataclass(frozen=True)
 class ReviewJob:
-    """A map as it is now. keyframes: frame numbers whose depth is on disk; parts: of its surface."""
+    """A map as it is now. keyframes: frame numbers whose depth is on disk; parts: of its surface; refused: numbers of
+    maps that the light contradicted, which are joined to none."""
 
     map_number: int
     submap: Submap
     keyframes: tuple[int, ...]
     parts: tuple[SurfacePart, ...]
+    refused: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -119,8 +121,9 @@ class ReviewWork:
         completed = CompletedSubmap(job.submap, self.rectifier, rows, self._store)
         seen, loops = self._loops_closed(completed)
         corrections = corrections_of(completed, seen.completed, job.parts)
+        for number in (job.refused | {job.map_number}) & self._reviewed.keys():
+            del self._reviewed[number]
         before = self._found_again(job, completed, seen)
-        self._reviewed.pop(job.map_number, None)
         self._reviewed[job.map_number] = _Reviewed(completed, seen, job.parts)
         while len(self._reviewed) > MOST_MAPS:
             del self._reviewed[next(iter(self._reviewed))]
@@ -155,9 +158,7 @@ class ReviewWork:
         """Of each earlier map that shows the same places, surely: where its parts are, as the latest keyframe sees
         them."""
         found: list[dict[int, Array]] = []
-        for number, earlier in self._reviewed.items():
-            if number == job.map_number or not self.settings.merge_submaps:
-                continue
+        for earlier in self._reviewed.values() if self.settings.merge_submaps else ():
             try:
                 words = VisualWords.of([*seen.features, *earlier.seen.features], self.seed)
                 pairs = merge_candidates(seen, earlier.seen, words)

@@ -188,8 +188,7 @@ class LiveSession:
 
     def _show(self, result: DenseResult) -> None:
         state = self.state
-        if result.map_number not in self._refused:
-            state.add_parts(result.parts)
+        state.add_parts(tuple(part for part in result.parts if part.map_number not in self._refused))
         if not result.depth_png:
             state.counts.empty += 1
             return
@@ -212,7 +211,7 @@ class LiveSession:
         parts = tuple(part for part in self.state.parts if part.map_number == number)
         keyframes = tuple(self._keyframes.get(number, ()))
         if parts and keyframes:
-            self._review.submit(ReviewJob(number, submap, keyframes, parts))
+            self._review.submit(ReviewJob(number, submap, keyframes, parts, frozenset(self._refused)))
 
     def _end(self) -> None:
         """The keyframes that still wait are completed, so that the last look shows all."""

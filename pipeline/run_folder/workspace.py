@@ -206,6 +206,8 @@ def _ways_on(root: Path, source: Path, config: Config) -> str:
     except HaustraError:  # a damaged record
         return "--overwrite replaces it"
     if "source" in changed_inputs(source, config, inputs, trust_stamps=True):
+        if inputs["path"] == str(source.resolve()):
+            return f"{source} has changed since: give another folder (-o), or --overwrite to replace the run"
         return f"it is of another source, {inputs['path']}: give another folder (-o), or --overwrite to replace it"
     if not other:
         return "add --resume to go on with it or --overwrite to redo it"

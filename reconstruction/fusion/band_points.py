@@ -21,17 +21,28 @@ def band_points(
     reach: float,
     edge: float,
 ) -> Values:
-    """World points (N,3), float32: of each pixel with a depth some in each block that its band passes through.
+    """World points (N,3), float32: of each pixel with a depth some in each block that its band passes through, but for
+    corners of blocks that it cuts over less than `STEP_OF_BLOCK` edges.
 
     depth (H,W): z-depth, 0 = none. centred_intrinsics (3,3): the top-left pixel's centre is at (0, 0). reach: of the
     band, on each side of the depth along z. edge: of a block.
     """
-    steps = 1 + int(np.ceil(2 * reach / (STEP_OF_BLOCK * edge)))
-    offsets = np.linspace(-reach, reach, steps, dtype=np.float32)
+    offsets = _offsets(depth.shape, centred_intrinsics, reach, edge)
+    steps = len(offsets)
     turned = (world_from_camera[:3, :3] @ np.linalg.inv(centred_intrinsics)).astype(np.float32)
     shift = world_from_camera[:3, 3].astype(np.float32)
     points = np.empty((int(np.count_nonzero(depth)) * steps, 3), np.float32)
     return points[: _fill(depth, turned, shift, offsets, np.float32(1 / edge), points)]
+
+
+def _offsets(
+    shape: tuple[int, ...], centred_intrinsics: NDArray[np.float64], reach: float, edge: float
+) -> NDArray[np.float32]:
+    """z-depths beside a pixel's own, close enough along the longest ray, that of a corner."""
+    height, width = shape
+    corners = np.array([[0, width - 1, 0, width - 1], [0, 0, height - 1, height - 1], [1, 1, 1, 1]])
+    longest = float(np.linalg.norm(np.linalg.inv(centred_intrinsics) @ corners, axis=0).max())
+    return np.linspace(-reach, reach, 1 + int(np.ceil(2 * reach * longest / (STEP_OF_BLOCK * edge))), dtype=np.float32)
 
 
 @compiled

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from haustra.core.errors import HaustraError
+from haustra.core.unique_yaml import load_unique
 from pipeline.config import load_config, read_recorded, retired_differences, validate_config
 from pipeline.retired_settings import FIXED, RETIRED
 from pipeline.surface.fusion_stage import TRUNCATION_VOXELS
@@ -104,3 +105,11 @@ def test_a_section_that_stands_twice_is_refused_and_named(tmp_path):
     path.write_text("frames: {start_s: 60}\nseed: 1\nframes: {stride: 2}\n")
     with pytest.raises(HaustraError, match=r"'frames' stands twice, on lines 1 and 3; keep one"):
         load_config(path)
+    path.write_text("frames: {stride: 1, stride: 5}\n")
+    with pytest.raises(HaustraError, match=r"'stride' stands twice, on lines 1 and 1"):
+        load_config(path)
+
+
+def test_merged_sections_and_names_of_two_kinds_are_no_repetition():
+    text = "base: &b {a: 1}\nmid: &m {<<: *b, a: 2}\ntop: {<<: *m}\nmixed: {1: x, '1': y}\nagain: *m\n"
+    assert load_unique(text) == yaml.safe_load(text)

@@ -36,7 +36,8 @@ SAME_UNIT = 0.01  # between the median and the unit of a map that was adjusted i
 @dataclass(frozen=True)
 class SensorScale:
     """mm_per_unit; count: ratios that it is the median of; disagreement: median absolute log ratio within the frames;
-    drift: standard deviation of the frames' own log scales; doubt: of the sensor's unit, empty without a reason;
+    drift: standard deviation of the frames' own log scales; doubt: of the sensor's unit or shape, empty without a
+    reason;
     clock_doubt: of its clock; median: what the ratios said, where the map was adjusted in mm and its own unit takes
     their place."""
 
@@ -83,8 +84,9 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     depths = submap.depths()
     median_mm = scale * float(np.median(depths[depths > 0]))
     check_unit(median_mm, sensor.stereo)
-    unit = doubt_of_unit(median_mm, sensor.stereo)
-    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), unit, late)
+    doubts = (doubt_of_unit(median_mm, sensor.stereo), "" if sensor.stereo else sensor.doubt_of_shape)
+    doubt = "; ".join(filter(None, doubts))
+    return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), doubt, late)
 
 
 def check_frames(sensor: SensorDepth | None, frames: NDArray[np.int64]) -> None:

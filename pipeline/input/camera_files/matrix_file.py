@@ -51,7 +51,7 @@ def read_matrix_file(document: CameraDocument) -> CalibratedLens | None:
     fisheye = any(word in said for word in FISHEYE) or any(fields.get(name) in (True, 1) for name in FLAGS)
     terms = _numbers(found).ravel().tolist()
     notes = ["the first camera of the rig"] if {"m2", "k2", "d2"} & fields.keys() else []
-    if len(terms) == 4 and not said and not fisheye:
+    if len(terms) == 4 and not said and not any(name in fields for name in FLAGS):
         notes.append(_unnamed_model(terms))
     return from_matrix(_numbers(matrix).reshape(3, 3), terms, _size(fields), fisheye, "; ".join(notes))
 
@@ -65,9 +65,9 @@ def _unnamed_model(terms: list[float]) -> str:
     if largest > MOST_TANGENTIAL:
         raise HaustraError(
             f"it has four distortion terms and names no lens model; as tangential terms {largest:.3g} is more than a "
-            'lens has, so they seem to be of cv2.fisheye: add "model": "fisheye" to the file, or "model": "opencv"'
+            'lens has, so they seem to be of cv2.fisheye: let the file say that "model" is "fisheye", or "opencv"'
         )
-    return 'four terms read as k1 k2 p1 p2; of cv2.fisheye, add "model": "fisheye" to the file'
+    return 'four terms read as k1 k2 p1 p2; of cv2.fisheye, let the file say that "model" is "fisheye"'
 
 
 def _is_matrix(value: Any) -> bool:

@@ -29,7 +29,7 @@ MOST_SHARE = 0.1  # of depth, symmetric noise that is corrected for; the rule is
 CACHED = 8
 LEAST_COVERED = 0.05  # of a film's frames: a slower sensor than the camera has fewer images
 ANEW = "copy it anew, or delete it, and its frame has no depth"
-MOST_STRETCH = 0.02  # of a depth image's height, or one cell: beyond, its grid is not that of the whole picture
+MOST_STRETCH = 0.02  # of a depth image's height, or one cell: beyond, its cells are not square
 PNG_HEAD, PNG_TAIL, GREY_16 = b"\x89PNG\r\n\x1a\n", 1024, b"\x10\x00"
 LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
 
@@ -53,6 +53,20 @@ class SensorDepth:
         """Working pixels from one of the sensor's cells to the next."""
         first = self.image(min(self.files)) if self.files else None
         return 1.0 if first is None else self.size[0] * self.scale / first[0].shape[1]
+
+    @property
+    def doubt_of_shape(self) -> str:
+        """A sentence where depth images have another ratio of sides than the source picture; empty otherwise."""
+        first = self.image(min(self.files)) if self.files else None
+        if first is None:
+            return ""
+        (height, width), (wide, high) = first[0].shape, self.size
+        if abs(height - high * width / wide) <= max(1, MOST_STRETCH * height):
+            return ""
+        return (
+            f"depth images of {width}x{height} px are stretched over pictures of {wide}x{high}, which is right where "
+            "they show the whole picture; of a crop of it, depth and millimetres are wrong"
+        )
 
     def image(self, frame: int) -> tuple[Array, Array] | None:
         """(h,w) depth in mm, 0 = none, and (h,w) its standard deviation, mm; None for a frame without an image."""
@@ -212,20 +226,8 @@ def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
     x, y, *box = told["content_box"]
     size, stereo = (told["source_size"][0], told["source_size"][1]), folder == workspace.sensor
     files = _by_frame(source, folder, not stereo)
-    if files:
-        _check_shape(next(iter(files.values())), size)
     unit_mm = _unit(source, folder, settings)
     return SensorDepth(files, settings, unit_mm, (x, y, box[0], box[1]), width / box[0], size, stereo)
-
-
-def _check_shape(path: Path, size: tuple[int, int]) -> None:
-    """HaustraError where a depth image cannot cover the whole source picture of (width, height) by square cells."""
-    height, width = _read_depth(path).shape
-    if abs(height - size[1] * width / size[0]) > max(1, MOST_STRETCH * height):
-        raise HaustraError(
-            f"{path} has {width}x{height} px, another shape than the source picture of {size[0]}x{size[1]}: depth "
-            "images must show the whole of it, without a crop of their own"
-        )
 
 
 def _stereo_settings(workspace: Workspace) -> SensorSettings:

@@ -138,13 +138,12 @@ def test_a_damaged_depth_image_is_called_damaged(tmp_path):
         sensor_depth._read_depth(path)
 
 
-@pytest.mark.parametrize(("shape", "refused"), [((12, 16), False), ((9, 13), False), ((12, 12), True)])
-def test_depth_of_another_crop_is_refused(tmp_path, shape, refused):
-    """A coarse grid of the whole picture is rounded by up to a cell; a square of 4:3 is another crop."""
-    path = tmp_path / "00000.png"
-    cv2.imwrite(str(path), np.full(shape, 800, np.uint16))
-    with pytest.raises(HaustraError, match="must show the whole of it") if refused else nullcontext():
-        sensor_depth._check_shape(path, (640, 480))
+@pytest.mark.parametrize(("shape", "doubted"), [((12, 16), False), ((9, 13), False), ((12, 12), True)])
+def test_depth_of_another_ratio_of_sides_is_doubted_aloud(sensor, tmp_path, shape, doubted):
+    """A coarse grid of the whole picture is rounded by up to a cell; a square of 4:3 may be another crop."""
+    cv2.imwrite(str(tmp_path / "00007.png"), np.full(shape, 800, np.uint16))
+    seen = replace(sensor, files={7: tmp_path / "00007.png"}, size=(640, 480))
+    assert ("right where they show the whole picture" in seen.doubt_of_shape) == doubted
 
 
 @pytest.mark.parametrize(("frames", "refused"), [(4, False), (60, False), (400, True)])

@@ -179,7 +179,11 @@ def test_a_file_without_a_size(tmp_path):
         ("a.txt", "all about my camera\n", "no camera file that is known"),
         ("a.json", json.dumps(PYTHON_JSON | {"camera_matrix": [[0.8, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]}), "shares of"),
         ("a.json", json.dumps(PYTHON_JSON | {"camera_matrix": [[8, 0, 5], [7, 8, 5], [0, 0, 1]]}), "fx 0 cx"),
-        ("a.json", json.dumps(PYTHON_JSON | {"dist_coeff": [[-0.1], [0.02], [0.2], [-0.1]]}), 'add "model": "fisheye"'),
+        (
+            "a.json",
+            json.dumps(PYTHON_JSON | {"dist_coeff": [[-0.1], [0.02], [0.2], [-0.1]]}),
+            "seem to be of cv2.fisheye",
+        ),
         ("a.mat", "MATLAB 5.0 MAT-file", "jsonencode"),
         ("a.yaml", ROS.replace("410.0", "-410.0"), "focal length positive"),
         ("a.txt", "1 PINHOLE 640 480 2.8 2.8 320 240\n", "focal length is 2.8; it must be in pixels"),

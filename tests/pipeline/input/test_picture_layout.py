@@ -29,8 +29,12 @@ def on_screen(frames, box):
 
 
 def told(frames, usual):
-    layout = PictureLayout(find_content(usual))
-    return [layout.is_elsewhere(frame, 0.1 * k) for k, frame in enumerate(frames)], layout.notes
+    layout, found = PictureLayout(find_content(usual)), []
+    for k, frame in enumerate(frames):
+        found.append(layout.is_elsewhere(frame, 0.1 * k))
+        if not found[-1]:
+            layout.remember(0.1 * k)
+    return found, layout.notes
 
 
 @pytest.mark.parametrize("box", [(200, 20, 200, 200), (20, 0, 360, 240)], ids=["to the right", "larger"])
@@ -39,16 +43,47 @@ def test_a_picture_that_moves_or_grows_lies_elsewhere(box):
     elsewhere, notes = told([*usual, *on_screen(textured_frames(10), box), *usual[:5]], usual)
     assert elsewhere == [False] * 20 + [True] * 10 + [False] * 5
     (note,) = notes
-    assert note.startswith("10 of the frames between 2.0 and 2.9 s show something where the film has its black border")
+    assert note.startswith(
+        "10 of the frames between 2.0 and 2.9 s have their picture where the film has its black border"
+    )
 
 
-def test_a_picture_that_shrinks_within_its_old_place_is_told_once_a_window_of_it_has_passed():
+def test_a_picture_that_shrinks_within_its_old_place_is_told_once_two_windows_of_it_have_passed():
     usual = on_screen(textured_frames(20), (0, 0, 400, 240))
-    small = on_screen(textured_frames(WINDOW), (100, 60, 200, 120))
+    small = on_screen(textured_frames(2 * WINDOW), (100, 60, 200, 120))
     elsewhere, notes = told([*usual, *(usual + usual)[: WINDOW - 20], *small], usual)
     assert not any(elsewhere)
     (note,) = notes
-    assert "between 5.0 and 9.9 s frames are lit on 25 % of the picture alone" in note
+    assert "may be shown smaller for a while (10.0 to 14.9 s: 25 % of its place is lit" in note
+
+
+@pytest.mark.parametrize("dark", [slice(None), slice(220, None)], ids=["lamp off", "one side"])
+def test_dark_tissue_is_no_smaller_picture(dark):
+    """It has the sensor's noise, and a lamp that is off lights nothing."""
+    rng = np.random.default_rng(0)
+    usual = on_screen(textured_frames(20), (0, 0, 400, 240))
+    frames = [frame.copy() for frame in (usual * 8)[: 3 * WINDOW]]
+    for frame in frames:
+        frame[:, dark] = rng.normal(10, 5, frame[:, dark].shape).clip(0, 255)
+    assert told(frames, usual) == ([False] * len(frames), [])
+
+
+def test_an_inset_beside_the_picture_is_no_other_layout():
+    """As ScopeGuide's, or a second picture's: the picture itself has not moved."""
+    usual = on_screen(textured_frames(20), (0, 20, 200, 200))
+    with_inset = [frame.copy() for frame in usual]
+    for frame in with_inset:
+        frame[40:200, 230:390] = 120
+    assert told(with_inset, usual) == ([False] * 20, [])
+
+
+def test_a_side_that_was_dark_at_first_is_no_other_layout():
+    """The content was found without it."""
+    whole = on_screen(textured_frames(20), (40, 20, 320, 200))
+    at_first = [frame.copy() for frame in whole]
+    for frame in at_first:
+        frame[:, 220:] = 3
+    assert told(whole, at_first) == ([False] * 20, [])
 
 
 def test_a_clock_beside_the_picture_is_no_other_layout():
@@ -83,6 +118,10 @@ def test_a_run_leaves_the_other_layout_out_and_says_so(tmp_path):
 def test_real_films_have_one_layout():
     for path in sorted(shared("realclips").glob("*.mp4")):
         frames = [frame.rgb for frame in Source(path)]
-        layout = PictureLayout(find_content(frames[: 24 * 25 : 25] if len(frames) > 600 else frames[::3]))
-        assert not any(layout.is_elsewhere(frame, 0.0) for frame in frames), path.name
+        area = find_content(frames[: 24 * 25 : 25] if len(frames) > 600 else frames[::3])
+        assert (area.mask == 0).mean() > 0.05, path.name  # there is a border
+        layout = PictureLayout(area)
+        for k, frame in enumerate(frames):
+            assert not layout.is_elsewhere(frame, float(k)), path.name
+            layout.remember(float(k))
         assert layout.notes == [], path.name

@@ -255,6 +255,25 @@ def test_what_is_decoded_from_a_damaged_frame_is_left_out(tmp_path: Path) -> Non
     assert any("damaged pieces of the video or decoded from such" in note for note in source.notes)
 
 
+@pytest.mark.parametrize("lost", [[25], [25, 26, 27], [10, 45]])
+def test_what_follows_lost_packets_is_left_out(tmp_path: Path, lost: list[int]) -> None:
+    """Of a frame that is gone as a whole FFmpeg says nothing: the counters of the stream's packets do."""
+    frames = textured_frames(80)
+    path = write_video(tmp_path / "film.ts", frames, g="20", bf="0", sc_threshold="0")
+    data = path.read_bytes()
+    with av.open(str(path)) as film:
+        places = [packet.pos for packet in film.demux(video=0) if packet.pos is not None]
+    gone = [range(places[k], places[k + 1]) for k in lost]
+    kept = [data[k : k + 188] for k in range(0, len(data), 188) if not any(k in one for one in gone)]
+    path.write_bytes(b"".join(kept))
+    source = Source(path)
+    read = list(source)
+    assert 80 - 20 * len(lost) <= len(read) < 80
+    for frame in read:
+        assert np.abs(frame.rgb.astype(int) - frames[round(30 * frame.seconds)]).mean() < 6
+    assert any("left out" in note for note in source.notes)
+
+
 def test_a_transport_stream_whose_end_is_noise_says_so(tmp_path: Path) -> None:
     path = write_video(tmp_path / "film.ts", textured_frames(60), g="20")
     data = bytearray(path.read_bytes())
