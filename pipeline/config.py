@@ -18,6 +18,8 @@ from haustra.core.unique_yaml import load_unique
 from pipeline.given_settings import LumenMm, PoseSettings, SensorSettings, Settings, StereoSettings
 from pipeline.retired_settings import FIXED, OLD_SECTIONS, RENAMED, REPLACED, RETIRED
 
+GEOMETRICAL, PHOTOMETRICAL = "_geometrical", "_photometrical"  # in the names of EndoMapper's files of lens and lamp
+
 FAST_KEYFRAME_MOTION = 0.05  # of `--fast`: see docs/lab/front_end.md
 
 
@@ -152,6 +154,16 @@ class Config(Settings):
             poses=self.poses,
             second_opinion=self.second_opinion,
         )
+
+    @property
+    def lamp_file(self) -> Path | None:
+        """By `fusion.lamp`: the file that it names, or with `auto` EndoMapper's beside the camera file; None without
+        one."""
+        if self.fusion.lamp != "auto":
+            return None if self.fusion.lamp == "none" else Path(self.fusion.lamp)
+        lens = Path(self.camera)
+        beside = lens.with_name(lens.name.replace(GEOMETRICAL, PHOTOMETRICAL))
+        return beside if GEOMETRICAL in lens.name and beside.is_file() else None
 
     def is_same_work(self, other: "Config") -> bool:
         """Whether a run with these settings gives what one with the others does, wherever it is computed."""

@@ -34,7 +34,7 @@ from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace, create_workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
-from pipeline.surface.lamp_file import lamp_of
+from pipeline.surface.lamp_file import read_lamp
 from pipeline.surface.scale import (
     Scale,
     ScaleSource,
@@ -67,7 +67,7 @@ def reconstruct(
     config, progress = _with_lens_of_poses(config or Config()), SaidOnce(progress or SilentProgress())
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)
-    lamp = lamp_of(config.fusion.lamp, config.camera)
+    lamp = None if config.lamp_file is None else read_lamp(config.lamp_file)
     timed = StageClock()
     later = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.

@@ -46,7 +46,8 @@ def inputs_of(source: Path, config: Config) -> dict[str, Path]:
     named = {"camera file": config.camera, "scale file": config.scale_file, "model file": config.model}
     named |= {"poses": config.poses.file, "hand-eye transform": config.poses.hand_eye}
     named |= {"depth folder": config.sensor.folder, "stereo calibration": config.stereo.calibration}
-    named |= {"right eye": config.stereo.right, "lamp file": config.fusion.lamp}
+    lamp = config.lamp_file
+    named |= {"right eye": config.stereo.right, "lamp file": None if lamp is None else str(lamp)}
     if source.is_dir():
         named["camera file"] = str(source / "camera.json") if config.camera == "auto" else config.camera
     files = {name: Path(path) for name, path in named.items() if path is not None}

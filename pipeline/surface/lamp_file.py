@@ -14,19 +14,6 @@ from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from reconstruction.fusion.lamp import Lamp
 
-LENS, LAMP = "_geometrical", "_photometrical"
-
-
-def lamp_of(choice: str, camera: str) -> Lamp | None:
-    """By `fusion.lamp`: the file that it names, or with `auto` the one beside the camera file; None without one."""
-    if choice == "none":
-        return None
-    if choice != "auto":
-        return read_lamp(Path(choice))
-    lens = Path(camera)
-    beside = lens.with_name(lens.name.replace(LENS, LAMP))
-    return read_lamp(beside) if LENS in lens.name and beside.is_file() else None
-
 
 def read_lamp(path: Path) -> Lamp:
     """HaustraError, one sentence, for a file that is no photometric calibration."""

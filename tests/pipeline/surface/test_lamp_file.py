@@ -1,11 +1,15 @@
 """EndoMapper's photometric file, as its calibration program writes it (`save_calib_xml`), and what cannot be one."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from haustra.core.errors import HaustraError
+from pipeline.config import Config, FusionSettings
+from pipeline.run_folder.inputs import inputs_of
 from pipeline.surface.fusion_stage import _recorded_lamp
-from pipeline.surface.lamp_file import lamp_of, read_lamp
+from pipeline.surface.lamp_file import read_lamp
 from reconstruction.fusion.lamp import Lamp
 
 FILE = """<rig>
@@ -29,16 +33,22 @@ FILE = """<rig>
 """
 
 
+def config(camera, lamp="auto"):
+    return Config(camera=str(camera), fusion=FusionSettings(lamp=lamp))
+
+
 def test_the_lamp_lies_beside_the_lens(tmp_path):
     lens = tmp_path / "Endoscope_02_geometrical.xml"
-    assert lamp_of("auto", str(lens)) is None
+    assert config(lens).lamp_file is None
     (tmp_path / "Endoscope_02_photometrical.xml").write_text(FILE)
-    lamp = lamp_of("auto", str(lens))
+    lamp = read_lamp(config(lens).lamp_file)
     assert (lamp.spread, lamp.vignetting, lamp.gamma) == (2.746439, 1.25, 2.2)
     np.testing.assert_allclose(lamp.axis, [0.003184, 0, 0.999995], atol=1e-6)
-    assert lamp_of("none", str(lens)) is None
-    assert lamp_of(str(tmp_path / "Endoscope_02_photometrical.xml"), "auto") == lamp
-    assert lamp_of("auto", "endomapper-02") is None
+    assert config(lens, "none").lamp_file is None
+    named = str(tmp_path / "Endoscope_02_photometrical.xml")
+    assert read_lamp(config("auto", named).lamp_file) == lamp
+    assert config("endomapper-02").lamp_file is None
+    assert inputs_of(tmp_path / "film.mp4", config(lens))["lamp file"] == Path(named)  # a change of it is noticed
 
 
 def test_its_emission_is_that_of_the_spot_light():
