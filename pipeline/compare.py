@@ -112,8 +112,6 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     points, surface, surface_se3 = _true_surface(truth, spacing_of(tau), true_seconds, between_s), None, None
     truth_from_run = align_poses(estimated, true)
     coverage = _coverage(finished, truth_from_run, truth)
-    if coverage is not None and between_s != ALL_TIMES:
-        coverage = "not compared: the run is of a part of the film, and the truth knows what the whole of it saw"
     if points is not None:
         mesh = read_mesh(finished.mesh)
         surface = _surface(mesh, truth_from_run, points, tau)
@@ -138,8 +136,9 @@ def asked_seconds(run: Run) -> tuple[float, float]:
 
 def part_hint(truth: Path, between_s: tuple[float, float]) -> str:
     """A sentence where a run is of a part of the film, and its surface is measured against the wall of the whole."""
-    known = truth.is_dir() and (read_data_set_truth(truth) is not None or has_wall_by_frames(truth))
-    if known or between_s == ALL_TIMES:
+    if between_s == ALL_TIMES:
+        return ""
+    if truth.is_dir() and (read_data_set_truth(truth) is not None or has_wall_by_frames(truth)):
         return ""
     return "the run is of a part of the film and the true wall of the whole: recall counts what the run never saw"
 
@@ -167,6 +166,8 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
             return "not compared: mesh.ply of the truth does not hold the wall that no frame saw"
     if wall is None:
         return None
+    if asked_seconds(run) != ALL_TIMES:
+        return "not compared: the run is of a part of the film, and the truth knows what the whole of it saw"
     try:
         coverage = run.measure_coverage()
     except NotATube as reason:

@@ -55,19 +55,21 @@ def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | 
 
 
 def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[str], None]) -> Iterator["VideoFrame"]:
-    """Frames of every packet that decodes. Damaged packets are passed over. Of a stream that was sent, frames
-    of which something was lost, and those that are decoded from such, up to the codec's next keyframe, are left out:
-    they are smeared. Of a file of another kind, where single bytes are wrong, they are given.
-    `note` is told how many of each."""
+    """Frames of every packet that decodes. Damaged packets are passed over. Of a stream that was sent, frames of which
+    something was lost, and those that are decoded from such, up to the codec's next keyframe, are left out: they are
+    smeared. Of a file of another kind, where single bytes are wrong, they are given. `note` is told how many of each,
+    and where the end of a stream that was sent cannot be read."""
     import av
 
-    damaged, doubtful, is_sent = 0, 0, container.format.name in SENT
+    damaged, doubtful, read_to, is_sent = 0, 0, 0, container.format.name in SENT
     gaps, smear = Gaps(), Smear()
     try:
         for packet in packets_of(container, stream):
             try:
                 if is_sent and (since := gaps.before(packet)) is not None:
                     smear.begin(since)
+                if packet is not None and packet.pos is not None:
+                    read_to = max(read_to, packet.pos + packet.size)
                 for frame in () if packet is None else packet.decode():
                     is_smeared = smear.covers(frame)
                     doubtful += is_smeared
@@ -88,6 +90,8 @@ def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[
         if doubtful:
             which = f"{counted(doubtful, 'frame')} of damaged pieces of the video or decoded from such"
             note(f"left out: {which}" if is_sent else f"may be wrong in places: {which}")
+    if is_sent and read_to < LEAST_READ * container.size and (unread := _unread_share(Path(container.name))):
+        note(f"the video ends early: nothing could be read of the last {100 * unread:.0f} % of its file")
 
 
 class Gaps:
@@ -135,10 +139,8 @@ class Smear:
         return True
 
 
-def unread_share(container: "InputContainer", path: Path) -> float:
-    """Share of the end of a file of a `SENT` format that no packet comes from; 0 where that is little."""
-    if container.format.name not in SENT:
-        return 0.0
+def _unread_share(path: Path) -> float:
+    """Share of the end of a file that no packet of any stream comes from; 0 where that is little."""
     with open_video(path) as again:
         ends = [packet.pos + packet.size for packet in packets_of(again, list(again.streams)) if packet and packet.pos]
     read = max(ends, default=0) / path.stat().st_size

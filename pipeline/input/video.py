@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name
-from pipeline.input.decoding import claimed_seconds, decoded, film_stream, open_video, unread_share
+from pipeline.input.decoding import claimed_seconds, decoded, film_stream, open_video
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, RgbConverter, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
@@ -149,7 +149,6 @@ class Source:
                 count += 1
             for sentence in clock.notes:
                 self._note(sentence)
-            unread = unread_share(container, self.path)
         if count == 0:
             raise HaustraError(f"no frame of {self.path} can be decoded")
         if count < 0.98 * self.announced:
@@ -158,8 +157,6 @@ class Source:
             self._note(f"{what}: {count} of {self.announced} announced frames could be decoded")
         elif not self.announced and max(clock.last, clock.last_stamp) + clock.step < 0.9 * claimed_s:
             self._note(f"the video ends early: {clock.last + clock.step:.1f} of {claimed_s:.1f} s could be decoded")
-        elif unread:
-            self._note(f"the video ends early: nothing could be read of the last {100 * unread:.0f} % of its file")
 
     def _find_faults(self) -> FilmFaults:
         """What the beginning of the film shows, which no file says."""

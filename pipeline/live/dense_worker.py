@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -99,7 +99,8 @@ class DenseWork:
             parts += self._closed_part()
             self._map_number = keyframe.map_number
             self._views.clear()
-        shown, fate = b"", cast(KeyframeFate, "unsure")
+        shown = b""
+        fate: KeyframeFate = "unsure"
         completed = self._completed(keyframe)
         if completed is not None:
             rgb, depth, confidence = completed

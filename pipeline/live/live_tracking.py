@@ -106,7 +106,7 @@ class LiveTracker:
         self.odometry.maps.clear()
         tracker = self.odometry.tracker
         now = None if tracker is None else tracker.map
-        if self._map is not None and self.odometry.refused is self._map:
+        if self._map is not None and self.odometry.refused_map is self._map:
             self._refuse()
         if now is None or now is self._map:
             return []

@@ -208,7 +208,7 @@ class Odometry:
         self.tracker: Tracker | None = None
         self.start: Initializer | None = None
         self.lost_frames = 0  # frames since the tracker last knew
-        self.refused: LocalMap | None = None  # the latest map that the light contradicted
+        self.refused_map: LocalMap | None = None  # the latest map that the light contradicted
 
     @property
     def state(self) -> State:
@@ -239,7 +239,7 @@ class Odometry:
             if outcome != "lost":
                 self.lost_frames, self.start = 0, None
                 if outcome == "keyframe" and self._fails_lighting_check():
-                    self.refused, self.tracker = self.tracker.map, None
+                    self.refused_map, self.tracker = self.tracker.map, None
                 return self.state
             self.lost_frames += 1
             if self.lost_frames > MAX_LOST_FRAMES or steps > MAX_JUMP:

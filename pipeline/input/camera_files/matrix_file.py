@@ -30,6 +30,7 @@ TERMS = (
 )
 WIDTHS, HEIGHTS, SIZES = ("imagewidth", "width", "w"), ("imageheight", "height", "h"), ("imagesize", "size", "dim")
 AREAS = ("full", "roi")  # x, y, width, height
+MODELS = ("distortionmodel", "cameramodel", "model", "type")
 FLAGS = ("fisheyemodel", "fisheye", "isfisheye")
 FISHEYE = ("fisheye", "equidistant", "kannala")
 MOST_TANGENTIAL = 0.05  # p1 or p2 of a plane lens; of nine real endoscopes, the largest is 0.014
@@ -43,11 +44,7 @@ def read_matrix_file(document: CameraDocument) -> CalibratedLens | None:
     found = next((fields[name] for name in TERMS if name in fields), None)
     if found is None:
         raise HaustraError("it has a camera matrix but no distortion coefficients; write zeros if there is none")
-    said = (
-        " ".join(str(fields.get(name, "")) for name in ("distortionmodel", "cameramodel", "model", "type"))
-        .strip()
-        .lower()
-    )
+    said = " ".join(str(fields.get(name, "")) for name in MODELS).strip().lower()
     fisheye = any(word in said for word in FISHEYE) or any(fields.get(name) in (True, 1) for name in FLAGS)
     terms = _numbers(found).ravel().tolist()
     notes = ["the first camera of the rig"] if {"m2", "k2", "d2"} & fields.keys() else []

@@ -51,16 +51,20 @@ class SensorDepth:
     @cached_property
     def spacing_px(self) -> float:
         """Working pixels from one of the sensor's cells to the next."""
+        return 1.0 if self._grid is None else self.size[0] * self.scale / self._grid[1]
+
+    @cached_property
+    def _grid(self) -> tuple[int, int] | None:
+        """Height and width of the depth images, by the first; None without any."""
         first = self.image(min(self.files)) if self.files else None
-        return 1.0 if first is None else self.size[0] * self.scale / first[0].shape[1]
+        return None if first is None else (first[0].shape[0], first[0].shape[1])
 
     @property
     def doubt_of_shape(self) -> str:
         """A sentence where depth images have another ratio of sides than the source picture; empty otherwise."""
-        first = self.image(min(self.files)) if self.files else None
-        if first is None:
+        if self._grid is None:
             return ""
-        (height, width), (wide, high) = first[0].shape, self.size
+        (height, width), (wide, high) = self._grid, self.size
         if abs(height - high * width / wide) <= max(1, MOST_STRETCH * height):
             return ""
         return (

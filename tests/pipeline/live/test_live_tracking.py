@@ -81,7 +81,7 @@ def test_the_map_of_the_latest_keyframes_is_that_part_of_the_whole():
 def test_a_map_that_the_light_contradicts_is_forgotten_and_named():
     tracker = make_tracker()
     waiting(tracker, came=0.0)
-    tracker.odometry.refused = tracker._map
+    tracker.odometry.refused_map = tracker._map
     assert tracker._follow_map() == []
     assert tracker.refused == {0}
     assert tracker.settled(1e9) == []
