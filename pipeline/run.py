@@ -29,9 +29,10 @@ from pipeline.input.video import Source
 from pipeline.loop_closing.close_loops import close_loops_stage
 from pipeline.report.page.pictures import draw_pictures
 from pipeline.report.report import add_profile, write_geometry, write_report
+from pipeline.run_folder.creating import create_workspace
 from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.stage_clock import StageClock
-from pipeline.run_folder.workspace import Workspace, create_workspace
+from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
 from pipeline.surface.lamp_file import read_lamp

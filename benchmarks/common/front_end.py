@@ -17,7 +17,8 @@ from pipeline.input.video import Source
 from pipeline.mapping.local_map import LocalMap
 from pipeline.mapping.submap import Submap
 from pipeline.matching.sift_cache import ReadFrame
-from pipeline.run_folder.workspace import Workspace, create_workspace
+from pipeline.run_folder.creating import create_workspace
+from pipeline.run_folder.workspace import Workspace
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
 WRONG_DEG = 5.0

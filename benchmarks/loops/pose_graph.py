@@ -48,7 +48,7 @@ from pipeline.loop_closing.detection import (
 from pipeline.loop_closing.keyframe_pose_graph import close_loops, merge_by_loops
 from pipeline.loop_closing.loop_adjustment import adjust_loops
 from pipeline.matching.place_recognition import VisualWords
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from pipeline.surface.fusion_stage import MIN_COMPONENT, depth_filter, fusion_ranges
 from reconstruction.evaluation.reference_surface import ReferenceSurface, read_reference_surface
 from reconstruction.evaluation.surface_metrics import surface_errors

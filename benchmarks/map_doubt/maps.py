@@ -26,7 +26,8 @@ from pipeline.input.frames import Frames, read_frames, read_image
 from pipeline.input.video import Source
 from pipeline.mapping.lighting_check import LightingCheck, brightness_of
 from pipeline.mapping.submap import Submap, refined_camera
-from pipeline.run_folder.workspace import Workspace, create_workspace
+from pipeline.run_folder.creating import create_workspace
+from pipeline.run_folder.workspace import Workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 
 Array = NDArray[np.float64]

@@ -37,7 +37,7 @@ from pipeline.given_settings import SensorSettings
 from pipeline.input.frames import read_frames
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.input.video import Source
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 

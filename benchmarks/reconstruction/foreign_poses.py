@@ -31,7 +31,7 @@ from pipeline.given_settings import PoseSettings
 from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
 from pipeline.run import reconstruct
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum, write_tum
 
 SFM, GIVEN = "sfm", "its model as poses"

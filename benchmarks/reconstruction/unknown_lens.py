@@ -32,7 +32,7 @@ from pipeline.input.endomapper_scopes import colonoscope_across
 from pipeline.input.frames import read_frames
 from pipeline.input.video import Source
 from pipeline.mapping.submap import refined_camera
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from reconstruction.evaluation.trajectory_io import read_tum
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 

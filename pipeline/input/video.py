@@ -25,7 +25,7 @@ from pipeline.input.image_folder import (
     refuse_stack,
     what_else_is_in,
 )
-from pipeline.run_folder.workspace import RECORD_NAME
+from pipeline.run_folder.earlier_run import RECORD_NAME
 
 if TYPE_CHECKING:
     from av import VideoFrame

@@ -11,13 +11,13 @@ from haustra.core.progress import Progress
 from pipeline.config import Config, read_recorded
 from pipeline.finished_run import Run
 from pipeline.run import reconstruct
+from pipeline.run_folder.creating import UNFINISHED_START
+from pipeline.run_folder.earlier_run import RECORD_NAME
 from pipeline.run_folder.lock import RunLock
 from pipeline.run_folder.workspace import (
     LIVE_FILM,
     LIVE_FOLDER,
     LIVE_RECORD,
-    RECORD_NAME,
-    UNFINISHED_START,
     remove_run,
     report_corruption,
     write_json,

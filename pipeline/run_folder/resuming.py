@@ -4,6 +4,7 @@ from pathlib import Path
 
 from haustra.core.errors import HaustraError
 from pipeline.config import Config, beyond_surface
+from pipeline.run_folder.earlier_run import is_kept, mend_stopped
 from pipeline.run_folder.inputs import changed_inputs, record_inputs
 from pipeline.run_folder.lock import RunLock
 from pipeline.run_folder.workspace import REFUSED, Workspace, clear_if_begun, open_workspace
@@ -19,9 +20,11 @@ def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
     then names the source and the settings as they are given now: either may have been moved. A scale that the run has
     and that is not given again is no such wish, and refused as every other setting is.
     """
-    open_workspace(root)  # says so if it is none
+    if not is_kept(root):  # else the record may still be aside
+        open_workspace(root)  # says so if it is none
     lock = RunLock(root)
     try:
+        mend_stopped(root)
         workspace = open_workspace(root)  # as the process before left it
         workspace.lock = lock
         _check_same(workspace, source, config)

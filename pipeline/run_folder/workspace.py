@@ -6,9 +6,7 @@ stopped is done again.
 """
 
 import copy
-import importlib.metadata
 import os
-import platform
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -19,19 +17,14 @@ from typing import Any
 import yaml
 
 from haustra.core.errors import HaustraError
-from haustra.core.text import check_name, json_text
-from pipeline.config import Config, beyond_surface, read_recorded, retired_differences
-from pipeline.run_folder.inputs import changed_inputs, inputs_of, record_inputs
-from pipeline.run_folder.lock import NAME as LOCK_NAME
+from haustra.core.text import json_text
+from pipeline.config import Config, read_recorded, retired_differences
+from pipeline.run_folder.earlier_run import RECORD_NAME, bring_back, forget, is_kept
 from pipeline.run_folder.lock import RunLock
 
-PACKAGES = ("haustra", "numpy", "torch", "pycolmap", "open3d", "gtsam", "opencv-python-headless", "av")
-RECORD_NAME = "run.yaml"
 PARTIAL = ".partial"  # ends the name of a text file that is being written
 # Of a live session: its record, its recording, and keyframes for its own use.
 LIVE_RECORD, LIVE_FILM, LIVE_FOLDER = "live.json", "film.mkv", "live"
-# All that a live session, or a stop before the first record, leaves.
-UNFINISHED_START = (LOCK_NAME, RECORD_NAME + PARTIAL, LIVE_RECORD, LIVE_FILM, LIVE_FOLDER)
 FIRST_RESULT = "structure"  # the stage before which a run that was refused is in nobody's way
 REFUSED = "refused"  # in the record: the sentence that ended such a run
 # Of further submaps, and of COLMAP's database.
@@ -77,14 +70,23 @@ class Workspace:
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         if isinstance(error, HaustraError) and not self.is_done(FIRST_RESULT) and self.record_path.exists():
             with suppress(OSError):  # a full disk may be the reason itself
-                self.record[REFUSED] = str(error)
-                self.save()
+                self._refuse(error)
         if isinstance(error, HaustraError) and self._before is not None:
             with suppress(OSError):  # the wish was refused, and the surface is still the old one
                 self.record = self._before
                 self.save()
         if self.lock is not None:
             self.lock.release()
+
+    def _refuse(self, error: HaustraError) -> None:
+        """Bring back the run that was to be replaced, or, where there was none, keep the reason."""
+        if is_kept(self.root):
+            remove_run(self.root)
+            bring_back(self.root)
+            error.args = (f"{error}; the earlier run in {self.root} stays as it was",)
+            return
+        self.record[REFUSED] = str(error)
+        self.save()
 
     def set_aside(self) -> None:
         """Keep the record as it is: where what is asked for now is refused, the run has it again."""
@@ -127,6 +129,8 @@ class Workspace:
         """Record a stage as done, with whatever later stages must know."""
         self.record["stages"][stage] = result
         self.save()
+        if stage == FIRST_RESULT:
+            forget(self.root)
 
     def save(self) -> None:
         write_text(self.record_path, yaml.safe_dump(self.record, sort_keys=False))
@@ -139,89 +143,6 @@ class Workspace:
     def retired_settings(self) -> list[str]:
         """Settings of an earlier version by which the run differs from what is fixed today."""
         return retired_differences(self.record["config"])
-
-
-def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) -> Workspace:
-    """A fresh run folder, locked; refuses one that holds a run already unless `overwrite`."""
-    check_name(root.resolve())
-    if root.exists() and not root.is_dir():
-        raise HaustraError(f"the output {root} is a file; give a folder")
-    workspace = Workspace(root)
-    foreign_files = root.exists() and any(path.name not in UNFINISHED_START for path in root.iterdir())
-    if foreign_files and not workspace.record_path.exists():
-        raise HaustraError(f"the folder {root} is not empty and holds no run; give another output folder")
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        workspace.lock = RunLock(root)
-    except OSError as error:
-        raise HaustraError(f"cannot create the output folder {root}: {error.strerror}") from error
-    try:
-        _fill(workspace, source, config, overwrite)
-    except BaseException:
-        workspace.lock.release()
-        raise
-    return workspace
-
-
-def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
-    """The record comes before anything else, and says so while an earlier run is being removed: whenever this is
-    stopped, the folder is a run that can be gone on with or overwritten. A run that finished no stage, or was refused
-    before it had a camera path, is in nobody's way: the command is given again, corrected."""
-    replaced = workspace.record_path.exists()
-    if replaced and not overwrite and not _is_in_nobodys_way(workspace.root):
-        raise HaustraError(f"{workspace.root} already holds a run; {_ways_on(workspace.root, source, config)}")
-    if replaced:
-        _check_survives(workspace, source, config)
-    workspace.record |= {
-        "source": record_inputs(source, config),  # before the earlier run goes: this may fail
-        "versions": _versions(),
-        "config": config.model_dump(mode="json"),
-    }
-    if replaced:
-        workspace.record[CLEARING] = True
-    workspace.save()
-    clear_if_begun(workspace)
-    workspace.log.mkdir(exist_ok=True)
-
-
-def _check_survives(workspace: Workspace, source: Path, config: Config) -> None:
-    """HaustraError for an input that is one of the files of the run that would be replaced."""
-    named, root = [path.resolve() for path in _named_files(workspace)], workspace.root.resolve()
-    for name, path in inputs_of(source, config).items():
-        path = path.resolve()
-        further = path.parent == root and any(path.match(pattern) for pattern in FURTHER)
-        if further or any(path.is_relative_to(one) for one in named):
-            raise HaustraError(
-                f"the {name} {path} is one of the files of the run {workspace.root}, which would be replaced; give "
-                "another output folder (-o)"
-            )
-
-
-def _ways_on(root: Path, source: Path, config: Config) -> str:
-    """What can be done about a run that is in the way: of another film it cannot be gone on with, nor with other
-    settings."""
-    try:
-        before = open_workspace(root)
-        other, inputs = before.config.differences(config), before.record["source"]
-    except HaustraError:  # a damaged record
-        return "--overwrite replaces it"
-    if "source" in changed_inputs(source, config, inputs, trust_stamps=True):
-        if inputs["path"] == str(source.resolve()):
-            return f"{source} has changed since: give another folder (-o), or --overwrite to replace the run"
-        return f"it is of another source, {inputs['path']}: give another folder (-o), or --overwrite to replace it"
-    if not other:
-        return "add --resume to go on with it or --overwrite to redo it"
-    if not beyond_surface(other, config):
-        return f"add --resume to make its surface anew ({other[0]}), or --overwrite to redo all of it"
-    return f"its settings were others ({other[0]}), so --overwrite redoes it, and --resume goes on with those alone"
-
-
-def _is_in_nobodys_way(root: Path) -> bool:
-    try:
-        record = open_workspace(root).record
-        return not record["stages"] or (REFUSED in record and FIRST_RESULT not in record["stages"])
-    except HaustraError:  # a damaged record: what it knew cannot be told
-        return False
 
 
 def open_workspace(root: Path) -> Workspace:
@@ -253,29 +174,17 @@ def clear_if_begun(workspace: Workspace) -> None:
     have put there."""
     if CLEARING not in workspace.record:
         return
-    for path in _named_files(workspace):
+    for path in files_of(workspace):
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    for pattern in FURTHER:
-        for path in workspace.root.glob(pattern):
-            path.unlink()
     del workspace.record[CLEARING]
     workspace.save()
 
 
-def _named_files(workspace: Workspace) -> list[Path]:
-    """Files and folders that a run may have written, but its record and what `FURTHER` matches."""
+def files_of(workspace: Workspace) -> list[Path]:
+    """Files and folders that a run may have written, but its record."""
     named = [path for path in vars(workspace).values() if isinstance(path, Path)]
-    return [path for path in named if path not in (workspace.root, workspace.record_path)]
-
-
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
+    further = [path for pattern in FURTHER for path in workspace.root.glob(pattern)]
+    return [path for path in (*named, *further) if path not in (workspace.root, workspace.record_path)]
 
 
 def write_text(path: Path, text: str) -> None:

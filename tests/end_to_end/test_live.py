@@ -19,7 +19,7 @@ from pipeline.live.finish import begin_record, read_record
 from pipeline.live.live_run import live
 from pipeline.live.session import LiveSession
 from pipeline.run import reconstruct
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from tests.helpers.processes import wait_for
 from tests.helpers.showing.chromium import CHROMIUM, FLAGS, PATIENCE_MS, complaints, until
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pipeline.depth.depth_io import DEPTH_STEP, read_depth
 from pipeline.report.page.keyframe_gallery import DEPTH_MAP, RANGE_SAMPLES, colour_range, painted
-from pipeline.run_folder.workspace import RECORD_NAME, Workspace, open_workspace
+from pipeline.run_folder.earlier_run import RECORD_NAME
+from pipeline.run_folder.workspace import Workspace, open_workspace
 from pipeline.surface.scale import unit_label
 
 

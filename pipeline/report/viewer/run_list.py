@@ -7,7 +7,8 @@ from typing import Any
 
 import yaml
 
-from pipeline.run_folder.workspace import RECORD_NAME, REFUSED
+from pipeline.run_folder.earlier_run import RECORD_NAME
+from pipeline.run_folder.workspace import REFUSED
 from pipeline.surface.scale import unit_label
 
 DEEPEST = 2  # folders below the one that is shown

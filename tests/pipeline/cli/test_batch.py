@@ -17,7 +17,8 @@ from pipeline.cli.batch import ChildProcesses, Job, kept_outcome, plan_jobs, pro
 from pipeline.cli.batch_table import Outcome, finished_outcome, print_table, write_table
 from pipeline.config import load_config
 from pipeline.run_folder import inputs as run_inputs
-from pipeline.run_folder.workspace import create_workspace, write_json
+from pipeline.run_folder.creating import create_workspace
+from pipeline.run_folder.workspace import write_json
 from tests.helpers.videos import write_video
 
 METRICS = {

@@ -15,7 +15,8 @@ from pipeline.input.content_area import ContentArea, find_content, has_cut_corne
 from pipeline.input.frame_quality import FrameJudge
 from pipeline.input.frames import read_frames, write_lens
 from pipeline.input.video import Source
-from pipeline.run_folder.workspace import Workspace, create_workspace
+from pipeline.run_folder.creating import create_workspace
+from pipeline.run_folder.workspace import Workspace
 from tests.helpers.real_data import shared
 from tests.helpers.videos import textured_frames, write_video
 

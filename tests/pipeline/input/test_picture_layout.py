@@ -10,7 +10,7 @@ from pipeline.input.content_area import find_content
 from pipeline.input.frames import read_frames
 from pipeline.input.picture_layout import WINDOW, PictureLayout
 from pipeline.input.video import Source
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from tests.helpers.real_data import shared
 from tests.helpers.videos import textured_frames, write_video
 

@@ -19,7 +19,7 @@ from pipeline.config import load_config
 from pipeline.finished_run import Run
 from pipeline.report import rerun_export
 from pipeline.report.server import ReportServer, view
-from pipeline.run_folder.workspace import create_workspace
+from pipeline.run_folder.creating import create_workspace
 from tests.helpers.tiny_run import make_tiny_run
 
 REPORT = b"<!doctype html><p>a report"

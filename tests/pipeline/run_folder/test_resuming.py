@@ -8,9 +8,10 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.config import _is_of_surface, load_config
+from pipeline.run_folder.creating import create_workspace
 from pipeline.run_folder.inputs import _digest_of_sizes, digest
 from pipeline.run_folder.resuming import FROM_SURFACE, resume_workspace
-from pipeline.run_folder.workspace import create_workspace, open_workspace
+from pipeline.run_folder.workspace import open_workspace
 
 STAGES = ("frames", "structure", "points", "depth", "refinement", "motion", *FROM_SURFACE)
 

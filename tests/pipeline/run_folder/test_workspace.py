@@ -2,7 +2,6 @@
 
 import errno
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,10 +16,11 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, VIDEO
+from pipeline.run_folder.creating import create_workspace
 from pipeline.run_folder.lock import RunLock
 from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.subprocesses import run_isolated
-from pipeline.run_folder.workspace import create_workspace, open_workspace
+from pipeline.run_folder.workspace import open_workspace
 from tests.helpers.processes import alive, wait_for
 from tests.helpers.sphere_views import RADIUS, fuse, sphere_depth, views
 
@@ -79,79 +79,6 @@ def test_a_refused_run_leaves_the_folder_unlocked(tmp_path):
     with pytest.raises(HaustraError, match=r"it is of another source, .*a\.mp4: give another folder"):
         create_workspace(folder, tmp_path / "b.mp4", load_config(None), overwrite=False)
     RunLock(folder).release()
-
-
-class Stopped(BaseException):
-    """As a kill, but in this process."""
-
-
-@pytest.fixture
-def old_run(tmp_path):
-    """A run with artefacts, and a second video and settings to replace it by."""
-    (tmp_path / "a.mp4").write_bytes(b"old")
-    (tmp_path / "b.mp4").write_bytes(b"new")
-    folder = tmp_path / "run"
-    with create_workspace(folder, tmp_path / "a.mp4", load_config(None), overwrite=False) as workspace:
-        workspace.finish("depth")
-        workspace.depth.mkdir()
-        workspace.depth_path(3).write_bytes(b"old depth")
-        workspace.mesh.write_bytes(b"old mesh")
-    (folder / "thesis.tex").write_text("precious")
-    return folder
-
-
-@pytest.mark.parametrize("way", ["resume", "overwrite"])
-@pytest.mark.parametrize("when", ["images", "depth", "mesh.ply", "report.html", "the end"])
-def test_a_stop_while_an_old_run_is_removed_leaves_a_run(old_run, tmp_path, monkeypatch, when, way):
-    """Both ways go on from there, and nothing of the old run is taken for the new one's."""
-
-    def stop(path, *_, **__):
-        if path.name == when:
-            raise Stopped
-        return unlink(path, missing_ok=True) if path.is_file() or not path.exists() else rmtree(path)
-
-    unlink, rmtree = Path.unlink, shutil.rmtree
-    monkeypatch.setattr(Path, "unlink", stop)
-    monkeypatch.setattr(shutil, "rmtree", stop)
-    if when == "the end":
-        monkeypatch.setattr(Path, "glob", lambda path, pattern: stop(path / "the end"))
-    new, config = tmp_path / "b.mp4", load_config(None, seed=4)
-    with pytest.raises(Stopped):
-        create_workspace(old_run, new, config, overwrite=True)
-    monkeypatch.undo()
-    assert open_workspace(old_run).record["stages"] == {}
-    if way == "resume":
-        workspace = resume_workspace(old_run, new, config)
-    else:
-        workspace = create_workspace(old_run, new, config, overwrite=True)
-    with workspace:
-        assert not workspace.depth.exists()
-        assert not workspace.mesh.exists()
-        assert workspace.log.is_dir()
-    with resume_workspace(old_run, new, config) as workspace:
-        assert workspace.log.is_dir()
-    assert (old_run / "thesis.tex").read_text() == "precious"
-
-
-def test_a_source_that_cannot_be_read_destroys_no_run(old_run, tmp_path):
-    with pytest.raises(FileNotFoundError):
-        create_workspace(old_run, tmp_path / "gone.mp4", load_config(None), overwrite=True)
-    with resume_workspace(old_run, tmp_path / "a.mp4", load_config(None)) as workspace:
-        assert workspace.is_done("depth")
-        assert workspace.mesh.read_bytes() == b"old mesh"
-
-
-def test_a_stop_before_the_first_record_leaves_a_folder_that_is_taken(tmp_path, monkeypatch):
-    (tmp_path / "a.mp4").write_bytes(b"any bytes")
-
-    def stop(*_):
-        raise Stopped
-
-    monkeypatch.setattr(os, "replace", stop)  # the record is written, but not yet in its place
-    with pytest.raises(Stopped):
-        create_workspace(tmp_path / "run", tmp_path / "a.mp4", load_config(None), overwrite=False)
-    monkeypatch.undo()
-    create_workspace(tmp_path / "run", tmp_path / "a.mp4", load_config(None), overwrite=False).lock.release()
 
 
 @pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS])
