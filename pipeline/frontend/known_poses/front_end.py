@@ -3,6 +3,7 @@
 The world and the unit stay those of the file. Poses are tested against the pictures first (`pose_check`).
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
+from haustra.core.text import counted
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
 from pipeline.frontend.known_poses.pose_check import FITS, ROUGHLY_FITS, check_poses
 from pipeline.frontend.known_poses.posed_map import build_map
+from pipeline.frontend.known_poses.stray_poses import stray_poses
 from pipeline.frontend.known_poses.time_shift import first_by_pictures
 from pipeline.input.frames import Frames
 from pipeline.input.pose_files.pose_table import POSES_UNIT, FilmFrames, first_numbers, poses_by_frame
@@ -64,7 +67,7 @@ class KnownPosesFrontEnd:
             raise HaustraError(
                 f"{table.path} has poses of {len(index)} of the {len(frames.index)} usable frames; three are needed"
             )
-        given = np.stack([by_frame[frame] for frame in index.tolist()])
+        index, given = _without_stray(index, by_frame, table.path, progress)
         refine = settings.poses.refine
         with single_threaded():
             fits = ROUGHLY_FITS if refine else FITS
@@ -90,6 +93,21 @@ class KnownPosesFrontEnd:
         if refine:
             whole = in_world_of(whole, given)
         return FrontEndResult({NAME: [FoundSubmap(whole)]}, {"inliers": check.inliers})
+
+
+def _without_stray(
+    index: NDArray[np.int64], by_frame: Mapping[int, Array], path: Path, progress: Progress
+) -> tuple[NDArray[np.int64], Array]:
+    """Frames (N,) and their poses (N,4,4), those left out that lie far from the poses around; says so."""
+    given = np.stack([by_frame[frame] for frame in index.tolist()])
+    stray, away = stray_poses(given)
+    if stray.any():
+        worst = int(np.where(stray, away, 0).argmax())
+        progress.log(
+            f"poses of {path.name}: {counted(int(stray.sum()), 'frame')} left out, far from the poses before and "
+            f"after: frame {index[worst]} by {away[worst]:.3g} in the poses' unit"
+        )
+    return index[~stray], given[~stray]
 
 
 def _moved(local_map: LocalMap, given: Array, rows: NDArray[np.int64]) -> Array:

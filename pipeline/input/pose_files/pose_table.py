@@ -179,8 +179,13 @@ def rigid(matrices: Array, where: str) -> Array:
     if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or len(matrices) == 0 or not np.isfinite(matrices).all():
         raise HaustraError(f"{where} must hold poses as finite 4x4 matrices")
     u, size, vt = np.linalg.svd(matrices[:, :3, :3])
-    if np.abs(size - 1).max() > 1e-2 or (np.linalg.det(matrices[:, :3, :3]) < 0).any():
+    if np.abs(size - 1).max() > 1e-2:
         raise HaustraError(f"{where}: the left upper 3x3 of a pose is no rotation (its stretch is {size.max():.3g})")
+    if (np.linalg.det(matrices[:, :3, :3]) < 0).any():
+        raise HaustraError(
+            f"{where}: the left upper 3x3 of a pose mirrors (its determinant is -1): the file's world or camera is "
+            "left-handed; turn one axis of both round"
+        )
     result = matrices.copy()
     result[:, :3, :3] = u @ vt
     result[:, 3] = [0, 0, 0, 1]

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from haustra.core.errors import HaustraError
 from pipeline.input.pose_files.colmap_poses import read_colmap_poses
 from pipeline.input.pose_files.pose_table import Array, PoseTable
@@ -10,6 +12,7 @@ from pipeline.input.pose_files.text_poses import read_text_poses
 from pipeline.input.pose_files.tracker_csv import read_hand_eye, read_tracker
 from pipeline.input.pose_files.transforms_poses import read_transforms_poses
 
+FARTHEST = 1e9  # from the origin, in any unit
 # A reader gives None for a file of another format; the second argument is sensor_from_camera (4,4) of a tracker.
 Reader = Callable[[Path, Array | None], PoseTable | None]
 
@@ -29,8 +32,19 @@ def read_poses(path: Path, hand_eye: Path | None = None) -> PoseTable:
     for read in POSE_FORMATS.values():
         table = read(path, sensor_from_camera)
         if table is not None:
+            _check_distances(table)
             return table
     raise HaustraError(f"{path} holds no poses that can be read; looked for {', '.join(POSE_FORMATS)}")
+
+
+def _check_distances(table: PoseTable) -> None:
+    """HaustraError for a pose at a place where no camera is: some programs write such numbers for a missing pose."""
+    farthest = float(np.abs(table.world_from_camera[:, :3, 3]).max(initial=0))
+    if not farthest < FARTHEST:
+        raise HaustraError(
+            f"{table.path}: a pose lies {farthest:.3g} from the origin, where no camera is; if that marks a missing "
+            "pose, leave such lines out"
+        )
 
 
 def lens_beside(path: Path) -> Path | None:

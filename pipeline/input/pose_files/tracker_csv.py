@@ -1,7 +1,8 @@
 """A tracker's CSV (NDI Polaris and Aurora, and alike): a sensor's poses, and the camera by a hand-eye transform.
 
 Columns are found by their names in any case: Tx Ty Tz and Q0 Qx Qy Qz (w first) or Qx Qy Qz Qw; time, seconds or
-timestamp, else frame, else the order. Lines whose State is Missing or Disabled are left out.
+timestamp, else frame, else the order. Lines whose State is Missing or Disabled, or whose place is NDI's number for a
+missing one (-3.697314e28), are left out.
 """
 
 import csv
@@ -19,6 +20,7 @@ PLACE = (("tx", "ty", "tz"), ("x", "y", "z"))
 TURN = (("qx", "qy", "qz", "q0"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz", "rw"))  # x y z w
 TIMES = ("time", "seconds", "timestamp", "t")
 SAME = 1e-6  # between two poses that a file gives twice
+NO_PLACE = -1e28  # NDI's number for a missing place is below
 LOST = ("missing", "disabled", "bad")
 
 
@@ -29,7 +31,7 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     rows = list(csv.DictReader(text.splitlines(), delimiter=";" if ";" in text.split("\n", 1)[0] else ","))
     rows = [{(name or "").strip().lower(): value for name, value in row.items()} for row in rows]
     numbers = tuple(str(row.get("frame") or "").strip() for row in rows)
-    kept = [k for k, row in enumerate(rows) if str(row.get("state", "")).strip().lower() not in LOST]
+    kept = [k for k, row in enumerate(rows) if not _is_lost(row)]
     if rows and not kept:
         raise HaustraError(f"{path}: all {len(rows)} lines are marked as lost; none has a pose")
     rows, names = [rows[k] for k in kept], tuple(numbers[k] for k in kept)
@@ -60,6 +62,15 @@ def read_tracker(path: Path, sensor_from_camera: Array | None) -> PoseTable | No
     order = np.argsort(seconds, kind="stable")
     table = PoseTable(path, world_from_camera[order], seconds[order], sensor_from_camera=sensor_from_camera)
     return _once_a_time(table)
+
+
+def _is_lost(row: dict[str, str]) -> bool:
+    """Whether the tracker did not see its sensor then, by its word or by its number for that."""
+    try:
+        places = [float(row.get(name) or 0) for names in PLACE for name in names]
+    except ValueError:  # no number; the line is refused where it is read
+        places = []
+    return str(row.get("state", "")).strip().lower() in LOST or any(place < NO_PLACE for place in places)
 
 
 def _without_gap(numbers: tuple[str, ...], path: Path) -> bool:
