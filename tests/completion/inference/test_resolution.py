@@ -58,15 +58,26 @@ def noting_size(iterate, seen, image, log_sparse, *rest):
     return iterate(image, log_sparse, *rest)
 
 
-@pytest.mark.parametrize(("side", "points", "expected"), [(100, 300, (100, 80)), (None, 1000, (384, 307))])
-def test_depth_is_computed_at_the_resolution_and_restored_to_the_images(monkeypatch, network, side, points, expected):
+@pytest.mark.parametrize(
+    ("side", "points", "iterations", "expected"),
+    [
+        (100, 300, 2, [(100, 80)] * 2),  # the image is (400, 320)
+        (None, 1000, 2, [(320, 256), (384, 307)]),  # the first of several iterations is smaller
+        (None, 1000, 3, [(320, 256), (384, 307), (384, 307)]),
+        (None, 100, 2, [(320, 256), (320, 256)]),
+        (None, 1000, 1, [(320, 256)]),
+    ],
+)
+def test_depth_is_computed_at_the_resolution_and_restored_to_the_images(
+    monkeypatch, network, side, points, iterations, expected
+):
     rgb, sparse = frame(points)
-    completer = DepthCompleter(network, precision="fp32", resolution=side)
+    completer = DepthCompleter(network, precision="fp32", resolution=side, iterations=iterations)
     seen = []
     for made in (completer.network, completer.recurrent):
         monkeypatch.setattr(made, "iterate", partial(noting_size, made.iterate, seen))
     depth, confidence = completer(rgb, sparse)
-    assert seen == [expected, expected]
+    assert seen == expected
     assert depth.shape == confidence.shape == (400, 320)
 
 
