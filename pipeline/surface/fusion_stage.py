@@ -15,6 +15,7 @@ from pipeline.depth.completed_submap import CompletedKeyframe, CompletedSubmap
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
+from pipeline.surface.no_surface import why_no_surface
 from pipeline.surface.scale import Scale, ScaleSource, find_scale
 from reconstruction.fusion.dark_spots import dark_spots, without_vertices
 from reconstruction.fusion.lamp import Lamp
@@ -78,10 +79,7 @@ def _fuse_all(
         own = replace(settings, scale=settings.scale.of_submap(number))
         surface = fuse_submap(submap, own, f"fusion of submap {number}", progress)
         if number == 0 and len(surface.mesh.faces) == 0:
-            raise HaustraError(
-                "the keyframes agree on no surface: too few of them see the same place "
-                f"({len(submap)} keyframes, {settings.fusion.min_observations} must agree)"
-            )
+            raise HaustraError(why_no_surface(submap, settings.fusion, surface.voxel_size / surface.scale.factor))
         if number == 0:
             workspace.replace_surface()
         write_mesh(surface.mesh, mesh_path(workspace, number))
