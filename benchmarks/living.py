@@ -87,14 +87,14 @@ def measured(output: Path, film: Path) -> dict[str, Any]:
     """Figures of a finished run."""
     path, whole = compare_climb(output, film, MIN_COMMON), compare_run(output, film)
     assert whole.surface is not None
-    metrics = open_run(output).metrics
+    measured_mm, metrics = path.measured_ate_mean_mm, open_run(output).metrics
     informative = metrics["frames"]["verdicts"]["used"]
     return {
         "informative": informative,
         "posed": metrics["frames"]["posed"],
         "posed_percent": 100 * metrics["frames"]["posed"] / informative,
         "submaps": len(metrics["submaps"]),
-        "ate_mean_mm": path.ate_mean_mm,
+        "ate_mean_mm": path.ate_mean_mm if measured_mm is None else measured_mm,
         "rotation_40_deg": path.relative[-1].rotation_deg,
         "largest_ate_rmse_mm": whole.sim3.ate_rmse,
         "largest_rotation_median_deg": whole.sim3.rotation_median_deg,

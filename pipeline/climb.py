@@ -6,6 +6,7 @@ submission instructions have it. Frames are numbered from 1.
 
 import re
 import shutil
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
 from haustra.core.se3 import interpolated
-from pipeline.compare import true_path
+from haustra.core.text import counted
+from pipeline.compare import asked_seconds, true_path
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import read_colmap_poses
 from pipeline.input.pose_files.pairing import paired
@@ -25,21 +27,87 @@ Array = NDArray[np.float64]
 HEADER = "# timestamp, name_image, tx, ty, tz, qw, qx, qy, qz, interpolated\n"
 
 
+@dataclass(frozen=True)
+class SubmittedPath:
+    """One submap's poses as a submission holds them: frames of the film from 0 (N,), ascending, their seconds (N,),
+    world_from_camera (N,4,4) in the output unit, and which are interpolated (N,)."""
+
+    frames: NDArray[np.int64]
+    seconds: Array
+    world_from_camera: Array
+    interpolated: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """True poses: frames of the film from 0 (N,), each once, and world_from_camera (N,4,4), mm."""
+
+    frames: NDArray[np.int64]
+    world_from_camera: Array
+
+    def rows(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Reference":
+        return Reference(self.frames[which], self.world_from_camera[which])
+
+
 def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> ClimbErrors:
     """Errors of a finished run against a path: an RGB-D folder, a TUM file, or the images.txt of a COLMAP model in mm,
-    whose pictures are numbered from 1. Poses that a submission would interpolate do not count as tracked here."""
+    whose pictures are numbered from 1.
+
+    Judged are the poses that `write_submission` writes, interpolated ones with them, as the benchmark's evaluator
+    judges every line. The reference is every pose of the path: frames that the run did not look at cost it. Only a part
+    that was asked for (--start, --end) cuts the reference, and `notes` say so.
+    """
     finished = open_run(run)
     film = FilmFrames.of(finished.workspace)
-    submaps = [(finished.submaps[k].frames + 1, finished.trajectory(k)[1]) for k in range(len(finished.surfaces))]
-    if reference.name == "images.txt":
-        truth = read_numbered_images(reference)
-    else:
-        true_seconds, world_from_camera = true_path(reference, finished)
-        mine, theirs = paired(film.seconds, true_seconds, reference)
-        truth = film.index[mine] + 1, world_from_camera[theirs]
-    fps = 1 / float(np.median(np.diff(film.seconds)))
+    whole = read_reference(reference, finished, film)
+    asked_s, slack = asked_seconds(finished), 0.01 * film.interval  # of times that are rounded
+    seconds = film.seconds_of(whole.frames)
+    truth = whole.rows((seconds >= asked_s[0] - slack) & (seconds < asked_s[1] - slack))
+    if len(truth.frames) < min(2, len(whole.frames)):
+        raise HaustraError(f"{reference} has {counted(len(truth.frames), 'pose')} in the part that the run is of")
+    notes = () if len(truth.frames) == len(whole.frames) else (_cut_note(truth, whole),)
+    paths = submitted_paths(finished, film)
     loop = loop_seconds(finished)
-    return climb_errors(submaps, truth, fps, None if loop is None else loop / len(film.index), min_common)
+    errors = climb_errors(
+        [(path.frames, path.world_from_camera) for path in paths],
+        (truth.frames, truth.world_from_camera),
+        1 / float(np.median(np.diff(film.seconds))),
+        None if loop is None else loop / len(film.index),
+        min_common,
+        [path.interpolated for path in paths],
+    )
+    return replace(errors, notes=notes)
+
+
+def read_reference(path: Path, run: Run, film: FilmFrames) -> Reference:
+    """The true poses by the film's frames. Each pose of a path with times belongs to the frame that is nearest in time,
+    and of several poses of one frame the nearest is taken. HaustraError where the path is of another time."""
+    if path.name == "images.txt":
+        numbers, world_from_camera = read_numbered_images(path)
+        return Reference(numbers - 1, world_from_camera)
+    seconds, world_from_camera = true_path(path, run)
+    paired(film.seconds, seconds, path)
+    exact = film.numbers_at(seconds)
+    frames = np.rint(exact).astype(np.int64)
+    order = np.lexsort((np.abs(exact - frames), frames))
+    return Reference(frames, world_from_camera).rows(order[np.unique(frames[order], return_index=True)[1]])
+
+
+def submitted_paths(run: Run, film: FilmFrames) -> list[SubmittedPath]:
+    """Each submap's poses, and between its first and its last one those of all frames of the film that no submap
+    poses, looked at or not: centres on the straight line, rotations on the great arc between the posed neighbours."""
+    taken = np.unique(np.concatenate([submap.frames for submap in run.submaps]))
+    paths = []
+    for number, submap in enumerate(run.submaps):
+        posed, world_from_camera = submap.frames, run.trajectory(number)[1]
+        between = np.setdiff1d(np.arange(posed[0], posed[-1]), taken)
+        frames = np.union1d(posed, between)
+        seconds = film.seconds_of(frames)
+        poses = np.asarray(interpolated(film.seconds_of(posed), world_from_camera, seconds), np.float64)
+        made = np.isin(frames, between)
+        poses[~made] = world_from_camera  # as they are, not through a rotation vector and back
+        paths.append(SubmittedPath(frames, seconds, poses, made))
+    return paths
 
 
 def write_submission(run: Path, folder: Path) -> Path:
@@ -56,14 +124,9 @@ def write_submission(run: Path, folder: Path) -> Path:
     for part in (paths, maps):
         shutil.rmtree(part, ignore_errors=True)  # an earlier run's submaps would be read as this one's
         part.mkdir(parents=True)
-    film = FilmFrames.of(finished.workspace)
-    taken = {int(frame) for submap in finished.submaps for frame in submap.frames}
-    for number, submap in enumerate(finished.submaps):
-        posed, world_from_camera = submap.frames, finished.trajectory(number)[1]
-        inside = film.index[(film.index > posed[0]) & (film.index < posed[-1])]
-        between = np.array([frame for frame in inside.tolist() if frame not in taken], np.int64)
-        table = _lines(film, posed, world_from_camera, between)
-        (paths / f"cam_traj_map_{number:03d}.txt").write_text(HEADER + "".join(table))
+    submitted = submitted_paths(finished, FilmFrames.of(finished.workspace))
+    for number, (submap, path) in enumerate(zip(finished.submaps, submitted, strict=True)):
+        (paths / f"cam_traj_map_{number:03d}.txt").write_text(HEADER + "".join(_lines(path)))
         target = maps / f"{number:03d}"
         target.mkdir()
         points = submap.points * finished.surfaces[number].scale.factor
@@ -90,21 +153,19 @@ def loop_seconds(run: Run) -> float | None:
     return len(run.frames.index) / float(pace) if pace else None
 
 
-def _lines(
-    film: FilmFrames, posed: NDArray[np.int64], world_from_camera: Array, between: NDArray[np.int64]
-) -> list[str]:
-    """A submap's lines in the order of its frames, with the frames `between` interpolated: centres on the straight
-    line, rotations on the great arc between the posed neighbours."""
-    times, wanted = (film.seconds[np.searchsorted(film.index, frames)] for frames in (posed, between))
-    poses, marks = world_from_camera, [0] * len(posed) + [1] * len(between)
-    if len(between):
-        poses = np.concatenate([poses, interpolated(times, world_from_camera, wanted)])
-    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    frames, seconds = (np.concatenate(parts).tolist() for parts in ((posed, between), (times, wanted)))
-    lines = []
-    for frame, time, centre, (x, y, z, w), mark in sorted(
-        zip(frames, seconds, poses[:, :3, 3], turns, marks, strict=True), key=lambda entry: entry[0]
+def _cut_note(kept: Reference, whole: Reference) -> str:
+    return (
+        f"cut to the part that the run was asked for (--start, --end): {len(kept.frames)} of {len(whole.frames)} "
+        "of its frames"
+    )
+
+
+def _lines(path: SubmittedPath) -> list[str]:
+    """A submap's lines in the order of its frames."""
+    turns, lines = Rotation.from_matrix(path.world_from_camera[:, :3, :3]).as_quat(), []
+    for frame, time, pose, (x, y, z, w), mark in zip(
+        path.frames.tolist(), path.seconds.tolist(), path.world_from_camera, turns, path.interpolated, strict=True
     ):
-        place = ",".join(f"{value:.9f}" for value in (*centre, w, x, y, z))
-        lines.append(f"{time:.6f},{frame + 1:06d}.png,{place},{mark}\n")
+        place = ",".join(f"{value:.9f}" for value in (*pose[:3, 3], w, x, y, z))
+        lines.append(f"{time:.6f},{frame + 1:06d}.png,{place},{int(mark)}\n")
     return lines

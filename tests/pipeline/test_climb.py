@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.errors import HaustraError
 from pipeline import climb
 from pipeline.climb import compare_climb, read_numbered_images, write_submission
+from pipeline.config import Config
 from reconstruction.evaluation.trajectory_io import write_tum
 from tests.helpers.tiny_run import TinyRun, make_tiny_run
 
@@ -31,6 +32,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TinyRun:
         workspace=SimpleNamespace(
             frames=tiny.workspace.frames,
             record=tiny.workspace.record,
+            config=Config(),
             result=lambda _: {"stats": {"frames_per_second": 20.0}},
         ),
         frames=tiny.frames,

@@ -62,9 +62,26 @@ class FilmFrames:
 
     def spacing(self, table: PoseTable) -> float | None:
         """Seconds between two frames, where the poses have times, too."""
-        if table.seconds is None or len(self.index) < 2:
-            return None
+        return None if table.seconds is None or len(self.index) < 2 else self.interval
+
+    @property
+    def interval(self) -> float:
+        """Mean seconds between two frames of the source, of which a stride left some out."""
         return float((self.seconds[-1] - self.seconds[0]) / (self.index[-1] - self.index[0]))
+
+    def seconds_of(self, numbers: NDArray[np.int64]) -> Array:
+        """(N,) times of frames by their numbers in the source (N,), looked at or not."""
+        return _extended(numbers.astype(np.float64), self.index.astype(np.float64), self.seconds, self.interval)
+
+    def numbers_at(self, seconds: Array) -> Array:
+        """(N,) numbers in the source of the frames at times (N,), with their fractions between two frames."""
+        return _extended(seconds, self.seconds, self.index.astype(np.float64), 1 / self.interval)
+
+
+def _extended(wanted: Array, known: Array, values: Array, slope: float) -> Array:
+    """(N,) values at `wanted` (N,): between the ascending `known` (K,) on straight lines, beyond them by the slope."""
+    beyond = np.minimum(wanted - known[0], 0) + np.maximum(wanted - known[-1], 0)
+    return np.asarray(np.interp(wanted, known, values) + slope * beyond)
 
 
 def first_numbers(table: PoseTable, film: FilmFrames) -> tuple[int, ...]:

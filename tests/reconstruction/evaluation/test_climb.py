@@ -64,7 +64,7 @@ def test_two_submaps_agree_with_evo_on_each() -> None:
     expected = [evo_figures(poses, truth[frames - 1]) for frames, poses in submaps]
     weights = np.array([150, 240]) / 390
     assert found.ate_mean_mm == pytest.approx(weights @ [d.mean() for d, _ in expected], rel=1e-9)
-    assert found.ate_median_mm == pytest.approx(weights @ [np.median(d) for d, _ in expected], rel=1e-9)
+    assert found.measured_ate_median_mm == pytest.approx(weights @ [np.median(d) for d, _ in expected], rel=1e-9)
     for relative in found.relative:
         ours = (relative.translation_mm, relative.rotation_deg)
         for which in (0, 1):
@@ -108,6 +108,33 @@ def test_a_clip_tracked_for_half_of_its_frames_has_failed() -> None:
     assert climb_errors(exact, (np.arange(300), truth), FPS, 0.0).score == FAILED_SCORE
     assert climb_errors([(np.arange(151), truth[:151])], (np.arange(300), truth), FPS, 0.0).score == pytest.approx(0)
     assert climb_errors([], (np.arange(300), truth), FPS, 0.0).score == FAILED_SCORE
+
+
+def test_a_failed_clip_counts_as_the_protocol_has_it_and_keeps_what_was_measured_apart() -> None:
+    """25 mm, no frame tracked, half again for the coverage and half again for the time: 25 x 1.5 x 1.5."""
+    truth = walk(300, 6)
+    poses = disturbed(truth[:150], 2)
+    expected, _ = evo_figures(poses, truth[:150])
+    for seconds, factor in ((0.03, 1.25), (None, None)):
+        found = climb_errors([(np.arange(150), poses)], (np.arange(300), truth), FPS, seconds)
+        told = found.to_dict()
+        counted = [told[name] for name in ("failed", "ate_mean_mm", "tracked_fraction", "time_factor", "score")]
+        assert counted == [True, 25.0, 0.0, 1.5, 56.25]
+        assert told["measured_ate_mean_mm"] == pytest.approx(expected.mean(), rel=1e-9)
+        assert told["measured_ate_median_mm"] == pytest.approx(np.median(expected), rel=1e-9)
+        assert (told["measured_tracked_fraction"], told["measured_time_factor"]) == (0.5, factor)
+        assert "150 of 300 frames = 50.0 % tracked" in str(found)
+        assert "FAILED: no more than half of the frames are tracked" in str(found)
+    good = climb_errors([(np.arange(151), truth[:151])], (np.arange(300), truth), FPS)
+    assert (good.failed, good.score, good.tracked_fraction) == (False, None, 151 / 300)
+
+
+def test_interpolated_poses_are_judged_as_the_others_and_counted() -> None:
+    truth = walk(300, 8)
+    made = np.arange(200) % 2 == 1
+    found = climb_errors([(np.arange(200), truth[:200])], (np.arange(20, 300), truth[20:]), FPS, interpolated=[made])
+    assert (found.matched, found.interpolated) == (180, 90)
+    assert "180 of 280 frames = 64.3 % tracked, 90 of them interpolated" in str(found)
 
 
 def test_a_clip_of_which_nothing_counts_says_why_and_prints_no_number_that_is_none() -> None:
