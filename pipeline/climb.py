@@ -21,7 +21,9 @@ from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import read_colmap_poses
 from pipeline.input.pose_files.pairing import paired
 from pipeline.input.pose_files.pose_table import FilmFrames
+from pipeline.truth.hints import Timed, path_hints
 from reconstruction.evaluation.climb import MIN_COMMON, ClimbErrors, climb_errors
+from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
 Array = NDArray[np.float64]
 HEADER = "# timestamp, name_image, tx, ty, tz, qw, qx, qy, qz, interpolated\n"
@@ -40,13 +42,15 @@ class SubmittedPath:
 
 @dataclass(frozen=True)
 class Reference:
-    """True poses: frames of the film from 0 (N,), each once, and world_from_camera (N,4,4), mm."""
+    """True poses: frames of the film from 0 (N,), ascending, and world_from_camera (N,4,4), mm. counted_from: of
+    pictures whose numbers gave the frames, and which seem to be counted from another number than 1."""
 
     frames: NDArray[np.int64]
     world_from_camera: Array
+    counted_from: int = 1
 
     def rows(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Reference":
-        return Reference(self.frames[which], self.world_from_camera[which])
+        return replace(self, frames=self.frames[which], world_from_camera=self.world_from_camera[which])
 
 
 def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> ClimbErrors:
@@ -76,7 +80,7 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
         min_common,
         [path.interpolated for path in paths],
     )
-    return replace(errors, notes=notes)
+    return replace(errors, notes=notes, hints=_hints(finished, film, whole))
 
 
 def read_reference(path: Path, run: Run, film: FilmFrames) -> Reference:
@@ -84,7 +88,8 @@ def read_reference(path: Path, run: Run, film: FilmFrames) -> Reference:
     and of several poses of one frame the nearest is taken. HaustraError where the path is of another time."""
     if path.name == "images.txt":
         numbers, world_from_camera = read_numbered_images(path)
-        return Reference(numbers - 1, world_from_camera)
+        order = np.argsort(numbers, kind="stable")
+        return Reference(numbers[order] - 1, world_from_camera[order], 0 if numbers.min() == 0 else 1)
     seconds, world_from_camera = true_path(path, run)
     paired(film.seconds, seconds, path)
     exact = film.numbers_at(seconds)
@@ -151,6 +156,24 @@ def loop_seconds(run: Run) -> float | None:
     before, such as blurred ones, were not in it."""
     pace = run.workspace.result("structure").get("stats", {}).get("frames_per_second")
     return len(run.frames.index) / float(pace) if pace else None
+
+
+def _hints(run: Run, film: FilmFrames, truth: Reference) -> tuple[str, ...]:
+    """Sentences that would explain a bad fit of the largest submap, by the frames that it poses; none where fewer than
+    three have a true pose, or the path does not move."""
+    zero = "the pictures are numbered from 0, and CLiMB's from 1: each true pose is taken for that of the frame before"
+    counted_from_0 = () if truth.counted_from else (zero,)
+    frames, world_from_camera = run.submaps[0].frames, run.trajectory(0)[1]
+    _, mine, theirs = np.intersect1d(frames, truth.frames, return_indices=True)
+    estimated, true = world_from_camera[mine], truth.world_from_camera[theirs]
+    try:
+        scale = trajectory_errors(estimated, true, "sim3", "mm").scale
+    except HaustraError:
+        return counted_from_0
+    path = Timed(film.seconds_of(frames), world_from_camera[:, :3, 3])
+    true_path_of_run = Timed(film.seconds_of(truth.frames), truth.world_from_camera[:, :3, 3])
+    in_mm = run.surfaces[0].scale.unit == "mm"
+    return counted_from_0 + path_hints(path, true_path_of_run, estimated, true, scale, in_mm)
 
 
 def _cut_note(kept: Reference, whole: Reference) -> str:

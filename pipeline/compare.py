@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.pairing import paired
-from pipeline.truth.hints import Timed, clock_hint, misfit_hint, pose_hint, surface_hint, unit_hint
+from pipeline.truth.hints import Timed, path_hints, surface_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
@@ -118,8 +118,8 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
         if se3 is not None:
             surface_se3 = _surface(mesh, align_poses(estimated, true, with_scale=False), points, tau)
     true_path_of_run = Timed(true_seconds, true_world_from_camera[:, :3, 3])
-    other = pose_hint(estimated, true) or clock_hint(Timed(seconds, world_from_camera[:, :3, 3]), true_path_of_run)
-    hints = (other or misfit_hint(estimated, true), unit_hint(true_path_of_run, sim3.scale, se3 is not None))
+    path = Timed(seconds, world_from_camera[:, :3, 3])
+    hints = path_hints(path, true_path_of_run, estimated, true, sim3.scale, se3 is not None)
     of_wall = surface_hint(points.seen, true_path_of_run.centres) if points is not None else ""
     of_part = part_hint(truth, between_s) if points is not None else ""
     found = tuple(hint for hint in (*hints, of_wall, of_part) if hint)

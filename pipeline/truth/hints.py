@@ -38,6 +38,16 @@ class Timed:
     centres: Array
 
 
+def path_hints(run: Timed, truth: Timed, estimated: Array, true: Array, scale: float, in_mm: bool) -> tuple[str, ...]:
+    """All sentences on why a path fits badly, none where it fits.
+
+    run, truth: the two paths, each by its own times; estimated, true: their poses that are of one time (K,4,4) each.
+    scale: from the run's path to the true one; in_mm: whether the run has millimetres of its own.
+    """
+    fit = pose_hint(estimated, true) or clock_hint(run, truth) or misfit_hint(estimated, true)
+    return tuple(hint for hint in (fit, unit_hint(truth, scale, in_mm)) if hint)
+
+
 def clock_hint(run: Timed, truth: Timed) -> str:
     """A sentence on the shift or the pace of the true times under which the path fits far better; "" where there is
     none."""
@@ -72,14 +82,15 @@ def pose_hint(estimated: Array, true: Array) -> str:
     given = _misfit(estimated, true)
     if given[0] < BAD_FIT and given[1] < BAD_TURN_DEG:
         return ""
-    for reading, meaning in READINGS.items():
-        off, turned = _misfit(estimated, meaning(true))
-        if off < BAD_FIT and turned < BETTER * max(given[1], BAD_TURN_DEG):
-            return (
-                f"the poses fit if the truth's {reading}: rotation median {turned:.2g} deg for {given[1]:.3g}, centres "
-                f"{100 * off:.2g} % of their spread off for {100 * given[0]:.2g} %"
-            )
-    return ""
+    fits = ((*_misfit(estimated, meaning(true)), reading) for reading, meaning in READINGS.items())
+    better = [fit for fit in fits if fit[0] < BAD_FIT and fit[1] < BETTER * max(given[1], BAD_TURN_DEG)]
+    if not better:
+        return ""
+    off, turned, reading = min(better, key=lambda fit: fit[1])  # more than one may do better than half a turn off
+    return (
+        f"the poses fit if the truth's {reading}: rotation median {turned:.2g} deg for {given[1]:.3g}, centres "
+        f"{100 * off:.2g} % of their spread off for {100 * given[0]:.2g} %"
+    )
 
 
 def misfit_hint(estimated: Array, true: Array) -> str:

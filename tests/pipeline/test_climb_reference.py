@@ -152,3 +152,46 @@ def test_a_part_without_true_poses_is_one_sentence(make_run: MakeRun, tmp_path: 
     write_images(tmp_path / "images.txt", np.arange(1, 31), true_poses()[:30])
     with pytest.raises(HaustraError, match="has 0 poses in the part that the run is of"):
         compare_climb(tmp_path, tmp_path / "images.txt")
+
+
+def in_metres(poses: np.ndarray) -> np.ndarray:
+    scaled = poses.copy()
+    scaled[:, :3, 3] /= 1000
+    return scaled
+
+
+@pytest.mark.parametrize(
+    ("stored", "hint"),
+    [
+        (in_metres, "say metres: multiply the truth by 1000"),
+        (lambda poses: np.roll(poses, 6, axis=0), "better with the true times -0.2 s"),
+        (lambda poses: poses @ np.diag([1.0, -1, -1, 1]), "OpenGL's axes"),
+        (np.linalg.inv, "camera_from_world, and world_from_camera is read"),
+        (lambda poses: np.random.default_rng(0).permutation(poses), "the truth of another film"),
+        (lambda poses: poses, ""),
+    ],
+)
+def test_a_wrong_truth_is_named_by_this_protocol_too(make_run: MakeRun, tmp_path: Path, stored, hint: str) -> None:
+    make_run(np.arange(FRAMES))
+    truth = stored(true_poses())
+    write_tum(tmp_path / "truth.tum", np.arange(FRAMES) / FPS, truth)
+    write_images(tmp_path / "images.txt", np.arange(FRAMES) + 1, truth)
+    for reference in ("truth.tum", "images.txt"):
+        found = compare_climb(tmp_path, tmp_path / reference, 20)
+        assert hint in " ".join(found.hints)
+        assert bool(found.hints) == bool(hint)
+        assert ("CAUTION     " in str(found)) == bool(hint)
+
+
+def test_pictures_that_are_counted_from_0_are_named(make_run: MakeRun, tmp_path: Path) -> None:
+    make_run(np.arange(FRAMES))
+    write_images(tmp_path / "images.txt", np.arange(FRAMES), true_poses())
+    assert "CAUTION     the pictures are numbered from 0" in str(compare_climb(tmp_path, tmp_path / "images.txt", 20))
+
+
+def test_a_wrong_truth_is_named_where_nothing_counts(make_run: MakeRun, tmp_path: Path) -> None:
+    make_run(np.arange(FRAMES))
+    write_tum(tmp_path / "truth.tum", np.arange(FRAMES) / FPS, in_metres(true_poses()))
+    said = str(compare_climb(tmp_path, tmp_path / "truth.tum", 100))
+    assert "has enough poses" in said
+    assert "metres" in said
