@@ -18,7 +18,7 @@ from haustra.core.se3 import interpolated
 from haustra.core.text import counted
 from pipeline.compare import asked_seconds, true_path
 from pipeline.finished_run import Run, open_run
-from pipeline.input.pose_files.colmap_poses import read_colmap_poses
+from pipeline.input.pose_files.colmap_poses import images_file, read_colmap_poses
 from pipeline.input.pose_files.pairing import paired
 from pipeline.input.pose_files.pose_table import FilmFrames
 from pipeline.truth.hints import Timed, path_hints
@@ -86,7 +86,7 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
 def read_reference(path: Path, run: Run, film: FilmFrames) -> Reference:
     """The true poses by the film's frames. Each pose of a path with times belongs to the frame that is nearest in time,
     and of several poses of one frame the nearest is taken. HaustraError where the path is of another time."""
-    if path.name == "images.txt":
+    if path.is_file() and images_file(path) is not None:
         numbers, world_from_camera = read_numbered_images(path)
         order = np.argsort(numbers, kind="stable")
         return Reference(numbers[order] - 1, world_from_camera[order], 0 if numbers.min() == 0 else 1)
@@ -143,7 +143,7 @@ def write_submission(run: Path, folder: Path) -> Path:
 
 
 def read_numbered_images(path: Path) -> tuple[NDArray[np.int64], Array]:
-    """Last numbers (N,) in the pictures' names and world_from_camera (N,4,4) of a COLMAP images.txt."""
+    """Last numbers (N,) in the pictures' names and world_from_camera (N,4,4) of the images of a COLMAP model."""
     table = read_colmap_poses(path)
     numbers = [re.findall(r"\d+", Path(name).stem) for name in (table.names if table else None) or ()]
     if table is None or not all(numbers):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
+from pipeline.input.pose_files.colmap_poses import images_file
 from pipeline.input.pose_files.pairing import paired
 from pipeline.truth.hints import Timed, path_hints, surface_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
@@ -190,6 +191,11 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
         return read_tum(trajectory)
     if not truth.exists():
         raise HaustraError(f"there is no file or folder {truth}")
+    if truth.is_file() and images_file(truth) is not None:
+        raise HaustraError(
+            f"{truth} holds images of a COLMAP model, which have no times: compare it with --protocol climb, or give a "
+            "TUM file or an RGB-D folder"
+        )
     if truth.suffix.lower() in (".tum", ".txt", ".csv", "") and truth.is_file():
         return read_tum(truth)
     if truth.suffix.lower() in MESH_FORMATS and truth.is_file():

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from haustra.core.errors import HaustraError
 from pipeline import climb
 from pipeline.climb import compare_climb, write_submission
+from pipeline.compare import true_path
 from pipeline.config import Config, FrameSettings
 from reconstruction.evaluation.climb import ClimbErrors
 from reconstruction.evaluation.trajectory_io import write_tum
@@ -195,3 +196,23 @@ def test_a_wrong_truth_is_named_where_nothing_counts(make_run: MakeRun, tmp_path
     said = str(compare_climb(tmp_path, tmp_path / "truth.tum", 100))
     assert "has enough poses" in said
     assert "metres" in said
+
+
+@pytest.mark.parametrize("name", ["images0.txt", "model.txt", "poses"])
+@pytest.mark.parametrize("comment", ["", "#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n"])
+def test_a_colmap_model_is_known_by_what_it_holds(make_run: MakeRun, tmp_path: Path, name: str, comment: str) -> None:
+    """The protocol that needs times says that it is one, and which protocol takes it."""
+    make_run(np.arange(FRAMES))
+    write_images(tmp_path / "images.txt", np.arange(FRAMES) + 1, true_poses())
+    (tmp_path / name).write_text(comment + (tmp_path / "images.txt").read_text())
+    assert compare_climb(tmp_path, tmp_path / name, 20).matched == 80
+    for model in (name, "images.txt"):
+        with pytest.raises(
+            HaustraError, match="of a COLMAP model, which have no times: compare it with --protocol climb"
+        ):
+            true_path(tmp_path / model, None)
+
+
+def test_a_tum_file_is_no_colmap_model(tmp_path: Path) -> None:
+    write_tum(tmp_path / "truth.txt", np.arange(FRAMES, dtype=float), true_poses())
+    assert len(true_path(tmp_path / "truth.txt", None)[0]) == FRAMES

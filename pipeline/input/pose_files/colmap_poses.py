@@ -14,19 +14,32 @@ from pipeline.input.pose_files.pose_table import Array, PoseTable, rigid
 
 HEAD = struct.Struct("<I7dI")  # number, quaternion w x y z, translation, number of the camera
 IMAGE = re.compile(r"\s*\d+(\s+[-+\d.eE]+){7}\s+\d+\s+[^\n]*[^\W\d]")  # no line of points has a letter
+NAMES = ("images.bin", "images.txt")
+COMMENT, HEAD_BYTES = "IMAGE_ID, QW, QX, QY, QZ", 65536  # of the comment that COLMAP writes, and where it is looked for
 POINT_BYTES = 24  # x, y and the number of the 3-D point
 
 
+def images_file(path: Path) -> Path | None:
+    """The images.bin or images.txt of a COLMAP model: that of a folder, or the file itself; a text may have any name if
+    its comments or its first line are those of COLMAP. None where there is none."""
+    if path.is_dir():
+        return next((path / name for name in NAMES if (path / name).is_file()), None)
+    return path if path.name in NAMES or (path.is_file() and _is_text_of_images(path)) else None
+
+
+def _is_text_of_images(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES).decode("utf-8-sig", "replace").splitlines()
+    comments = [line for line in head if line.startswith("#")]
+    lines = [line for line in head if line.strip() and not line.startswith("#")]
+    return any(COMMENT in line for line in comments) or bool(lines and IMAGE.match(lines[0]))
+
+
 def read_colmap_poses(path: Path) -> PoseTable | None:
-    folder = path if path.is_dir() else path.parent
-    if path.is_file() and path.name not in ("images.txt", "images.bin"):
+    images = images_file(path)
+    if images is None or not images.is_file():
         return None
-    if (folder / "images.bin").is_file() and path.name != "images.txt":
-        found = _binary(folder / "images.bin")
-    elif (folder / "images.txt").is_file():
-        found = _text(folder / "images.txt")
-    else:
-        return None
+    found = _binary(images) if images.name == "images.bin" else _text(images)
     if not found:
         raise HaustraError(f"{path} holds a COLMAP model without images")
     none = next((name for name, (turn, _) in found.items() if not 0 < np.linalg.norm(turn) < np.inf), None)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from haustra.core.errors import HaustraError
-from pipeline.input.pose_files.colmap_poses import read_colmap_poses
+from pipeline.input.pose_files.colmap_poses import images_file, read_colmap_poses
 from pipeline.input.pose_files.pose_table import Array, PoseTable
 from pipeline.input.pose_files.text_poses import read_text_poses
 from pipeline.input.pose_files.tracker_csv import read_hand_eye, read_tracker
@@ -49,7 +49,7 @@ def _check_distances(table: PoseTable) -> None:
 
 def lens_beside(path: Path) -> Path | None:
     """The camera file that comes with poses: of a COLMAP model or of transforms.json; None where there is none."""
-    if path.name in ("images.txt", "images.bin"):
+    if path.is_file() and images_file(path) is not None:
         path = path.parent
     if path.is_file():
         return path if path.suffix.lower() == ".json" else None
