@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation
 from haustra.core.errors import HaustraError
 from haustra.core.se3 import interpolated
 from haustra.core.text import counted
-from pipeline.compare import asked_seconds, true_path
+from pipeline.compare import true_path
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import images_file, read_colmap_poses
 from pipeline.input.pose_files.pairing import paired
 from pipeline.input.pose_files.pose_table import FilmFrames
+from pipeline.truth.film_part import asked_seconds
 from pipeline.truth.hints import Timed, path_hints
 from reconstruction.evaluation.climb import MIN_COMMON, ClimbErrors, climb_errors
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
@@ -64,7 +65,7 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
     finished = open_run(run)
     film = FilmFrames.of(finished.workspace)
     whole = read_reference(reference, finished, film)
-    asked_s, slack = asked_seconds(finished), 0.01 * film.interval  # of times that are rounded
+    asked_s, slack = asked_seconds(finished.workspace), 0.01 * film.interval  # of times that are rounded
     seconds = film.seconds_of(whole.frames)
     truth = whole.rows((seconds >= asked_s[0] - slack) & (seconds < asked_s[1] - slack))
     if len(truth.frames) < min(2, len(whole.frames)):

@@ -11,12 +11,12 @@ from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import images_file
 from pipeline.input.pose_files.pairing import paired
+from pipeline.truth.film_part import FilmPart, cut_note
 from pipeline.truth.hints import Timed, path_hints, surface_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
 from reconstruction.coverage.centreline import NotATube
 from reconstruction.evaluation.coverage_metrics import CoverageErrors, coverage_errors, read_true_wall
 from reconstruction.evaluation.reference_surface import (
-    ALL_TIMES,
     SPACING_MM,
     ReferenceSurface,
     has_wall_by_frames,
@@ -44,7 +44,7 @@ class Comparison:
     millimetres, where it has none.
 
     `coverage` is a sentence where it cannot be judged or compared, and None where the truth has no wall. `hints`:
-    sentences on poses, clocks and units that would explain a bad fit.
+    sentences on poses, clocks and units that would explain a bad fit. `notes`: what of the truth was left out.
     """
 
     posed: int
@@ -57,6 +57,7 @@ class Comparison:
     coverage: CoverageErrors | str | None = None
     hints: tuple[str, ...] = ()
     surface_se3: SurfaceErrors | None = None
+    notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -84,6 +85,7 @@ class Comparison:
             lines.append(f"  in mm     {self.surface_se3}, moved by the path's SE(3)")
         if self.coverage is not None:
             lines.append(f"coverage    {self.coverage}")
+        lines += [f"truth       {note}" for note in self.notes]
         lines += [f"CAUTION     {hint}" for hint in self.hints]
         return "\n".join(lines)
 
@@ -109,10 +111,11 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     # Without a scale of its own the run's path has another unit: only Sim(3) means anything.
     se3 = trajectory_errors(estimated, true, "se3", "mm") if metrics["submaps"][0]["unit"] == "mm" else None
     simcol3d = simcol3d_errors(estimated, true, "mm")
-    between_s = asked_seconds(finished)
-    points, surface, surface_se3 = _true_surface(truth, spacing_of(tau), true_seconds, between_s), None, None
+    part = FilmPart.of(finished.workspace)
+    of_whole = not part.is_less_than(true_seconds)
+    points, surface, surface_se3 = _true_surface(truth, spacing_of(tau), true_seconds, part), None, None
     truth_from_run = align_poses(estimated, true)
-    coverage = _coverage(finished, truth_from_run, truth)
+    coverage = _coverage(finished, truth_from_run, truth, of_whole)
     if points is not None:
         mesh = read_mesh(finished.mesh)
         surface = _surface(mesh, truth_from_run, points, tau)
@@ -122,26 +125,22 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     path = Timed(seconds, world_from_camera[:, :3, 3])
     hints = path_hints(path, true_path_of_run, estimated, true, sim3.scale, se3 is not None)
     of_wall = surface_hint(points.seen, true_path_of_run.centres) if points is not None else ""
-    of_part = part_hint(truth, between_s) if points is not None else ""
+    of_part = part_hint(truth) if points is not None and not of_whole else ""
     found = tuple(hint for hint in (*hints, of_wall, of_part) if hint)
+    notes = cut_note(part, true_seconds) if points is not None and _knows_wall_by_frames(truth) else ()
     counts = metrics["frames"]["posed"], metrics["frames"]["total"], len(finished.submaps)
-    return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3)
+    return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3, notes)
 
 
-def asked_seconds(run: Run) -> tuple[float, float]:
-    """First second of the film that a run was asked for, and the one before which it was to end."""
-    asked = run.workspace.config.frames
-    first, last = ALL_TIMES
-    return asked.start_s or first, last if asked.end_s is None else asked.end_s
-
-
-def part_hint(truth: Path, between_s: tuple[float, float]) -> str:
+def part_hint(truth: Path) -> str:
     """A sentence where a run is of a part of the film, and its surface is measured against the wall of the whole."""
-    if between_s == ALL_TIMES:
-        return ""
-    if truth.is_dir() and (read_data_set_truth(truth) is not None or has_wall_by_frames(truth)):
+    if _knows_wall_by_frames(truth):
         return ""
     return "the run is of a part of the film and the true wall of the whole: recall counts what the run never saw"
+
+
+def _knows_wall_by_frames(truth: Path) -> bool:
+    return truth.is_dir() and (read_data_set_truth(truth) is not None or has_wall_by_frames(truth))
 
 
 def spacing_of(tau: float) -> float:
@@ -155,7 +154,9 @@ def _surface(
     return surface_errors(mesh.transformed(truth_from_run), points, tau, np.random.default_rng(0), "mm")
 
 
-def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> CoverageErrors | str | None:
+def _coverage(
+    run: Run, truth_from_run: NDArray[np.float64], truth: Path, of_whole: bool
+) -> CoverageErrors | str | None:
     """The run's own coverage, moved to the truth, against the true wall's own flags."""
     if not truth.is_dir():
         return None
@@ -167,7 +168,7 @@ def _coverage(run: Run, truth_from_run: NDArray[np.float64], truth: Path) -> Cov
             return "not compared: mesh.ply of the truth does not hold the wall that no frame saw"
     if wall is None:
         return None
-    if asked_seconds(run) != ALL_TIMES:
+    if not of_whole:
         return "not compared: the run is of a part of the film, and the truth knows what the whole of it saw"
     try:
         coverage = run.measure_coverage()
@@ -204,9 +205,9 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def _true_surface(
-    truth: Path, spacing_mm: float, seconds: NDArray[np.float64], between_s: tuple[float, float]
+    truth: Path, spacing_mm: float, seconds: NDArray[np.float64], part: FilmPart
 ) -> ReferenceSurface | None:
-    """The surface that the truth shows, in points `spacing_mm` apart, to frames between two seconds alone where it
+    """The surface that the truth shows, in points `spacing_mm` apart, to frames of a part of the film alone where it
     knows what each frame saw; None where it has none. seconds: (N,) of the true poses."""
     if not truth.is_dir():
         return None
@@ -215,6 +216,7 @@ def _true_surface(
             f"the F-score at {2 * spacing_mm:g} mm cannot be measured; from {LEAST_TAU_MM:g} mm on it can (--tau-mm)"
         )
     if (known := read_data_set_truth(truth)) is not None:
-        return known.surface(spacing_mm, (seconds >= between_s[0]) & (seconds < between_s[1]))
+        return known.surface(spacing_mm, part.holds(seconds))
     has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
+    between_s = part.from_s, part.to_s
     return read_reference_surface(truth, spacing_mm=spacing_mm, between_s=between_s) if has_surface else None
