@@ -16,6 +16,7 @@ from torch import Tensor
 
 from completion.data.draws import moved, normal_draws, on_host, uniform_draws
 from haustra.core.errors import CompletionError
+from haustra.core.text import counted
 
 VALIDATION_SHARE = 0.05  # of the meshes
 
@@ -59,6 +60,20 @@ class Shard:
         held_out = meshes[len(meshes) - validation_meshes(len(meshes)) :]
         validation = np.isin(self.colon, held_out)
         return np.flatnonzero(~validation), np.flatnonzero(validation)
+
+    def too_few_for(self, batch: int) -> str:
+        """What keeps training in batches of so many frames from it, a sentence that begins after the folder's name; ""
+        where nothing does."""
+        (training, held_out), frames, meshes = self.split(), len(self.colon), len(np.unique(self.colon))
+        why = "held out to measure the error on"
+        if meshes < 2:
+            shown = f"{counted(frames, 'frame')} of {counted(meshes, 'mesh', 'meshes')}"
+            return f"has {shown}: whole meshes are {why}, so two or more are needed"
+        if len(training) < batch:
+            held = f"{len(held_out)} of its {frames}, those of {validation_meshes(meshes)} of {meshes} meshes"
+            few = f"{counted(len(training), 'frame')} to train on, fewer than a batch of {batch}"
+            return f"has {few}: {held}, are {why}"
+        return ""
 
     def batch(self, index: NDArray[np.int64], device: torch.device | None = None) -> "Batch":
         """Frames of sorted indices; on a device they are turned into floats there."""

@@ -283,8 +283,7 @@ def _check(shards: list[Shard], config: TrainConfig, processes: int) -> None:
     if config.passes and len(shards_of_one_size(shards) if config.mix_shards else shards) > 1:
         raise CompletionError("passes over all frames need frames of one size, in one batch")
     for shard, folder in zip(shards, config.shards, strict=True):
-        training, held_out = shard.split()
-        if len(training) < config.batch or not len(held_out):
-            raise CompletionError(f"{folder} has {len(training)} frames to train on: fewer than a batch")
+        if too_few := shard.too_few_for(config.batch):
+            raise CompletionError(f"{folder} {too_few}")
         if find_entry(config.model).needs_intrinsics and shard.lenses is None:
             raise CompletionError(f"{folder} has no intrinsics.npy, which {config.model} needs")

@@ -9,7 +9,7 @@ import torch
 from completion.data.shards import Shard
 from completion.networks.checkpoint import load_tensors, save_tensors
 from completion.training.config import make_config
-from completion.training.train import TrainingState, learning_rate, train_step
+from completion.training.train import TrainingState, learning_rate, train, train_step
 from haustra.core.errors import CompletionError
 
 
@@ -50,3 +50,32 @@ def test_a_checkpoint_without_the_norm_of_clipping_is_one_of_norm_1(tmp_path: Pa
     other = TrainingState(config.model_copy(update={"clip": 0.0}))
     with pytest.raises(CompletionError, match="other clip"):
         other.resume()
+
+
+@pytest.mark.parametrize(
+    ("colon", "said"),
+    [
+        (
+            [3] * 6,
+            "has 6 frames of 1 mesh: whole meshes are held out to measure the error on, so two or more are needed",
+        ),
+        ([], "has 0 frames of 0 meshes"),
+        (
+            [0, 0, 1, 1, 1],
+            "has 2 frames to train on, fewer than a batch of 4: 3 of its 5, those of 1 of 2 meshes, are held",
+        ),
+        ([0, 0, 0, 0, 1], None),
+    ],
+)
+def test_frames_of_too_few_meshes_are_told_with_what_is_held_out(
+    tmp_path: Path, colon: list[int], said: str | None
+) -> None:
+    np.save(tmp_path / "images.npy", np.zeros((len(colon), 32, 32, 3), np.uint8))
+    np.save(tmp_path / "depths.npy", np.zeros((len(colon), 32, 32), np.float16))
+    np.save(tmp_path / "colon.npy", np.array(colon, np.int32))
+    config = make_config(shards=(tmp_path,), out=tmp_path / "w", batch=4, steps=1)
+    if said is None:
+        assert Shard.open(tmp_path).too_few_for(4) == ""
+    else:
+        with pytest.raises(CompletionError, match=said):
+            train(config)
