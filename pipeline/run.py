@@ -6,6 +6,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from completion.weights.shipped_weights import SHIPPED_WEIGHTS, check_whole, resolve_weights, validate_weights
+from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SaidOnce, SilentProgress
 from pipeline.config import Config
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -63,8 +64,10 @@ def reconstruct(
 
     Finished stages stay on disk whatever happens, and `resume` goes on from them. profile: write the time and memory of
     each stage into `metrics.json`, and say them. Raises `HaustraError` (one sentence) for input that cannot be
-    reconstructed.
+    reconstructed, and for a config that is no `Config`.
     """
+    if not isinstance(config, Config | None):
+        raise HaustraError(f"config must be a haustra.Config, such as Config(seed=1), not a {type(config).__name__}")
     config, progress = _with_lens_of_poses(config or Config()), SaidOnce(progress or SilentProgress())
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)

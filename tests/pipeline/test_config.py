@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import pydantic
 import pytest
 import yaml
 
+from haustra import Config, reconstruct
 from haustra.core.errors import HaustraError
 from haustra.core.unique_yaml import load_unique
 from pipeline.config import load_config, read_recorded, retired_differences, validate_config
@@ -113,3 +115,16 @@ def test_a_section_that_stands_twice_is_refused_and_named(tmp_path):
 def test_merged_sections_and_names_of_two_kinds_are_no_repetition():
     text = "base: &b {a: 1}\nmid: &m {<<: *b, a: 2}\ntop: {<<: *m}\nmixed: {1: x, '1': y}\nagain: *m\n"
     assert load_unique(text) == yaml.safe_load(text)
+
+
+@pytest.mark.parametrize("config", [{"seed": 1}, "settings.yaml"])
+def test_reconstruct_names_what_settings_must_be(tmp_path, config):
+    with pytest.raises(HaustraError, match=rf"must be a haustra\.Config, .*, not a {type(config).__name__}"):
+        reconstruct(tmp_path / "film.mp4", tmp_path / "run", config=config)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_setting_of_another_type_is_the_error_that_the_documentation_names():
+    with pytest.raises(ValueError, match="seed") as caught:
+        Config(seed="x")
+    assert isinstance(caught.value, pydantic.ValidationError)
