@@ -219,3 +219,14 @@ def test_a_new_format_is_one_row_for_plain_and_textured_export(mesh, tmp_path, m
     monkeypatch.setitem(MESH_FORMATS, ".bare", MeshFormat(write))
     with pytest.raises(ReconstructionError, match=r"without faces can be written as \.ply, \.pcd, \.toy only"):
         write_mesh(SurfaceMesh.from_triangles([], []), tmp_path / "b.bare")
+
+
+def test_other_programs_find_confidence_where_the_guide_says(mesh, tmp_path):
+    """docs/guide/open_elsewhere.md: which readers of Open3D and trimesh keep it."""
+    path, io = write_mesh(mesh, tmp_path / "mesh.ply"), import_open3d().t.io
+    cloud, drawn = io.read_point_cloud(str(path)), io.read_triangle_mesh(str(path))
+    kept = trimesh.load(path).metadata["_ply_raw"]["vertex"]["data"]
+    for name, expected in (("confidence", mesh.confidence), ("observations", mesh.observations)):
+        np.testing.assert_allclose(cloud.point[name].numpy().ravel(), expected, rtol=1e-6)
+        np.testing.assert_allclose(kept[name], expected, rtol=1e-6)
+        assert name not in drawn.vertex
