@@ -64,6 +64,8 @@ def test_colmap_opens_its_folder_in_text_and_binary(made, tmp_path, monkeypatch,
     assert export(monkeypatch, made, tmp_path / "out", "--colmap") == 0
     model = tmp_path / "out/sparse/0"
     assert capsys.readouterr().out == f"{model}\n"
+    both = [f"{name}{suffix}" for name in ("cameras", "images", "points3D") for suffix in (".txt", ".bin")]
+    assert {path.name for path in model.iterdir()} == {*both, "rigs.bin", "frames.bin"}  # as docs/reference/cli.md says
     frames = made.completed[0].submap.frames.tolist()
     for gone in (".bin", ".txt"):  # the second time the other form is read
         done = subprocess.run([sys.executable, "-c", CODE, str(model)], capture_output=True, text=True, check=True)
