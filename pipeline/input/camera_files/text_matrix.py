@@ -15,6 +15,7 @@ from pipeline.input.camera_files.calibrated_lens import CalibratedLens, from_mat
 from pipeline.input.camera_files.document import CameraDocument
 
 ENTRIES = 9
+SIMCOL3D = (227.60416, 0, 227.60416, 0, 237.5, 237.5, 0, 0, 1)  # its cam.txt, whose third number should be 237.5
 BESIDE = (("intrinsics", "distortion"), ("intrinsic", "distortion"))
 
 
@@ -25,7 +26,8 @@ def read_text_matrix(document: CameraDocument) -> CalibratedLens | None:
     if numbers is None or len(numbers) < ENTRIES:
         return None
     matrix, terms = np.array(numbers[:ENTRIES]).reshape(3, 3), numbers[ENTRIES:]
-    if matrix[0, 2] == matrix[0, 0] and matrix[1, 1] == matrix[1, 2]:
+    # By its own numbers: of a camera of 90 degrees, too, the third number is the focal length.
+    if np.allclose(matrix.ravel(), SIMCOL3D, rtol=0, atol=1e-3):
         raise HaustraError(
             "its third number repeats the focal length, a slip of SimCol3D's cam.txt; take --camera simcol3d"
         )

@@ -140,6 +140,15 @@ def test_text_in_two_files_and_by_columns(tmp_path):
         read_lens(tmp_path / "calib.left.distortion.txt")
 
 
+def test_a_matrix_of_90_degrees_is_no_slip_of_simcol3d(tmp_path):
+    """Its focal length is half the picture's side, as its centre is; a skew beside it is called by its name."""
+    (tmp_path / "k.txt").write_text("120 0 120\n0 120 120\n0 0 1\n")
+    assert read_lens(tmp_path / "k.txt")[1].params == (120, 120, 120.5, 120.5)
+    (tmp_path / "k.txt").write_text("120 5 120\n0 120 120\n0 0 1\n")
+    with pytest.raises(HaustraError, match="skew of 5 px"):
+        read_lens(tmp_path / "k.txt")
+
+
 def test_scaled_where_the_ratio_says_so_and_refused_otherwise(tmp_path):
     (tmp_path / "ros.yaml").write_text(ROS)
     half = calibrate(str(tmp_path / "ros.yaml"), tmp_path, (320, 240), (0, 0, 320, 240))
