@@ -4,6 +4,7 @@ Only what the pipeline needs: project, unproject, crop and scale, read and write
 reads them from a `haustra.core.ray_table.RayTable`.
 """
 
+import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -186,27 +187,46 @@ def read_camera(path: Path) -> Camera:
     """A camera from `camera.json` (model, width, height, params)."""
     fields = read_json(path)
     try:
-        return Camera(
-            str(fields["model"]),
-            int(fields["width"]),
-            int(fields["height"]),
-            tuple(float(p) for p in fields["params"]),
-            _boolean(fields.get("trusted", True)),
-        )
+        width, height = (whole_number(fields[name], name) for name in ("width", "height"))
+        if not isinstance(fields["params"], list):
+            raise HaustraError(f"params is {_shown(fields['params'])}, and must be a list of numbers")
+        params = tuple(_number(value, "params") for value in fields["params"])
+        return Camera(str(fields["model"]), width, height, params, _boolean(fields.get("trusted", True)))
     except HaustraError as error:
         raise HaustraError(f"{path}: {error}") from error
     except KeyError as error:
         raise HaustraError(f"{path} is not a camera file: it lacks {error.args[0]}") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise HaustraError(
-            f"{path} is not a camera file: it must be JSON with model, width, height and params ({error})"
-        ) from error
+
+
+def whole_number(value: Any, name: str) -> int:
+    """A number of pixels as a file has it. HaustraError, with the value's name, for any other value."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value  # also one too large for a float, which is refused as a size
+    number = _number(value, name)
+    if not number.is_integer():
+        raise HaustraError(f"{name} is {_shown(value)}, and must be a whole number of pixels")
+    return int(number)
+
+
+def _number(value: Any, name: str) -> float:
+    """HaustraError for what is no number; true and false are none, though Python counts with them."""
+    try:
+        if not isinstance(value, bool):
+            return float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise HaustraError(f"{name} holds {_shown(value)}, which is no number that a camera has")
 
 
 def _boolean(value: Any) -> bool:
     if not isinstance(value, bool):
-        raise ValueError(f"trusted is {value!r}, and must be true or false")
+        raise HaustraError(f"trusted is {_shown(value)}, and must be true or false")
     return value
+
+
+def _shown(value: Any) -> str:
+    """As JSON writes it, and not for pages."""
+    return json.dumps(value, default=str)[:40]
 
 
 def guess_camera(width: int, height: int, content: tuple[int, int, int, int], fov_deg: float = 100.0) -> Camera:

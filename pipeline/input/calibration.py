@@ -4,8 +4,11 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from haustra.core.camera import Camera, guess_camera
 from haustra.core.errors import HaustraError
+from pipeline.input.camera_files.calibrated_lens import CalibratedLens
 from pipeline.input.camera_files.registry import read_lens
 from pipeline.input.camera_presets import PRESETS
 from pipeline.input.endomapper_scopes import colonoscope_across
@@ -15,6 +18,13 @@ from pipeline.input.endomapper_scopes import colonoscope_across
 FARTHEST_CENTRE = 0.15
 MOST_BEYOND = 0.9  # share of the content: a lens that turns back before it is no lens of this picture
 WORTH_SAYING = 0.01
+# Of the two focal lengths. Frames are stretched until their pixels are square, and real files go to 1.011. A film that
+# does not say the shape of its pixels may keep them as stored: DV's widest are 1.46 times as wide as high.
+MOST_FOCAL_RATIO = 1.5
+LEAST_VIEW_DEG = 4.0  # endoscopes see 30 degrees and more, a microscope or an exoscope over the patient about 6
+TANGENTIAL = ("OPENCV", "FULL_OPENCV")  # models with p1 and p2
+MOST_FOLDED = 0.1  # share of the picture that they may cost; those of real files, to 0.014, cost nothing
+GRID = 48  # points a side at which that is asked
 
 
 @dataclass(frozen=True)
@@ -51,12 +61,61 @@ def check_choice(choice: str, source: Path) -> None:
     if choice == "auto":
         beside = source / "camera.json"
         if source.is_dir() and beside.exists():
-            read_lens(beside)
+            _read(beside)
     elif choice not in PRESETS:
         _check_not_of_run(Path(choice))
         if not Path(choice).is_file():
             raise HaustraError(f"--camera '{choice}' is neither 'auto', a file, nor a preset ({', '.join(PRESETS)})")
-        read_lens(Path(choice))
+        _read(Path(choice))
+
+
+def _read(path: Path) -> tuple[str, CalibratedLens]:
+    """A camera file's format and lens. HaustraError for a lens that cannot be of the picture size that it names."""
+    kind, lens = read_lens(path)
+    if lens.size is not None:
+        refuse_impossible(Camera(lens.model, *lens.size, lens.params), f"the lens of {path}")
+    return kind, lens
+
+
+def refuse_impossible(camera: Camera, which: str, most_ratio: float = MOST_FOCAL_RATIO) -> None:
+    """HaustraError, one sentence about `which` lens, for numbers that no camera has: they would let every later stage
+    fail, and the film would be blamed. most_ratio: of the focal lengths."""
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    size, wrong = f"{camera.width}x{camera.height} pixels", ""
+    ratio, view, folded = max(fx, fy) / min(fx, fy), max(camera.field_of_view()), 0.0
+    if ratio > most_ratio:
+        wrong = (
+            f"its focal lengths, {fx:.6g} and {fy:.6g} px, differ by a factor of {ratio:.3g}, and the pixels of an "
+            f"endoscope's film are square to within a factor of {most_ratio:g}"
+        )
+    elif not (0 <= cx <= camera.width and 0 <= cy <= camera.height):
+        wrong = f"its centre ({cx:.6g}, {cy:.6g}) lies outside its picture of {size}"
+    elif view < LEAST_VIEW_DEG:
+        wrong = (
+            f"by its focal length, {camera.focal_px:.6g} px, and its distortion it sees {view:.2g} degrees across "
+            f"{size}, and no endoscope sees less than {LEAST_VIEW_DEG:g}"
+        )
+    elif (folded := _share_folded(camera)) > MOST_FOLDED:
+        p1, p2 = camera.distortion[2:4]
+        wrong = (
+            f"its tangential terms, p1 = {p1:.6g} and p2 = {p2:.6g}, fold the picture onto itself: no ray belongs to "
+            f"{100 * folded:.0f} % of it"
+        )
+    if wrong:
+        raise HaustraError(f"{which} is impossible: {wrong}; are the numbers right, and in their order?")
+
+
+def _share_folded(camera: Camera) -> float:
+    """Share of the picture to which no ray belongs because of the tangential terms, and one would without them."""
+    if camera.model not in TANGENTIAL or not any(camera.distortion[2:4]):
+        return 0.0
+    steps = (np.arange(GRID) + 0.5) / GRID
+    columns, rows = np.meshgrid(steps * camera.width, steps * camera.height)
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    plane, known = camera.unproject(pixels)
+    known &= np.linalg.det(camera.pixel_jacobian(plane)) > 0  # negative where the picture is folded over
+    _, reached = replace(camera, params=(*camera.params[:6], 0.0, 0.0, *camera.params[8:])).unproject(pixels)
+    return float((reached & ~known).mean())
 
 
 def _check_not_of_run(path: Path) -> None:
@@ -73,7 +132,7 @@ def _check_not_of_run(path: Path) -> None:
 
 def _from_file(path: Path, size: tuple[int, int]) -> Calibration:
     """A file's lens scales with the picture too; one without a size is taken for these frames where that can be."""
-    kind, lens = read_lens(path)
+    kind, lens = _read(path)
     known = path.name + (f", {kind}" if kind != path.name else "") + (f" ({lens.note})" if lens.note else "")
     if lens.size is None:
         camera = Camera(lens.model, *size, lens.params, lens.trusted)
@@ -82,6 +141,7 @@ def _from_file(path: Path, size: tuple[int, int]) -> Calibration:
                 f"{path} names no picture size, and its centre ({camera.centre[0]:.0f}, {camera.centre[1]:.0f}) is not "
                 f"that of frames of {size[0]}x{size[1]} pixels; say in a camera.json for which size it is"
             )
+        refuse_impossible(camera, f"the lens of {path}")
         return Calibration(camera, f"file {known}, which names no size: taken for {size[0]}x{size[1]} pixels")
     camera = Camera(lens.model, *lens.size, lens.params, lens.trusted)
     if lens.size == size:

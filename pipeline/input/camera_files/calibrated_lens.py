@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.camera import whole_number
 from haustra.core.errors import HaustraError
 
 HALF_PIXEL = 0.5  # OpenCV counts from the centre of the first pixel, COLMAP from its corner
@@ -83,7 +84,12 @@ def size_of(fields: dict[str, Any], width: str, height: str) -> Size | None:
     """The size under two names; None where either is missing."""
     if width not in fields or height not in fields:
         return None
-    return int(fields[width]), int(fields[height])
+    return whole_size(fields[width], fields[height])
+
+
+def whole_size(width: Any, height: Any) -> Size:
+    """Of two values as a file has them. HaustraError where one is no whole number of pixels."""
+    return whole_number(width, "its width"), whole_number(height, "its height")
 
 
 def array_of(values: Any) -> NDArray[np.float64]:

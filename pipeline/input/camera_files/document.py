@@ -14,6 +14,7 @@ from haustra.core.text import read_text
 
 LARGEST = 64 << 20  # bytes; transforms.json of a long film has some megabytes
 OPENCV_MARKS = ("%YAML", "<?xml", "<opencv_storage")  # its YAML begins with %YAML:1.0, of OpenCV 5 with %YAML 1.2
+NUMBERS = re.compile(r"(f|c|fl_)[xy]|[kp]\d|(image_?)?(width|height)|[wh]", re.IGNORECASE)  # names that hold one
 MATRIX = {"rows", "cols", "dt", "data"}
 
 
@@ -51,12 +52,33 @@ def _fields(path: Path, text: str) -> dict[str, Any]:
             raise HaustraError(f"{path} is not whole JSON{where}") from error
         if not isinstance(found, dict):
             raise HaustraError(f"{path} must hold a JSON object with names, not {type(found).__name__}")
-        return found
+        return _without_truth(path, found)
     try:
         found = next(yaml.safe_load_all(text), None)  # ROS ends each message that it prints with ---
     except (yaml.YAMLError, RecursionError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return _without_truth(path, found) if isinstance(found, dict) else {}
+
+
+def _without_truth(path: Path, fields: dict[str, Any]) -> dict[str, Any]:
+    """The same. HaustraError for true and false in the place of a number, which Python would read as 1 and 0."""
+
+    seen = set[int]()  # an alias within itself has no end
+
+    def look(value: Any, name: str) -> None:
+        if id(value) in seen:
+            return
+        seen.add(id(value))
+        parts = value.items() if isinstance(value, dict) else [(name, one) for one in value]
+        among_numbers = isinstance(value, list) and any(type(one) in (int, float) for one in value)
+        for inner, one in parts:
+            if isinstance(one, bool) and (among_numbers or NUMBERS.fullmatch(str(inner).split(".")[-1])):
+                raise HaustraError(f"{path} has {str(one).lower()} in {inner}, where a number belongs")
+            if isinstance(one, dict | list):
+                look(one, str(inner))
+
+    look(fields, "")
+    return fields
 
 
 def _opencv_fields(path: Path, text: str) -> dict[str, Any]:

@@ -4,7 +4,7 @@ github.com/ethz-asl/kalibr/wiki/yaml-formats
 """
 
 from haustra.core.errors import HaustraError
-from pipeline.input.camera_files.calibrated_lens import CalibratedLens, from_opencv
+from pipeline.input.camera_files.calibrated_lens import CalibratedLens, from_opencv, whole_size
 from pipeline.input.camera_files.document import CameraDocument
 
 
@@ -21,4 +21,4 @@ def read_kalibr(document: CameraDocument) -> CalibratedLens | None:
     width, height = values["resolution"]
     terms = [] if distortion == "none" else list(values["distortion_coeffs"])
     note = f"{first} of {len(cameras)} cameras" if len(cameras) > 1 else ""
-    return from_opencv(fx, fy, cx, cy, terms, (int(width), int(height)), distortion == "equidistant", note)
+    return from_opencv(fx, fy, cx, cy, terms, whole_size(width, height), distortion == "equidistant", note)

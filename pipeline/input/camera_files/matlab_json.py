@@ -10,7 +10,7 @@ import numpy as np
 
 from haustra.core.errors import HaustraError
 from haustra.core.lenses.scaramuzza import parameters_of
-from pipeline.input.camera_files.calibrated_lens import HALF_PIXEL, CalibratedLens, array_of, from_matrix
+from pipeline.input.camera_files.calibrated_lens import HALF_PIXEL, CalibratedLens, array_of, from_matrix, whole_size
 from pipeline.input.camera_files.document import CameraDocument
 
 MATLAB_FIRST = 1.0  # the coordinate of the centre of the first pixel
@@ -58,4 +58,4 @@ def _size(fields: dict[str, Any]) -> tuple[int, int] | None:
     if not fields.get("ImageSize"):
         return None
     rows, columns = fields["ImageSize"]
-    return int(columns), int(rows)
+    return whole_size(columns, rows)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from haustra.core.errors import HaustraError
-from pipeline.input.camera_files.calibrated_lens import CalibratedLens, from_matrix
+from pipeline.input.camera_files.calibrated_lens import CalibratedLens, from_matrix, whole_size
 from pipeline.input.camera_files.document import CameraDocument
 
 MATRICES = ("cameramatrix", "k", "intrinsicmatrix", "mtx", "m1", "k1", "cameramatrixleft", "cameramatrix1")
@@ -86,13 +86,13 @@ def _numbers(value: Any) -> Any:
 def _size(fields: dict[str, Any]) -> tuple[int, int] | None:
     for width, height in zip(WIDTHS, HEIGHTS, strict=True):
         if width in fields and height in fields:
-            return int(fields[width]), int(fields[height])
+            return whole_size(fields[width], fields[height])
     for name in SIZES:
         if name in fields and _numbers(fields[name]).size == 2:
             width, height = _numbers(fields[name]).ravel()
-            return int(width), int(height)
+            return whole_size(width, height)
     for name in AREAS:
         if name in fields and _numbers(fields[name]).size == 4:
             x, y, width, height = _numbers(fields[name]).ravel()
-            return (int(width), int(height)) if x == y == 0 else None
+            return whole_size(width, height) if x == y == 0 else None
     return None

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from haustra.core.errors import HaustraError
-from pipeline.input.camera_files.calibrated_lens import CalibratedLens, array_of, from_matrix
+from pipeline.input.camera_files.calibrated_lens import CalibratedLens, array_of, from_matrix, whole_size
 from pipeline.input.camera_files.document import CameraDocument
 
 BROWN = ("plumb_bob", "rational_polynomial")
@@ -19,7 +19,7 @@ def read_camera_info(document: CameraDocument) -> CalibratedLens | None:
     if model not in (*BROWN, *FISHEYE):
         raise HaustraError(f"its distortion_model {model!r} is none of {', '.join((*BROWN, *FISHEYE))}")
     matrix, terms = _first(fields, "camera_matrix", "K", "k"), _first(fields, "distortion_coefficients", "D", "d")
-    size = int(_first(fields, "image_width", "width")), int(_first(fields, "image_height", "height"))
+    size = whole_size(_first(fields, "image_width", "width"), _first(fields, "image_height", "height"))
     lens = from_matrix(_data(matrix).reshape(3, 3), _data(terms).ravel().tolist(), size, model in FISHEYE)
     return _of_part(lens, fields.get("roi") or {})
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
-from pipeline.input.calibration import FARTHEST_CENTRE
+from pipeline.input.calibration import FARTHEST_CENTRE, MOST_FOCAL_RATIO, refuse_impossible
 from pipeline.input.stereo.rig_file import StereoRig
 
 Picture = NDArray[np.uint8]
@@ -26,6 +26,7 @@ SMOOTHING = 2  # iterations; OpenCV's 5 bring near and far wall 0.05 px closer t
 PRECISION_PX = 0.3  # of a disparity
 FEWEST_MATCHES = 30
 RATIO = 0.75  # of a match's distance to the second best one's
+MOST_EYE_RATIO = 2 * MOST_FOCAL_RATIO  # of focal lengths: films of two eyes may keep each at half its width
 MOST_OFF_ROW = 0.01  # of the height, in the median: rectified matches lie on one row
 
 
@@ -127,6 +128,8 @@ def rectify(rig: StereoRig, size: tuple[int, int]) -> RectifiedRig:
             matrix[:2, 2] += 0.5
             matrix[:2] *= scale
             matrix[:2, 2] -= 0.5
+    for name, matrix, terms in (("first", first, rig.first_terms), ("second", second, rig.second_terms)):
+        _check_eye(name, matrix, terms, size)
     lenses = (first, rig.first_terms, second, rig.second_terms)
     turn1, turn2, new1, new2, *_ = cv2.stereoRectify(
         *lenses, size, rig.turn, rig.shift.reshape(3, 1), flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
@@ -138,6 +141,15 @@ def rectify(rig: StereoRig, size: tuple[int, int]) -> RectifiedRig:
     params = (new1[0, 0], new1[1, 1], new1[0, 2] + 0.5, new1[1, 2] + 0.5)
     camera = Camera("PINHOLE", *size, tuple(float(value) for value in params))
     return RectifiedRig(camera, (maps[0], maps[1]), rig.baseline_mm)
+
+
+def _check_eye(name: str, matrix: NDArray[np.float64], terms: NDArray[np.float64], size: tuple[int, int]) -> None:
+    """HaustraError for the lens of one eye that cannot be of its pictures; OpenCV's terms beyond eight are small."""
+    (fx, _, cx), (_, fy, cy) = matrix[:2]
+    distortion = np.zeros(8)
+    distortion[: len(terms)] = terms[:8]
+    eye = Camera("FULL_OPENCV", *size, tuple(map(float, (fx, fy, cx + 0.5, cy + 0.5, *distortion))))
+    refuse_impossible(eye, f"the stereo calibration's {name} camera", MOST_EYE_RATIO)
 
 
 def _flows(left: Picture, right: Picture) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -148,6 +148,10 @@ def test_presets_scale_with_the_frame_and_refuse_another_shape(name, tmp_path):
         ({"model": "OMNI", "width": 320, "height": 320, "params": [1]}, "unknown camera model"),
         ({"model": "PINHOLE", "width": 320, "height": 320, "params": [1, 2, 3]}, "takes 4 parameters"),
         ({"model": "PINHOLE", "width": 320, "height": 320, "params": [-1, 2, 3, 4]}, "positive"),
+        ({"model": "PINHOLE", "width": 320, "height": 320, "params": None}, "params is null, and must be a list of"),
+        ({"model": "PINHOLE", "width": 320, "height": 320, "params": [True, 2, 3, 4]}, "params holds true, which is"),
+        ({"model": "PINHOLE", "width": 320, "height": 320, "params": ["a", 2, 3, 4]}, 'params holds "a", which is no'),
+        ({"model": "PINHOLE", "width": 320.5, "height": 320, "params": [1, 2, 3, 4]}, "width is 320.5, and must be a"),
         ({"model": "PINHOLE", "width": 320, "height": 320, "params": [float("nan"), 2, 3, 4]}, "finite"),
     ],
 )

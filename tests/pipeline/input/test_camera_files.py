@@ -197,6 +197,10 @@ def test_a_file_without_a_size(tmp_path):
         ("a.yaml", ROS.replace("410.0", "-410.0"), "focal length positive"),
         ("a.txt", "1 PINHOLE 640 480 2.8 2.8 320 240\n", "focal length is 2.8; it must be in pixels"),
         ("a.json", json.dumps(PYTHON_JSON | {"camera_matrix": [[2.8, 0, 322], [0, 2.8, 238], [0, 0, 1]]}), "be in mm"),
+        ("a.yaml", ROS.replace("640", "640.5"), "its width is 640.5, and must be a whole number of pixels"),
+        ("a.yaml", KALIBR.replace("[640", "[640.5"), "its width is 640.5, and must be a whole number of pixels"),
+        ("a.json", json.dumps(NERFSTUDIO | {"cx": True}), "has true in cx, where a number belongs"),
+        ("a.yaml", ROS.replace("[410.0", "[true"), "has true in data, where a number belongs"),
         ("a.yaml", ROS.replace("640", "1" + 400 * "0"), "over 100000 pixels a side"),
     ],
 )
