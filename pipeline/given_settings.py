@@ -3,15 +3,41 @@
 Part of `pipeline.config`.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+WITHOUT_STEREO = (
+    "what is said of a second eye (--stereo-layout, --stereo-right) needs the calibration of both (--stereo)"
+)
 LUMEN_MM = (1, 200)  # median diameter, from a bronchus to a stomach
 
 
 class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _truth_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """true and false, also by their other names in YAML (yes, off), are none: Python would count them 1 and 0."""
+        given = value if isinstance(value, list | tuple) else [value]
+        if any(isinstance(one, bool) for one in given):
+            kind = cls.model_fields[str(info.field_name)].annotation
+            if _holds(kind, float) and not _holds(kind, bool):
+                raise ValueError(f"{' and '.join(_truths(given))} is no number; give one")
+        return value
+
+
+def _truths(values: Any) -> list[str]:
+    """The truth values among some, as YAML writes them."""
+    return sorted({str(one).lower() for one in values if isinstance(one, bool)})
+
+
+def _holds(kind: Any, wanted: type) -> bool:
+    """Whether an annotation is a type or a union or collection with it; float: any number."""
+    if kind is wanted or (wanted is float and kind is int):
+        return True
+    return any(_holds(part, wanted) for part in get_args(kind))
 
 
 def _lumen(diameter: float) -> float:
@@ -68,3 +94,9 @@ class StereoSettings(Settings):
         "side-by-side", description="of the two eyes in a picture, the left one first"
     )
     right: str | None = Field(None, description="film of the right eye, where it has one of its own")
+
+    @model_validator(mode="after")
+    def _has_a_calibration(self) -> "StereoSettings":
+        if self.calibration is None and (self.right is not None or self.layout != "side-by-side"):
+            raise ValueError(WITHOUT_STEREO)
+        return self

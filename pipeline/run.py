@@ -68,6 +68,8 @@ def reconstruct(
     """
     if not isinstance(config, Config | None):
         raise HaustraError(f"config must be a haustra.Config, such as Config(seed=1), not a {type(config).__name__}")
+    if "" in (source, output):
+        raise HaustraError("a path is empty: give the film and the run folder; the current folder is written as a dot")
     config, progress = _with_lens_of_poses(config or Config()), SaidOnce(progress or SilentProgress())
     video, scale = open_source(Path(source), config.stereo), ScaleSource(config.lumen_mm, _path(config.scale_file))
     _check(config, video, scale)

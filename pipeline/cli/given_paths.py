@@ -16,6 +16,17 @@ def must_exist(*paths: Path | str | None) -> None:
             raise HaustraError(f"there is no file or folder {path}{advice}")
 
 
+def no_empty_words(words: list[str]) -> None:
+    """HaustraError for an empty word of the command line: as a path it would be the current folder."""
+    for before, word in zip(["", *words], words, strict=False):
+        if not word or (word.startswith("--") and word.endswith("=")):
+            which = f"what follows {before}" if word == "" and before.startswith("-") else word or "a path"
+            raise HaustraError(
+                f"{which} is empty on the command line, as a shell's variable without a value is; the current folder "
+                "is written as a dot"
+            )
+
+
 def must_match(*patterns: Path) -> None:
     """HaustraError for a pattern that a shell hands on because no name matches it."""
     for pattern in patterns:

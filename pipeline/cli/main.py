@@ -13,10 +13,10 @@ import typer
 from typer.core import TyperArgument, TyperCommand
 
 from haustra.core.errors import HaustraError
+from pipeline.cli import given_paths
 from pipeline.cli import run_commands as cli_runs
 from pipeline.cli.climb import climb
 from pipeline.cli.doctor import doctor
-from pipeline.cli.given_paths import must_be_no_folder, must_be_outside, must_be_run, must_exist, must_have_folder
 from pipeline.cli.live import live
 from pipeline.cli.shadowing import refuse_shadowed_names
 from pipeline.run_folder.malloc import keep_freed_memory
@@ -67,9 +67,9 @@ def export(
     climb: Annotated[bool, typer.Option("--climb", help="a folder as CLiMB's submissions have it")] = False,
 ) -> None:
     """Write a run's mesh in another format, or the whole run for another program."""
-    must_be_run(run)
-    must_be_outside(target, run)
-    must_have_folder(target)
+    given_paths.must_be_run(run)
+    given_paths.must_be_outside(target, run)
+    given_paths.must_have_folder(target)
     from pipeline.climb import write_submission
     from pipeline.report.exporters import export_folder, export_run
 
@@ -97,10 +97,10 @@ def compare(
     json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,
 ) -> None:
     """Errors of a run against truth: path (ATE, RTE, ROT) and surface (accuracy, completeness, F-score)."""
-    must_be_run(run)
-    must_exist(truth)
-    must_have_folder(json_file)
-    must_be_no_folder(json_file)
+    given_paths.must_be_run(run)
+    given_paths.must_exist(truth)
+    given_paths.must_have_folder(json_file)
+    given_paths.must_be_no_folder(json_file)
     from pipeline.climb import compare_climb
     from pipeline.compare import compare_run
     from pipeline.run_folder.workspace import write_json
@@ -185,7 +185,7 @@ def evaluate(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
 ) -> None:
     """Depth completion against truth: RMSE, abs.REL, MAE, delta 1 and 2, per frame and in mean."""
-    must_exist(*folders)
+    given_paths.must_exist(*folders)
     from completion.evaluation.run import Outputs, protocol_of
     from completion.evaluation.run import evaluate as run
     from haustra.core.progress import SilentProgress, TerminalProgress
@@ -222,7 +222,7 @@ def train(
     draw_on: Annotated[str | None, typer.Option(help="random numbers: cpu or device", show_default="cpu")] = None,
 ) -> None:
     """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
-    must_exist(*shards, init)
+    given_paths.must_exist(*shards, init)
     from completion.training.config import make_config
     from completion.training.train import train as run
     from haustra.core.progress import TerminalProgress
@@ -259,6 +259,7 @@ def run_cleanly(command: Callable[[], Any]) -> int:
     keep_freed_memory()
     try:
         refuse_shadowed_names()
+        given_paths.no_empty_words(sys.argv[1:])
         command()
     except HaustraError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -33,6 +33,28 @@ def test_retired_values_are_those_of_version_0_1():
     assert {name: OLD[section][key] for name in RETIRED for section, key in [name.split(".")]} == RETIRED
 
 
+@pytest.mark.parametrize(
+    ("values", "name", "truth"),
+    [
+        ({"seed": True}, "seed", "true"),
+        ({"frames": {"end_s": False}}, "frames.end_s", "false"),
+        ({"consistency": {"steps": [True, 2]}}, "consistency.steps", "true"),
+    ],
+)
+def test_true_and_false_are_no_numbers(values, name, truth):
+    with pytest.raises(HaustraError, match=f"setting '{name}': {truth} is no number; give one"):
+        validate_config(values)
+    assert validate_config({"depth": {"multiview": True}}).depth.multiview
+
+
+@pytest.mark.parametrize("said", [{"layout": "over-under"}, {"right": "right.mp4"}])
+def test_what_is_said_of_a_second_eye_needs_its_calibration(said):
+    """The film would be taken as one of one eye, its two pictures as one."""
+    with pytest.raises(HaustraError, match=r"--stereo-right\) needs the calibration of both \(--stereo\)"):
+        validate_config({"stereo": said})
+    assert validate_config({"stereo": said | {"calibration": "rig.yaml"}}).stereo.calibration == "rig.yaml"
+
+
 def test_old_names_keep_their_values():
     old = OLD | {
         "pose_graph": OLD["pose_graph"] | {"max_places": 7, "join": False},

@@ -189,6 +189,11 @@ def depth_folder(source: Path, settings: SensorSettings) -> Path | None:
 def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None:
     """Refuse what cannot work before any work is done. announced: frames that the source claims, 0 = unknown."""
     folder = depth_folder(source, settings)
+    if folder is None and settings.unit_mm is not None and settings.depth != "none":
+        raise HaustraError(
+            f"the unit of a sensor's depth is given (--depth-unit-mm), but no depth of {source}: say where it is by "
+            "--depth-folder"
+        )
     if folder is None:
         return
     unit_mm, images = _unit(source, folder, settings), sorted(folder.glob("[!.]*.png"))

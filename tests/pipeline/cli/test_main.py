@@ -52,6 +52,28 @@ def test_a_part_of_the_video_is_asked_for_by_options(monkeypatch, tmp_path, runs
     assert (frames.start_s, frames.end_s, frames.stride) == (1.0, 2.5, 3)
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([VIDEO, "--stereo-layout", "side-by-side"], "needs the calibration of both (--stereo)"),
+        ([""], "a path is empty on the command line"),
+        ([VIDEO, "-o", ""], "what follows -o is empty on the command line"),
+        ([VIDEO, "--output="], "--output= is empty on the command line"),
+    ],
+)
+def test_a_command_that_says_too_little_begins_nothing(monkeypatch, capsys, runs, words, told):
+    assert command(monkeypatch, *words) == 1
+    error = capsys.readouterr().err
+    assert told in error
+    assert len(error.splitlines()) == 1
+    assert not runs
+
+
+def test_an_empty_path_is_not_the_current_folder():
+    with pytest.raises(HaustraError, match="a path is empty"):
+        run.reconstruct("", "out")
+
+
 def test_a_setting_that_is_not_there_is_named(tmp_path):
     path = tmp_path / "settings.yaml"
     for text, name in (("odometry: {keyframe_motoin: 1}", "odometry.keyframe_motoin"), ("fast: true", "fast")):

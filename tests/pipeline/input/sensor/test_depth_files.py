@@ -36,6 +36,13 @@ def test_depth_belongs_to_the_picture_of_its_number(tmp_path, first, step, depth
     assert {k: path.name for k, path in open_sensor(workspace, SIDE).files.items()} == depth
 
 
+def test_a_unit_without_depth_is_one_sentence(tmp_path):
+    """It was passed over in silence, and the run had no millimetres."""
+    with pytest.raises(HaustraError, match=r"--depth-unit-mm\), but no depth of .*: say where it is by --depth-folder"):
+        check_sensor(tmp_path / "film.mp4", SensorSettings(unit_mm=0.1), COUNT)
+    check_sensor(tmp_path / "film.mp4", SensorSettings(unit_mm=0.1, depth="none"), COUNT)
+
+
 def test_one_bad_image_of_many_is_told_before_any_work(tmp_path):
     """Only some are read for their depth; the first and last bytes of all are."""
     settings = write_depth(tmp_path / "depth", [f"{k:05d}.png" for k in range(COUNT)])
