@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import counted
+from pipeline.input.containers.named_length import is_cut_off, named_seconds
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
+from pipeline.input.display import Clock
 
 if TYPE_CHECKING:
     from av import Packet, VideoFrame
@@ -17,10 +19,14 @@ if TYPE_CHECKING:
 STILLS = 0.1  # of another stream's number of pictures: one with fewer is a cover, or slides
 MAX_DAMAGED = 10_000  # packets; a stream that never ends in damage must still end
 MOST_SMEARED = 300  # frames after a loss that are left out where no keyframe of the codec comes
+LEAST_DECODED = 0.98  # share of the frames that a file counts
+FEWEST_MISSING = 2  # frames: a part that was cut out may end within one, and a header round its length
+MOST_SHORT = 0.05  # share of the length that a header names
 FLAGS_REACH = 5  # packets after a flagged one in which the gap is
 LONGEST_STEP = 1.5  # of decoding times, in durations of a packet: more, and one is missing
 SENT = ("mpegts", "mpeg")  # FFmpeg's names of formats that are sent, and say nowhere how long they are
-LEAST_READ = 0.98  # share of such a file that packets must come from
+LEAST_READ = 0.98  # share of such a file that packets must come from,
+MOST_PADDING = 16 << 10  # but for so many bytes: a program stream is filled up to whole packs of about 2 KB
 
 
 def open_video(path: Path) -> "InputContainer":
@@ -90,7 +96,7 @@ def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[
         if doubtful:
             which = f"{counted(doubtful, 'frame')} of damaged pieces of the video or decoded from such"
             note(f"left out: {which}" if is_sent else f"may be wrong in places: {which}")
-    if is_sent and read_to < LEAST_READ * container.size and (unread := _unread_share(Path(container.name))):
+    if is_sent and not _is_whole(read_to, container.size) and (unread := _unread_share(Path(container.name))):
         note(f"the video ends early: nothing could be read of the last {100 * unread:.0f} % of its file")
 
 
@@ -143,8 +149,13 @@ def _unread_share(path: Path) -> float:
     """Share of the end of a file that no packet of any stream comes from; 0 where that is little."""
     with open_video(path) as again:
         ends = [packet.pos + packet.size for packet in packets_of(again, list(again.streams)) if packet and packet.pos]
-    read = max(ends, default=0) / path.stat().st_size
-    return 0.0 if read >= LEAST_READ else 1 - read
+    read, size = max(ends, default=0), path.stat().st_size
+    return 0.0 if _is_whole(read, size) else 1 - read / size
+
+
+def _is_whole(read: int, size: int) -> bool:
+    """Whether of a file of that size packets come from so much that the rest is padding, bytes."""
+    return read >= min(LEAST_READ * size, size - MOST_PADDING)
 
 
 def film_stream(path: Path) -> tuple[int, int, int]:
@@ -164,9 +175,31 @@ def film_stream(path: Path) -> tuple[int, int, int]:
         return number, len(streams), _claimed_frames(container, streams[number])
 
 
-def claimed_seconds(container: "InputContainer") -> float:
-    """Length that a Matroska file announces, which counts no frames; 0 of others, whose length FFmpeg infers."""
-    return (container.duration or 0) / 1e6 if "matroska" in container.format.name else 0.0
+def how_it_ends(path: Path, container: "InputContainer", count: int, announced: int, clock: Clock) -> str:
+    """A sentence where a film is not all there, by what its file says of its length; empty where it is, or nothing is
+    said. count: frames that were decoded. announced: frames that the file claims, 0 = unknown. clock: of the film."""
+    missing = announced - count
+    if missing >= FEWEST_MISSING and count < LEAST_DECODED * announced:
+        ends_early = clock.last < LEAST_DECODED * (announced - 1) * clock.step
+        what = "the video ends early" if ends_early else "the video has gaps"
+        return f"{what}: {count} of {announced} announced frames could be decoded"
+    named_s, least_s = named_seconds(container, path), FEWEST_MISSING * clock.step
+    short_s = named_s - max(clock.last, clock.last_stamp) - clock.step
+    # The length is that of the longest stream, which may be another one.
+    if short_s > max(least_s, MOST_SHORT * named_s) and named_s - _last_seconds(path) > MOST_SHORT * named_s:
+        return f"the video ends early: {clock.last + clock.step:.1f} of {named_s:.1f} s could be decoded"
+    return "the video ends early: its file is cut off" if is_cut_off(container, path) else ""
+
+
+def _last_seconds(path: Path) -> float:
+    """Where the last packet of any stream ends, by the file's times and from its first, whichever is later, s."""
+    first, last = math.inf, 0.0
+    with open_video(path) as again:
+        for packet in packets_of(again, list(again.streams)):
+            if packet is not None and packet.pts is not None and packet.time_base:
+                first = min(first, float(packet.pts * packet.time_base))
+                last = max(last, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+    return last - min(first, 0.0) if last else 0.0
 
 
 def _claimed_frames(container: "InputContainer", stream: "VideoStream") -> int:

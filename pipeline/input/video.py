@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name
-from pipeline.input.decoding import claimed_seconds, decoded, film_stream, open_video
+from pipeline.input.decoding import decoded, film_stream, how_it_ends, open_video
 from pipeline.input.dicom_video import is_dicom, read_dicom_video
 from pipeline.input.display import Clock, RgbConverter, display_matrix, in_size, square_and_upright, upper_field
 from pipeline.input.film_faults import WHOLE_ROWS, FilmFaults, look_at, row_change
@@ -132,7 +132,6 @@ class Source:
         with open_video(self.path) as container:
             stream = container.streams.video[self._stream]
             stream.thread_type = "AUTO"
-            claimed_s = claimed_seconds(container)
             has_times = container.format.name not in NO_TIMES
             # Of a bare stream the average is FFmpeg's default; what the stream itself says is in its headers.
             rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
@@ -149,14 +148,11 @@ class Source:
                 count += 1
             for sentence in clock.notes:
                 self._note(sentence)
+            ending = how_it_ends(self.path, container, count, self.announced, clock) if count else ""
         if count == 0:
             raise HaustraError(f"no frame of {self.path} can be decoded")
-        if count < 0.98 * self.announced:
-            ends_early = clock.last < 0.98 * (self.announced - 1) * clock.step
-            what = "the video ends early" if ends_early else "the video has gaps"
-            self._note(f"{what}: {count} of {self.announced} announced frames could be decoded")
-        elif not self.announced and max(clock.last, clock.last_stamp) + clock.step < 0.9 * claimed_s:
-            self._note(f"the video ends early: {clock.last + clock.step:.1f} of {claimed_s:.1f} s could be decoded")
+        if ending:
+            self._note(ending)
 
     def _find_faults(self) -> FilmFaults:
         """What the beginning of the film shows, which no file says."""

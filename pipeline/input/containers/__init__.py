@@ -1,0 +1,1 @@
+"""What a film's file itself says of its length."""
