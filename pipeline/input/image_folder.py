@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -18,10 +19,14 @@ JPEG = {".jpg", ".jpeg", ".jpe", ".jfif"}
 IMAGE_SUFFIXES = JPEG | TIFF | {".png", ".bmp", ".dib", ".ppm", ".pgm", ".pnm", ".webp", ".jp2"}
 FILM_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".mpg", ".ts", ".wmv", ".webm", ".m4v"}
 JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+CLOCK = (
+    r"(?<!\d)[0-2]\d[-_.:h][0-5]\d[-_.:m][0-5]\d(?!\d)|(?<!\d)(19|20)\d{6}\D?[0-2]\d[0-5]\d[0-5]\d"  # hours to seconds
+)
 MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
 FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
 MOST_FPS = 100_000.0
 DEPTHS = (8, 10, 12, 14, 16)  # bits that cameras store in 16
+MOST_SHOWN = 3  # groups of pictures that a sentence names
 PROBED = 40  # pictures from which the bits of deep ones are found, each with the one after it
 
 
@@ -97,7 +102,30 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
     notes = [f"{left_out} images of other kinds in {inner.name} were left out"] if left_out else []
     if count and inner == folder and (films := _films(folder)):
         notes.append(f"{inner.name} also holds the film {films[0]}, which was passed over for its {count} images")
-    return in_natural_order(groups.get(chosen, [])), "; ".join(notes)
+    ordered = in_natural_order(groups.get(chosen, []))
+    if restart := _restart([path.stem for path in ordered]):
+        notes.append(restart)
+    return ordered, "; ".join(notes)
+
+
+def _restart(names: list[str]) -> str:
+    """A sentence where the last number of ordered names starts again each time that an earlier one changes, as those of
+    two cameras in one folder do; empty where not, and for decimals and times of the day."""
+    groups: dict[str, list[int]] = {}
+    for name in names:
+        before, number = re.findall(r"^(.*?)(\d+)\D*$", name)[0] if re.search(r"\d", name) else (name, "0")
+        groups.setdefault(before, []).append(int(number))
+    numbers = list(groups.values())
+    if len(groups) < 2 or min(map(len, numbers)) < 2 or re.search(r"\d\.$", next(iter(groups))):
+        return ""
+    if any(later[0] > earlier[-1] for earlier, later in pairwise(numbers)) or re.search(CLOCK, names[0]):
+        return ""
+    shown = [f"{before}... ({len(group)} pictures)" for before, group in groups.items()][:MOST_SHOWN]
+    more = f" and {len(groups) - len(shown)} more groups" if len(groups) > len(shown) else ""
+    return (
+        f"the last number of the pictures' names starts again: {', '.join(shown)}{more} were read one after the other, "
+        "as one film; pictures of two cameras need a folder each"
+    )
 
 
 def rows_by_number(pictures: Sequence[str], others: Sequence[str]) -> dict[int, int] | None:

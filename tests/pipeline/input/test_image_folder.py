@@ -92,6 +92,26 @@ def test_frames_in_one_format_each_are_all_taken(tmp_path: Path) -> None:
     assert [image.stem for image in Source(tmp_path).images] == list("123456")
 
 
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ([f"cam{c}_{n:03d}" for c in (1, 2) for n in range(4)], "cam1_... (4 pictures), cam2_... (4 pictures) were"),
+        ([f"{n:03d}_cam{c}" for n in range(5) for c in (1, 2)], "000_cam... (2 pictures), 001_cam... (2 pictures), 0"),
+        ([f"p1_clip{c}_{n}" for c in range(6) for n in range(2)], "and 3 more groups were read one after the other"),
+        ([f"part{c}_{10 * c + n}" for c in (1, 2) for n in range(4)], ""),  # the numbers go on
+        ([f"{n / 10:.1f}s" for n in range(30)], ""),
+        ([f"2024-01-05_10-{m:02d}-{s:02d}" for m in range(3) for s in range(60)], ""),
+        ([f"20240105_1000{s:02d}_{n:03d}" for s in range(3) for n in range(0, 999, 40)], ""),
+        ([f"t{n}_frame{39 - n}" for n in range(40)], ""),
+        ([f"frame{n}" for n in range(12)], ""),
+    ],
+)
+def test_two_cameras_in_one_folder_are_told(tmp_path: Path, names: list[str], told: str) -> None:
+    source = Source(write_pictures(tmp_path, names))
+    assert len(source.images) == len(names)
+    assert (told in " ".join(source.notes)) if told else not source.notes
+
+
 def test_names_without_an_order_are_told(tmp_path: Path) -> None:
     with pytest.raises(HaustraError, match="no number that says their order"):
         Source(write_pictures(tmp_path, ["caecum", "ileum", "rectum", "sigmoid", "polyp"]))
