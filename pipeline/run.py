@@ -144,7 +144,8 @@ def _check(config: Config, video: Source, scale: ScaleSource) -> None:
     """Refuse what cannot work before any work is done."""
     check_front_end(config.front_end, config.front_end_settings)
     check_choice(config.camera, video.path)
-    check_sensor(video.path, config.sensor, video.announced)
+    if note := check_sensor(video.path, config.sensor, video.announced):
+        video.notes.append(note)
     if config.model in SHIPPED_WEIGHTS:
         check_whole(resolve_weights(config.model))  # without torch, which is loaded in the background
     if config.model not in SHIPPED_WEIGHTS or config.depth.iterations is not None:

@@ -1,7 +1,7 @@
 """Depth images of a sensor that looks through the camera's lens: sparse, holed and noisy, in millimetres.
 
-One uint16 PNG a frame, 0 = none; its grid covers the whole source picture, however coarse it is. A value is z-depth
-along the camera's axis.
+One uint16 PNG a frame; 0 = none, and so is 65535, which sensors write where nothing returns. Its grid covers the whole
+source picture, however coarse it is. A value is z-depth along the camera's axis.
 """
 
 import re
@@ -31,6 +31,7 @@ LEAST_COVERED = 0.05  # of a film's frames: a slower sensor than the camera has 
 ANEW = "copy it anew, or delete it, and its frame has no depth"
 MOST_STRETCH = 0.02  # of a depth image's height, or one cell: beyond, its cells are not square
 PNG_HEAD, PNG_TAIL, GREY_16 = b"\x89PNG\r\n\x1a\n", 1024, b"\x10\x00"
+NO_RETURN = np.iinfo(np.uint16).max  # at 0.01 mm a step it would be a wall 655 mm away
 LOOKED_AT = 20  # images, spread over the film, by which the unit is checked before any work
 
 
@@ -152,7 +153,13 @@ def _fault(path: Path) -> str:
 
 
 def _read_depth(path: Path) -> NDArray[np.uint16]:
-    """(h,w) as stored. HaustraError for any other image."""
+    """(h,w) as stored, and 0 wherever there is none. HaustraError for any other image."""
+    raw = _stored(path)
+    return np.where(raw == NO_RETURN, np.uint16(0), raw)
+
+
+def _stored(path: Path) -> NDArray[np.uint16]:
+    """(h,w) of a depth image. HaustraError for any other image."""
     raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
         fault = _fault(path) or f"is a damaged depth image: {ANEW}; then go on with --resume"
@@ -186,8 +193,9 @@ def depth_folder(source: Path, settings: SensorSettings) -> Path | None:
     return None
 
 
-def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None:
-    """Refuse what cannot work before any work is done. announced: frames that the source claims, 0 = unknown."""
+def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
+    """Refuse what cannot work before any work is done; a sentence on values that were taken for no depth, empty without
+    such. announced: frames that the source claims, 0 = unknown."""
     folder = depth_folder(source, settings)
     if folder is None and settings.unit_mm is not None and settings.depth != "none":
         raise HaustraError(
@@ -195,7 +203,7 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None
             "--depth-folder"
         )
     if folder is None:
-        return
+        return ""
     unit_mm, images = _unit(source, folder, settings), sorted(folder.glob("[!.]*.png"))
     if not images:
         raise HaustraError(f"{folder} holds no depth images (16-bit PNG)")
@@ -205,7 +213,9 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None
     looked_at = images[:: -(-len(images) // LOOKED_AT)]
     known = np.concatenate([_known(path) for path in looked_at])
     if len(known) == 0:
-        raise HaustraError(f"the {len(looked_at)} images of {folder} that were looked at hold no depth: all are 0")
+        raise HaustraError(
+            f"the {len(looked_at)} images of {folder} that were looked at hold no depth: all are 0 or {NO_RETURN}"
+        )
     check_unit(unit_mm * float(np.median(known)), stereo=False)
     of_frames = sum(number < announced for number in _by_frame(source, folder, True))
     if of_frames < LEAST_COVERED * announced:
@@ -213,6 +223,11 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> None
             f"{of_frames} of the {len(images)} depth images of {folder} are of the film's {announced} frames, by the "
             "numbers in their names: give those of this film"
         )
+    share = float(np.mean([np.mean(_stored(path) == NO_RETURN) for path in looked_at]))
+    taken = (
+        f"{max(1, round(100 * share))} % of the sensor's depth images hold {NO_RETURN}, the largest value of 16 bits"
+    )
+    return f"{taken}: taken for no depth, as 0 is" if share else ""
 
 
 def _known(path: Path) -> Array:

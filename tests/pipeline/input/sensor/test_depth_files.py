@@ -6,7 +6,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.config import Config, SensorSettings
-from pipeline.input.sensor.sensor_depth import check_sensor, open_sensor
+from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
 from pipeline.run_folder.workspace import Workspace
 
 COUNT = 30
@@ -41,6 +41,33 @@ def test_a_unit_without_depth_is_one_sentence(tmp_path):
     with pytest.raises(HaustraError, match=r"--depth-unit-mm\), but no depth of .*: say where it is by --depth-folder"):
         check_sensor(tmp_path / "film.mp4", SensorSettings(unit_mm=0.1), COUNT)
     check_sensor(tmp_path / "film.mp4", SensorSettings(unit_mm=0.1, depth="none"), COUNT)
+
+
+def test_the_largest_value_is_no_depth_and_is_told_once(tmp_path):
+    """Sensors write it where nothing returns; taken for depth it would be the farthest wall."""
+    settings = write_depth(tmp_path / "depth", [f"{k:05d}.png" for k in range(COUNT)])
+    assert check_sensor(tmp_path / "film.mp4", settings, COUNT) == ""
+    depth = np.full((SIDE, SIDE), 600, np.uint16)
+    depth[: SIDE // 4] = 65535
+    for path in (tmp_path / "depth").iterdir():
+        cv2.imwrite(str(path), depth)
+    told = check_sensor(tmp_path / "film.mp4", settings, COUNT)
+    assert told.startswith("25 % of the sensor's depth images hold 65535, the largest value of 16 bits: taken for no")
+    files = {0: tmp_path / "depth" / "00000.png"}
+    sensor = SensorDepth(files, settings, 0.05, (0, 0, SIDE, SIDE), 1.0, (SIDE, SIDE))
+    found, _ = sensor.image(0)
+    assert not found[: SIDE // 4].any()
+    assert (found[SIDE // 4 :] == 30).all()
+    cv2.imwrite(str(files[0]), np.full((SIDE, SIDE), 65535, np.uint16))
+    with pytest.raises(HaustraError, match="hold no depth: all are 0 or 65535"):
+        check_sensor(tmp_path / "film.mp4", SensorSettings(folder=str(only_first(tmp_path)), unit_mm=0.05), COUNT)
+
+
+def only_first(folder):
+    """A folder with the first depth image alone."""
+    (folder / "one").mkdir()
+    (folder / "one" / "00000.png").write_bytes((folder / "depth" / "00000.png").read_bytes())
+    return folder / "one"
 
 
 def test_one_bad_image_of_many_is_told_before_any_work(tmp_path):
