@@ -224,10 +224,10 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
             "numbers in their names: give those of this film"
         )
     share = float(np.mean([np.mean(_stored(path) == NO_RETURN) for path in looked_at]))
-    taken = (
-        f"{max(1, round(100 * share))} % of the sensor's depth images hold {NO_RETURN}, the largest value of 16 bits"
-    )
-    return f"{taken}: taken for no depth, as 0 is" if share else ""
+    if share == 0:
+        return ""
+    told = f"{max(1, round(100 * share))} % of the values in the sensor's depth images are {NO_RETURN}, the largest of"
+    return f"{told} 16 bits: taken for no depth, as 0 is"
 
 
 def _known(path: Path) -> Array:
