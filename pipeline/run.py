@@ -62,9 +62,10 @@ def reconstruct(
 ) -> Run:
     """Reconstruct a video, image folder or RGB-D folder into the run folder `output`.
 
-    Finished stages stay on disk whatever happens, and `resume` goes on from them. profile: write the time and memory of
-    each stage into `metrics.json`, and say them. Raises `HaustraError` (one sentence) for input that cannot be
-    reconstructed, and for a config that is no `Config`.
+    Finished stages stay on disk whatever happens, and `resume` goes on from them; but a run that was to replace another
+    one by `overwrite` and is refused before it has a camera path goes, and that one comes back. profile: write the time
+    and memory of each stage into `metrics.json`, and say them. Raises `HaustraError` (one sentence) for input that
+    cannot be reconstructed, and for a config that is no `Config`.
     """
     if not isinstance(config, Config | None):
         raise HaustraError(f"config must be a haustra.Config, such as Config(seed=1), not a {type(config).__name__}")

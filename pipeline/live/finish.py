@@ -12,7 +12,7 @@ from pipeline.config import Config, read_recorded
 from pipeline.finished_run import Run
 from pipeline.run import reconstruct
 from pipeline.run_folder.creating import UNFINISHED_START
-from pipeline.run_folder.earlier_run import RECORD_NAME
+from pipeline.run_folder.earlier_run import RECORD_NAME, forget, is_kept, mend_stopped
 from pipeline.run_folder.lock import RunLock
 from pipeline.run_folder.workspace import (
     LIVE_FILM,
@@ -41,7 +41,7 @@ def begin_record(folder: Path, source: str, recording: Path, config: Config, ove
     if (folder / LIVE_FOLDER).exists() and not (folder / LIVE_RECORD).exists():
         raise HaustraError(f"{folder / LIVE_FOLDER} is there and of no session; give another output folder")
     taken = (RECORD_NAME, LIVE_RECORD, LIVE_FILM)
-    if any((folder / name).exists() for name in taken):
+    if any((folder / name).exists() for name in taken) or is_kept(folder):
         if not overwrite:
             raise HaustraError(
                 f"{folder} already holds a session or run; --resume finishes it, --overwrite replaces it"
@@ -53,9 +53,11 @@ def begin_record(folder: Path, source: str, recording: Path, config: Config, ove
         lock = RunLock(folder)
     except OSError as error:
         raise HaustraError(f"cannot create the output folder {folder}: {error.strerror}") from error
+    mend_stopped(folder)
     forget_record(folder)
     if (folder / RECORD_NAME).exists():
         remove_run(folder)
+    forget(folder)
     write_record(folder, LiveRecord(source, recording, config, {}))
     return lock
 

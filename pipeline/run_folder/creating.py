@@ -7,7 +7,7 @@ from pathlib import Path
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name
 from pipeline.config import Config, beyond_surface
-from pipeline.run_folder.earlier_run import LEFT_BY_STOP, RECORD_NAME, is_kept, keep, mend_stopped
+from pipeline.run_folder.earlier_run import LEFT_BY_STOP, RECORD_NAME, forget, is_kept, keep, mend_stopped
 from pipeline.run_folder.inputs import changed_inputs, inputs_of, record_inputs
 from pipeline.run_folder.lock import NAME as LOCK_NAME
 from pipeline.run_folder.lock import RunLock
@@ -60,11 +60,12 @@ def create_workspace(root: Path, source: Path, config: Config, overwrite: bool) 
 def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -> None:
     """The record comes before anything else, and says so while an earlier run is being removed: whenever this is
     stopped, the folder is a run that can be gone on with or overwritten. A run that finished no stage, or was refused
-    before it had a camera path, is in nobody's way: the command is given again, corrected."""
-    replaced = workspace.record_path.exists()
-    in_the_way = replaced and not _is_in_nobodys_way(workspace.root)
+    before it had a camera path, is in nobody's way, unless it was to replace an earlier one: the command is given
+    again, corrected."""
+    root, replaced = workspace.root, workspace.record_path.exists()
+    in_the_way = replaced and (is_kept(root) or not _is_in_nobodys_way(root))
     if in_the_way and not overwrite:
-        raise HaustraError(f"{workspace.root} already holds a run; {_ways_on(workspace.root, source, config)}")
+        raise HaustraError(f"{root} already holds a run; {_ways_on(root, source, config)}")
     if replaced:
         _check_survives(workspace, source, config)
     workspace.record |= {
@@ -72,8 +73,9 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
         "versions": _versions(),
         "config": config.model_dump(mode="json"),
     }
-    if in_the_way and not is_kept(workspace.root) and _has_result(workspace.root):
-        keep(workspace.root, [path for path in files_of(workspace) if path.parent == workspace.root and path.exists()])
+    if in_the_way and _has_result(root):
+        forget(root)  # kept by a run that has come to a result since
+        keep(root, [path for path in files_of(workspace) if path.parent == root and path.exists()])
     elif replaced:
         workspace.record[CLEARING] = True
     workspace.save()

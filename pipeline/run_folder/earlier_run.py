@@ -32,7 +32,10 @@ def is_kept(root: Path) -> bool:
 def bring_back(root: Path) -> None:
     """Move what lies aside back to where it was, the record first."""
     for path in sorted((root / KEPT).iterdir(), key=lambda path: path.name != RECORD_NAME):
-        os.replace(path, root / path.name)
+        target = root / path.name
+        if target.is_dir():  # of the new run, whose record is gone
+            shutil.rmtree(target)
+        os.replace(path, target)
     (root / KEPT).rmdir()
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from haustra.core.errors import HaustraError
 from pipeline.config import Config, beyond_surface
-from pipeline.run_folder.earlier_run import is_kept, mend_stopped
+from pipeline.run_folder.earlier_run import RECORD_NAME, forget, is_kept, mend_stopped
 from pipeline.run_folder.inputs import changed_inputs, record_inputs
 from pipeline.run_folder.lock import RunLock
-from pipeline.run_folder.workspace import REFUSED, Workspace, clear_if_begun, open_workspace
+from pipeline.run_folder.workspace import FIRST_RESULT, REFUSED, Workspace, clear_if_begun, open_workspace
 
 FROM_SURFACE = ("surface", "coverage", "report")  # stages, in their order
 OF_SURFACE = ("scale file", "lamp file")  # inputs that no stage before reads
@@ -27,6 +27,8 @@ def resume_workspace(root: Path, source: Path, config: Config) -> Workspace:
         mend_stopped(root)
         workspace = open_workspace(root)  # as the process before left it
         workspace.lock = lock
+        if workspace.is_done(FIRST_RESULT):
+            forget(root)  # a run that was stopped before it could
         _check_same(workspace, source, config)
         workspace.record.pop(REFUSED, None)
         clear_if_begun(workspace)
@@ -47,7 +49,11 @@ def is_same_run(workspace: Workspace, source: Path, config: Config) -> bool:
 def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
     root, changed = workspace.root, changed_inputs(source, config, workspace.record["source"])
     if "source" in changed:
-        raise HaustraError(f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it")
+        kept = f"; the run that it was to replace is kept: without {root / RECORD_NAME} --resume goes on with that one"
+        raise HaustraError(
+            f"{root} is a run of another video; --resume needs the same one, --overwrite replaces it"
+            + (kept if is_kept(root) else "")
+        )
     fixed = workspace.retired_settings
     if fixed:
         raise HaustraError(f"{root} was run with another setting ({fixed[0]}); use --overwrite")

@@ -26,6 +26,7 @@ PARTIAL = ".partial"  # ends the name of a text file that is being written
 # Of a live session: its record, its recording, and keyframes for its own use.
 LIVE_RECORD, LIVE_FILM, LIVE_FOLDER = "live.json", "film.mkv", "live"
 FIRST_RESULT = "structure"  # the stage before which a run that was refused is in nobody's way
+REFUSED_LOG = "log_refused"  # of a run that was to replace another, and was refused
 REFUSED = "refused"  # in the record: the sentence that ended such a run
 # Of further submaps, and of COLMAP's database.
 FURTHER = ("features.db-*", "mesh_*.ply", "trajectory_*.tum", "keyframes_*.tum", "camera_*.json", "coverage_*.png")
@@ -79,11 +80,17 @@ class Workspace:
             self.lock.release()
 
     def _refuse(self, error: HaustraError) -> None:
-        """Bring back the run that was to be replaced, or, where there was none, keep the reason."""
+        """Bring back the run that was to be replaced, with the logs of the new one beside it if the reason names one;
+        or, where there was none, keep the reason."""
         if is_kept(self.root):
-            remove_run(self.root)
+            log, told = self.root / REFUSED_LOG, str(error)
+            self.record_path.unlink()  # nothing is written: a full disk may be the reason
+            shutil.rmtree(log, ignore_errors=True)
+            if str(self.log) in told:
+                os.replace(self.log, log)
+            remove_files(self)
             bring_back(self.root)
-            error.args = (f"{error}; the earlier run in {self.root} stays as it was",)
+            error.args = (f"{told.replace(str(self.log), str(log))}; the earlier run in {self.root} stays as it was",)
             return
         self.record[REFUSED] = str(error)
         self.save()
@@ -174,10 +181,15 @@ def clear_if_begun(workspace: Workspace) -> None:
     have put there."""
     if CLEARING not in workspace.record:
         return
-    for path in files_of(workspace):
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    remove_files(workspace)
     del workspace.record[CLEARING]
     workspace.save()
+
+
+def remove_files(workspace: Workspace) -> None:
+    """All that a run may have written, but its record."""
+    for path in files_of(workspace):
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def files_of(workspace: Workspace) -> list[Path]:

@@ -201,7 +201,7 @@ def rigid(matrices: Array, where: str) -> Array:
     if (np.linalg.det(matrices[:, :3, :3]) < 0).any():
         raise HaustraError(
             f"{where}: the left upper 3x3 of a pose mirrors (its determinant is -1): the file's world or camera is "
-            "left-handed; turn one axis of both round"
+            "left-handed; turn one axis of that one round"
         )
     result = matrices.copy()
     result[:, :3, :3] = u @ vt

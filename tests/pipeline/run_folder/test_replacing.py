@@ -1,5 +1,6 @@
 """A run that is replaced: kept until the new one has a camera path, whenever either is stopped or refused."""
 
+import errno
 import os
 import shutil
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.config import load_config
+from pipeline.live.finish import begin_record
 from pipeline.run_folder.creating import create_workspace
 from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.workspace import open_workspace
@@ -101,6 +103,61 @@ def test_a_run_is_kept_until_the_new_one_has_a_camera_path(old_run, tmp_path):
     with create_workspace(old_run, new, config, overwrite=True) as workspace:
         workspace.finish("structure")
     assert {path.name for path in old_run.rglob("*")} == {"run.yaml", "log", "thesis.tex", ".lock"}
+
+
+def test_a_log_that_a_refusal_names_is_kept(old_run, tmp_path):
+    refused = pytest.raises(HaustraError, match=r"its log is .*run/log_refused/colmap\.log; the earlier run")
+    with refused, create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True) as workspace:
+        log = workspace.log / "colmap.log"
+        log.write_text("why")
+        raise HaustraError(f"COLMAP failed; its log is {log}")
+    assert (old_run / "log_refused" / "colmap.log").read_text() == "why"
+    assert (old_run / "log" / "models" / "0.npz").read_bytes() == b"old poses"
+
+
+def test_on_a_full_disk_the_kept_run_comes_back(old_run, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    workspace = create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True)
+    workspace.images.mkdir()
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(HaustraError, match="stays as it was"), workspace:
+        raise HaustraError("is the disk full?")
+    assert not workspace.images.exists()
+    assert workspace.mesh.read_bytes() == b"old mesh"
+
+
+def test_what_a_stopped_replacement_leaves_is_in_the_way_and_can_be_had_back(old_run, tmp_path):
+    create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True).lock.release()  # no stage is done
+    with pytest.raises(HaustraError, match="already holds a run"):
+        create_workspace(old_run, tmp_path / "b.mp4", load_config(None, seed=3), overwrite=False)
+    with pytest.raises(HaustraError, match=r"the run that it was to replace is kept: without .*run\.yaml"):
+        resume_workspace(old_run, tmp_path / "a.mp4", load_config(None))
+    (old_run / "run.yaml").unlink()
+    with resume_workspace(old_run, tmp_path / "a.mp4", load_config(None)) as workspace:
+        assert workspace.mesh.read_bytes() == b"old mesh"
+        assert (workspace.models / "0.npz").exists()
+
+
+def test_a_kept_run_goes_when_the_new_one_could_not_remove_it(old_run, tmp_path, monkeypatch):
+    workspace = create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True)
+    stop_at(monkeypatch, "replace", ".earlier_run")
+    with pytest.raises(Stopped):
+        workspace.finish("structure")
+    monkeypatch.undo()
+    workspace.lock.release()
+    with resume_workspace(old_run, tmp_path / "b.mp4", load_config(None)):
+        assert not (old_run / ".earlier_run").exists()
+
+
+def test_a_live_session_takes_the_place_of_both(old_run, tmp_path):
+    create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True).lock.release()
+    told = "camera", tmp_path / "film.mkv", load_config(None)
+    with pytest.raises(HaustraError, match="already holds a session or run"):
+        begin_record(old_run, *told, overwrite=False)
+    begin_record(old_run, *told, overwrite=True).release()
+    assert {path.name for path in old_run.iterdir()} == {"live.json", "thesis.tex", ".lock"}
 
 
 def stop_after_frames(run, film):
