@@ -4,6 +4,7 @@ The global mapper goes first, as it has no two-view start that could be false; w
 incremental one follows.
 """
 
+import json
 import shutil
 import time
 
@@ -25,6 +26,7 @@ MAX_FEATURES = 2048  # per frame; more only lengthens matching
 OVERLAP = 8  # frames; each is matched with as many before it
 LOOP_NEIGHBOURS = 2  # look-alike frames beyond the overlap tried for each frame that looks for loops
 LOOP_STRIDE = 10  # frames between two that look for loops
+MATCHING_SHARE = 0.6  # of the time that COLMAP is given, for features and matches; mapping has the rest
 THREADS = 2  # of feature extraction; matching and mapping take one, to be repeatable
 
 
@@ -42,7 +44,10 @@ class ColmapFrontEnd:
     ) -> FrontEndResult:
         job = colmap_job(frames, settings.seed, workspace)
         end, log = settings.deadline, workspace.log / "match.log"
+        if end is not None:
+            job["matching_until_s"] = MATCHING_SHARE * (end - time.monotonic())
         run_isolated(COLMAP_WORKER, "match", job, log, "features and matches", progress, end)
+        _say_what_was_matched(workspace, progress)
         found = {"global": map_by_colmap("global", job, workspace, progress, end)}
         judged = candidates_of("global", found["global"], workspace)
         if needs_second_opinion(judged, len(frames.index)) and (end is None or time.monotonic() < end):
@@ -53,6 +58,16 @@ class ColmapFrontEnd:
         if sensor is not None and sensor.settings.adjust:
             found = {m: adjusted_to_sensor(of, frames.camera, sensor, progress) for m, of in found.items()}
         return FrontEndResult(found)
+
+
+def _say_what_was_matched(workspace: Workspace, progress: Progress) -> None:
+    """Where the time ended matching before the last pair."""
+    told = json.loads((workspace.log / "matched.json").read_text())
+    if told["matched"] < told["pairs"]:
+        progress.log(
+            f"of {told['pairs']} pairs of frames {told['matched']} were matched in the time, the nearest first; these "
+            "are mapped"
+        )
 
 
 def colmap_job(frames: Frames, seed: int, workspace: Workspace) -> dict[str, object]:

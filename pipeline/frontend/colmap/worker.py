@@ -10,6 +10,7 @@ Progress goes to standard output as "done total" lines, COLMAP's own log to stan
 import json
 import shutil
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from pipeline.frontend.colmap.pairs import loops_to_try, sequential_pairs
+
 BATCHES = 20  # steps of the progress bar
 LEAST_DECREASE = 1e-6  # of the cost, relative: an adjustment that gains less has converged
 # Matching and mapping with two threads differ from run to run of one seed; they gain a quarter and a tenth.
@@ -25,8 +28,12 @@ REPEATABLE_THREADS = 1
 
 
 def extract_and_match(job: dict[str, Any]) -> None:
-    """SIFT on every image within its mask, then verified matches along the sequence and across loops."""
-    database = Path(job["database"])
+    """SIFT on every image within its mask, then verified matches along the sequence and across loops.
+
+    `matching_until_s` after the start, where that is given, matching ends with the pairs that it has, since mapping
+    must not be left without time. `matched.json` says how many they are.
+    """
+    started, until_s = time.monotonic(), job.get("matching_until_s", float("inf"))
     pycolmap.set_random_seed(job["seed"])
     _register(job)
     batches = _batches(job["images"])
@@ -35,11 +42,16 @@ def extract_and_match(job: dict[str, Any]) -> None:
         _extract(job, names)
         _report(done + 1, total)
     pairs = sequential_pairs(job["images"], job["overlap"])
-    pairs += _loops(database, job)
+    pairs += loops_to_try(job)
     _report(len(batches) + 1, total)
+    matched = 0
     for done, batch in enumerate(_batches(pairs)):
+        if time.monotonic() - started > until_s:
+            break
         _match(job, batch)
+        matched += len(batch)
         _report(len(batches) + 2 + done, total)
+    Path(job["scratch"], "matched.json").write_text(json.dumps({"matched": matched, "pairs": len(pairs)}))
 
 
 def _register(job: dict[str, Any]) -> None:
@@ -75,31 +87,6 @@ def _extract(job: dict[str, Any], names: list[str]) -> None:
         extraction_options=options,
         device=pycolmap.Device.cpu,
     )
-
-
-def sequential_pairs(names: list[str], overlap: int) -> list[tuple[str, str]]:
-    """Each image with the `overlap` after it, and with two at twice and four times that distance.
-
-    The far pairs give slow passages a baseline and keep the rotation from drifting.
-    """
-    offsets = [*range(1, overlap + 1), 2 * overlap, 4 * overlap]
-    return [(names[i], names[i + o]) for i in range(len(names)) for o in offsets if i + o < len(names)]
-
-
-def _loops(database: Path, job: dict[str, Any]) -> list[tuple[str, str]]:
-    from pipeline.matching.place_recognition import loop_pairs  # half a second to load; nothing else needs it
-
-    with pycolmap.Database.open(database) as db:
-        ids = {image.name: image.image_id for image in db.read_all_images()}
-        descriptors = [np.asarray(db.read_descriptors(ids[name]).data) for name in job["images"]]
-    found = loop_pairs(
-        descriptors,
-        job["loop_stride"],
-        job["loop_neighbours"],
-        min_gap=4 * job["overlap"] + 1,
-        seed=job["seed"],
-    )
-    return [(job["images"][a], job["images"][b]) for a, b in found]
 
 
 def _match(job: dict[str, Any], pairs: list[tuple[str, str]]) -> None:

@@ -14,7 +14,8 @@ from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.sparse_depth import SparseDepthMaker, is_outlier, reliable_points
 from pipeline.frontend.base import disjoint
 from pipeline.frontend.colmap import worker
-from pipeline.frontend.colmap.worker import camera_of, sequential_pairs, share_lens
+from pipeline.frontend.colmap.pairs import sequential_pairs
+from pipeline.frontend.colmap.worker import camera_of, share_lens
 from pipeline.frontend.scoring import Candidate, score
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.lighting_check import LightingCheck, best_stretch, check_lighting
@@ -218,6 +219,8 @@ def test_sequential_pairs_are_unique_and_in_reach():
     assert len(pairs) == len(set(pairs))
     offsets = {int(b) - int(a) for a, b in pairs}
     assert offsets == {*range(1, 9), 16, 32}
+    order = list(dict.fromkeys(int(b) - int(a) for a, b in pairs))
+    assert order == [1, 2, 4, 8, 16, 3, 5, 6, 7, 32]  # matching may have to end before the last
 
 
 def test_loop_pairs_find_the_place_seen_before():
