@@ -27,6 +27,7 @@ from reconstruction.evaluation.climb import MIN_COMMON, ClimbErrors, climb_error
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
 Array = NDArray[np.float64]
+ROUNDED = 1e-6  # frames, by which times between two may be off
 HEADER = "# timestamp, name_image, tx, ty, tz, qw, qx, qy, qz, interpolated\n"
 
 
@@ -94,7 +95,7 @@ def read_reference(path: Path, run: Run, film: FilmFrames) -> Reference:
     seconds, world_from_camera = true_path(path, run)
     paired(film.seconds, seconds, path)
     exact = film.numbers_at(seconds)
-    frames = np.rint(exact).astype(np.int64)
+    frames = np.floor(exact + 0.5 + ROUNDED).astype(np.int64)  # halves all one way: to even, two would be one frame
     order = np.lexsort((np.abs(exact - frames), frames))
     return Reference(frames, world_from_camera).rows(order[np.unique(frames[order], return_index=True)[1]])
 

@@ -267,6 +267,8 @@ def read_recorded(values: dict[str, object]) -> Config:
             if value and not kept and name not in Config.model_fields:
                 continue  # a section of which every setting was retired
             value = kept
+            if name == "stereo" and value.get("calibration") is None:
+                value = {}  # what earlier versions took of a second eye without a calibration changed nothing
         known[name] = value
     return validate_config(known)
 

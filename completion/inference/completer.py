@@ -45,8 +45,8 @@ class DepthCompleter:
         iterations: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """resolution: px, longer side to which every image is resized; None chooses by iterations and points
-        (`completion.inference.resolution`).
+        """resolution: px, longer side to which every image is resized, for all iterations; None chooses by iterations
+        and points (`completion.inference.resolution`).
 
         iterations: of the network for each frame (`completion.networks.recurrence`), in proportion to which time
         grows; None: as many as it was trained for, at most `DEFAULT_ITERATIONS`. looks: its former name, deprecated.
@@ -176,7 +176,7 @@ class DepthCompleter:
         """Depth and relative error (B,H,W), computed at `factor` times the images' resolution, the first of several
         iterations at a lower one."""
         frames = [(normalise_exposure(i), s, t) for i, s, t in zip(rgb, sparse, trust, strict=True)]
-        first = first_factor(max(sparse.shape[1:]), factor, self.iterations)
+        first = first_factor(max(sparse.shape[1:]), factor, self.iterations) if self.resolution is None else factor
         fine = _stacked([resized(*frame, factor) for frame in frames])
         if first == factor:
             estimate = self._predict(self.iterations, *fine)

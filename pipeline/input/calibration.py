@@ -19,8 +19,10 @@ FARTHEST_CENTRE = 0.15
 MOST_BEYOND = 0.9  # share of the content: a lens that turns back before it is no lens of this picture
 WORTH_SAYING = 0.01
 # Of the two focal lengths. Frames are stretched until their pixels are square, and real files go to 1.011. A film that
-# does not say the shape of its pixels may keep them as stored: DV's widest are 1.46 times as wide as high.
-MOST_FOCAL_RATIO = 1.5
+# does not say the shape of its pixels may keep them as stored: single fields, and one eye of two side by side, have
+# pixels twice as high as wide or wide as high, of DV a little more.
+MOST_FOCAL_RATIO = 2.3
+MOST_OFF = 1.0  # sides of the picture by which the centre may lie outside it: a crop need not show the axis
 LEAST_VIEW_DEG = 4.0  # endoscopes see 30 degrees and more, a microscope or an exoscope over the patient about 6
 TANGENTIAL = ("OPENCV", "FULL_OPENCV")  # models with p1 and p2
 MOST_FOLDED = 0.1  # share of the picture that they may cost; those of real files, to 0.014, cost nothing
@@ -85,11 +87,11 @@ def refuse_impossible(camera: Camera, which: str, most_ratio: float = MOST_FOCAL
     ratio, view, folded = max(fx, fy) / min(fx, fy), max(camera.field_of_view()), 0.0
     if ratio > most_ratio:
         wrong = (
-            f"its focal lengths, {fx:.6g} and {fy:.6g} px, differ by a factor of {ratio:.3g}, and the pixels of an "
-            f"endoscope's film are square to within a factor of {most_ratio:g}"
+            f"its focal lengths, {fx:.6g} and {fy:.6g} px, differ by a factor of {ratio:.3g}, and no film's pixels "
+            f"are further from square than by a factor of {most_ratio:g}"
         )
-    elif not (0 <= cx <= camera.width and 0 <= cy <= camera.height):
-        wrong = f"its centre ({cx:.6g}, {cy:.6g}) lies outside its picture of {size}"
+    elif max(abs(cx / camera.width - 0.5), abs(cy / camera.height - 0.5)) > 0.5 + MOST_OFF:
+        wrong = f"its centre ({cx:.6g}, {cy:.6g}) lies far outside its picture of {size}"
     elif view < LEAST_VIEW_DEG:
         wrong = (
             f"by its focal length, {camera.focal_px:.6g} px, and its distortion it sees {view:.2g} degrees across "

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from haustra.core.natural_order import in_natural_order
-from haustra.core.text import check_name, read_json
+from haustra.core.text import check_name, counted, read_json
 
 TIFF = {".tif", ".tiff"}
 JPEG = {".jpg", ".jpeg", ".jpe", ".jfif"}
@@ -22,6 +22,10 @@ JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 CLOCK = (
     r"(?<!\d)[0-2]\d[-_.:h][0-5]\d[-_.:m][0-5]\d(?!\d)|(?<!\d)(19|20)\d{6}\D?[0-2]\d[0-5]\d[0-5]\d"  # hours to seconds
 )
+# A camera's number behind its name, cam1_000; or its name between the frame's number and its own, 000_cam1. Seconds and
+# minutes before the frame's number have no name.
+CAMERA, CAMERA_LAST = r"[A-Za-z]\d+[^A-Za-z\d]*$", r"\d[^A-Za-z\d]*[A-Za-z]{2,}[^A-Za-z\d]*$"
+MOST_CAMERAS = 4
 MIN_GROUP = 3  # a single mask or thumbnail beside the frames is no kind of its own
 FOLDER_FPS = 30.0  # of an image folder whose camera.json, if any, gives no fps; times are then nominal
 MOST_FPS = 100_000.0
@@ -120,8 +124,11 @@ def _restart(names: list[str]) -> str:
         return ""
     if any(later[0] > earlier[-1] for earlier, later in pairwise(numbers)) or re.search(CLOCK, names[0]):
         return ""
+    numbered, in_turn = (all(re.search(kind, before) for before in groups) for kind in (CAMERA, CAMERA_LAST))
+    if not (numbered and len(groups) <= MOST_CAMERAS) and not (in_turn and len(set(map(tuple, numbers))) == 1):
+        return ""
     shown = [f"{before}... ({len(group)} pictures)" for before, group in groups.items()][:MOST_SHOWN]
-    more = f" and {len(groups) - len(shown)} more groups" if len(groups) > len(shown) else ""
+    more = f" and {counted(len(groups) - len(shown), 'more group')}" if len(groups) > len(shown) else ""
     return (
         f"the last number of the pictures' names starts again: {', '.join(shown)}{more} were read one after the other, "
         "as one film; pictures of two cameras need a folder each"

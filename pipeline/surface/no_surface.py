@@ -31,7 +31,8 @@ def why_no_surface(completed: CompletedSubmap, settings: FusionSettings, voxel_s
             f"median, and at most {limit:.3g} is fused, {settings.max_error_voxels:g} voxels of {voxel_size:.3g}; "
             "make fusion.voxel_size or fusion.max_error_voxels larger"
         )
+    agreeing = f", {settings.min_observations} must agree" if settings.min_observations > 1 else ""
     return (
-        "the keyframes agree on no surface: too few of them see the same place "
-        f"({counted(len(completed), 'keyframe')}, {settings.min_observations} must agree)"
+        "the keyframes agree on no surface: too few of them see the same place, or they contradict each other "
+        f"({counted(len(completed), 'keyframe')}{agreeing})"
     )

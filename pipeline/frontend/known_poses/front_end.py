@@ -100,7 +100,7 @@ def _without_stray(
 ) -> tuple[NDArray[np.int64], Array]:
     """Frames (N,) and their poses (N,4,4), those left out that lie far from the poses around; says so."""
     given = np.stack([by_frame[frame] for frame in index.tolist()])
-    stray, away = stray_poses(given)
+    stray, away = stray_poses(given, index)
     if stray.any():
         worst = int(np.where(stray, away, 0).argmax())
         progress.log(

@@ -66,7 +66,7 @@ def _without_truth(path: Path, fields: dict[str, Any]) -> dict[str, Any]:
     seen = set[int]()  # an alias within itself has no end
 
     def look(value: Any, name: str) -> None:
-        if id(value) in seen:
+        if id(value) in seen or name == "flags":  # which terms a program had free
             return
         seen.add(id(value))
         parts = value.items() if isinstance(value, dict) else [(name, one) for one in value]

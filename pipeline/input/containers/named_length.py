@@ -6,6 +6,7 @@ says nothing. Here is only what the files say. Both show a film that was cut whi
 
 import struct
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -18,6 +19,7 @@ MXF_PARTITION = bytes.fromhex("060e2b34020501010d0102010102")  # of the header; 
 MXF_COMPLETE = (3, 4)  # statuses: open and closed, with all its values
 FIRST_BOXES = (b"ftyp", b"styp", b"moov")
 FRAGMENT = (b"moof", b"mdat")
+MOST_BOXES, MOST_GIF = 100_000, 1 << 28  # fragments of a day; bytes, which are read at once
 GIF_EXTENSION, GIF_IMAGE = 0x21, 0x2C
 
 
@@ -42,14 +44,17 @@ def is_cut_off(container: "InputContainer", path: Path) -> bool:
     """Whether a GIF ends inside a picture, or a fragmented MP4 inside a fragment: both count their pictures nowhere."""
     kinds = container.format.name
     if kinds == "gif":
-        return _gif_ends_inside(path.read_bytes())
+        return path.stat().st_size < MOST_GIF and _gif_ends_inside(path.read_bytes())
     if "mp4" not in kinds:
         return False
     size = path.stat().st_size
+    first = last = (b"", 0, 0)
+    is_fragmented = False
     with path.open("rb") as file:
-        boxes = list(_boxes(file, 0, size))
-    is_fragmented = boxes[:1] and boxes[0][0] in FIRST_BOXES and any(name == b"moof" for name, _, _ in boxes)
-    return bool(is_fragmented) and boxes[-1][0] in FRAGMENT and boxes[-1][2] > size
+        for box in islice(_boxes(file, 0, size), MOST_BOXES):
+            first, last = (first if first[0] else box), box
+            is_fragmented |= box[0] == b"moof"
+    return is_fragmented and first[0] in FIRST_BOXES and last[0] in FRAGMENT and last[2] > size
 
 
 def _of_flv(head: bytes) -> float:

@@ -226,7 +226,8 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
     share = float(np.mean([np.mean(_stored(path) == NO_RETURN) for path in looked_at]))
     if share == 0:
         return ""
-    told = f"{max(1, round(100 * share))} % of the values in the sensor's depth images are {NO_RETURN}, the largest of"
+    percent = f"{100 * share:.0f}" if share >= 0.01 else "less than 1"
+    told = f"{percent} % of the values in {len(looked_at)} of the sensor's depth images are {NO_RETURN}, the largest of"
     return f"{told} 16 bits: taken for no depth, as 0 is"
 
 

@@ -97,7 +97,9 @@ def test_frames_in_one_format_each_are_all_taken(tmp_path: Path) -> None:
     [
         ([f"cam{c}_{n:03d}" for c in (1, 2) for n in range(4)], "cam1_... (4 pictures), cam2_... (4 pictures) were"),
         ([f"{n:03d}_cam{c}" for n in range(5) for c in (1, 2)], "000_cam... (2 pictures), 001_cam... (2 pictures), 0"),
-        ([f"p1_clip{c}_{n}" for c in range(6) for n in range(2)], "and 3 more groups were read one after the other"),
+        ([f"p1_clip{c}_{n}" for c in range(4) for n in range(2)], "and 1 more group were read one after the other"),
+        ([f"vid_{m}m{s:02d}s" for m in range(2) for s in range(60)], ""),  # minutes and seconds
+        ([f"img_{s:04d}_{n:02d}" for s in range(3) for n in range(25)], ""),  # a frame's number within its second
         ([f"part{c}_{10 * c + n}" for c in (1, 2) for n in range(4)], ""),  # the numbers go on
         ([f"{n / 10:.1f}s" for n in range(30)], ""),
         ([f"2024-01-05_10-{m:02d}-{s:02d}" for m in range(3) for s in range(60)], ""),
