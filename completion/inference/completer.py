@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from completion.confidence import confidence_from_error, error_from_confidence
 from completion.data.sampling_training import normalise_log
-from completion.inference.resolution import Frame, first_factor, resized, resolution_factor, restore_resolution
+from completion.inference.resolution import resized, resolution_factor, restore_resolution
 from completion.networks.checkpoint import load_network
 from completion.networks.precision import choose_precision
 from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
@@ -45,8 +45,8 @@ class DepthCompleter:
         iterations: int | None = None,
         looks: int | None = None,
     ) -> None:
-        """resolution: px, longer side to which every image is resized, for all iterations; None chooses by iterations
-        and points (`completion.inference.resolution`).
+        """resolution: px, longer side to which every image is resized; None chooses by iterations and points
+        (`completion.inference.resolution`).
 
         iterations: of the network for each frame (`completion.networks.recurrence`), in proportion to which time
         grows; None: as many as it was trained for, at most `DEFAULT_ITERATIONS`. looks: its former name, deprecated.
@@ -143,7 +143,7 @@ class DepthCompleter:
         error = error_from_confidence(confidence, least=1e-6)
         known = np.where(depth > 0, depth, np.median(sparse[sparse > 0])).astype(np.float32)
         last = cv2.resize(known, size), np.clip(cv2.resize(error, size), LEAST_ERROR, GREATEST_ERROR)
-        found, doubt = self._predict(1, image[None], points[None], weights[None], (last[0][None], last[1][None]))
+        found, doubt = self._predict(image[None], points[None], weights[None], (last[0][None], last[1][None]))
         refined, new_error = restore_resolution(found[0], doubt[0], (sparse.shape[1], sparse.shape[0]))
         return refined, confidence_from_error(new_error)
 
@@ -173,21 +173,16 @@ class DepthCompleter:
     def _resized(
         self, factor: float, rgb: NDArray[np.uint8], sparse: NDArray[np.float32], trust: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth and relative error (B,H,W), computed at `factor` times the images' resolution, the first of several
-        iterations at a lower one."""
-        frames = [(normalise_exposure(i), s, t) for i, s, t in zip(rgb, sparse, trust, strict=True)]
-        first = first_factor(max(sparse.shape[1:]), factor, self.iterations) if self.resolution is None else factor
-        fine = _stacked([resized(*frame, factor) for frame in frames])
-        if first == factor:
-            estimate = self._predict(self.iterations, *fine)
-        else:
-            coarse = self._predict(1, *_stacked([resized(*frame, first) for frame in frames]))
-            estimate = self._predict(self.iterations - 1, *fine, _restored(coarse, fine[1].shape))
-        return _restored(estimate, sparse.shape)
+        """Depth and relative error (B,H,W), computed at `factor` times the images' resolution."""
+        frames = [resized(normalise_exposure(i), s, t, factor) for i, s, t in zip(rgb, sparse, trust, strict=True)]
+        images, points, weights = (np.stack(parts) for parts in zip(*frames, strict=True))
+        depth, error = self._predict(images, points, weights)
+        size = (sparse.shape[2], sparse.shape[1])
+        back = [restore_resolution(d, e, size) for d, e in zip(depth, error, strict=True)]
+        return np.stack([d for d, _ in back]), np.stack([e for _, e in back])
 
     def _predict(
         self,
-        iterations: int,
         rgb: NDArray[np.uint8],
         sparse: NDArray[np.float32],
         trust: NDArray[np.float32],
@@ -195,35 +190,20 @@ class DepthCompleter:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Image (B,H,W,3), sparse depth and trust (B,H,W) -> depth and relative error (B,H,W).
 
-        last: depth and relative error (B,H,W) that the iterations refine; None begins anew.
+        last: depth and relative error (B,H,W) that a single iteration refines; None begins anew.
         """
         points, weights = (torch.from_numpy(a).to(self.device)[:, None] for a in (sparse, trust))
         with torch.inference_mode():
             log_sparse, median = normalise_log(points)
             image = self.network.prepare(torch.from_numpy(rgb).to(self.device).permute(0, 3, 1, 2))
-            known = None
-            if last is not None:
+            first, recurrent = self.network.iterate, self.recurrent.iterate
+            if last is None:
+                estimate = refine_iteratively(first, recurrent, image, log_sparse, weights, self.iterations)
+            else:
                 depth, error = (torch.from_numpy(a).to(self.device)[:, None] for a in last)
-                known = Estimate(torch.log(depth / median), torch.log(error))
-            steps = self.network.iterate, self.recurrent.iterate
-            estimate = refine_iteratively(*steps, image, log_sparse, weights, iterations, known)
+                estimate = recurrent(image, log_sparse, weights, Estimate(torch.log(depth / median), torch.log(error)))
             depth = torch.exp(estimate.log_depth) * median
         return depth[:, 0].cpu().numpy(), torch.exp(estimate.log_error)[:, 0].cpu().numpy()
-
-
-def _stacked(frames: list[Frame]) -> Frame:
-    """Image, sparse depth and trust of each frame -> each of all frames, (B,...)."""
-    images, points, weights = zip(*frames, strict=True)
-    return np.stack(images), np.stack(points), np.stack(weights)
-
-
-def _restored(
-    estimate: tuple[NDArray[np.float32], NDArray[np.float32]], shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Depth and relative error (B,h,w) -> (B,H,W) of `shape`."""
-    size = shape[2], shape[1]
-    found = [restore_resolution(depth, error, size) for depth, error in zip(*estimate, strict=True)]
-    return np.stack([depth for depth, _ in found]), np.stack([error for _, error in found])
 
 
 def valid_points(

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
-Frame = tuple[NDArray[np.uint8], Image, Image]  # rgb (H,W,3), sparse depth and trust (H,W); or all with an axis B first
+Frame = tuple[NDArray[np.uint8], Image, Image]  # rgb (H,W,3), sparse depth and trust (H,W)
 
 SIDE = 320  # px, longer side; the weights were trained on images of 192 to 320 px
 # px, from so many points on, with more than one iteration; with a single one, a second would be worth more. 448 px
 # has the smaller error on single frames with exact points, and no better meshes (docs/lab/completion.md).
 SIDE_FOR_MANY, MANY_POINTS = 384, 600
 MOST_ENLARGED = 1.5  # greatest upsampling factor
-SIDE_OF_FIRST = 320  # px, of the first of several iterations: the mesh is no worse, and it takes two thirds of the time
 EDGE = 1.2  # ratio of depths within 3x3 pixels from which a resized depth keeps an edge there instead of a slope
 
 
@@ -25,11 +24,6 @@ def resolution_factor(side: int, points: int, iterations: int) -> float:
     if iterations > 1 and points >= MANY_POINTS:
         return min(SIDE_FOR_MANY / side, MOST_ENLARGED)
     return min(SIDE / side, 1.0)
-
-
-def first_factor(side: int, factor: float, iterations: int) -> float:
-    """Resampling factor of the first iteration, for an image of longer side `side` px whose last one is at `factor`."""
-    return factor if iterations == 1 else min(factor, SIDE_OF_FIRST / side)
 
 
 def resized(rgb: NDArray[np.uint8], sparse: Image, trust: Image, factor: float) -> Frame:

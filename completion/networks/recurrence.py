@@ -36,20 +36,13 @@ def self_conditioned_input(
 
 
 def refine_iteratively(
-    first: Iterate,
-    recurrent: Iterate,
-    image: Tensor,
-    log_sparse: Tensor,
-    trust: Tensor,
-    iterations: int,
-    last: Estimate | None = None,
+    first: Iterate, recurrent: Iterate, image: Tensor, log_sparse: Tensor, trust: Tensor, iterations: int
 ) -> Estimate:
-    """The estimate after `iterations` >= 1 iterations, each with the last one's estimate.
+    """The estimate after `iterations` >= 1 iterations, each after the first with the last one's estimate.
 
     first, recurrent: `DepthNetwork.iterate` of a network, or of its copies for the first and for later iterations.
-    last: the estimate that the first of them refines; None begins anew.
     """
-    estimate = first(image, log_sparse, trust, None) if last is None else recurrent(image, log_sparse, trust, last)
+    estimate = first(image, log_sparse, trust, None)
     for _ in range(iterations - 1):
         estimate = recurrent(image, log_sparse, trust, estimate)
     return estimate
