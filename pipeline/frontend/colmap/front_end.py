@@ -7,6 +7,7 @@ incremental one follows.
 import json
 import shutil
 import time
+from pathlib import Path
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
@@ -47,7 +48,8 @@ class ColmapFrontEnd:
         if end is not None:
             job["matching_until_s"] = MATCHING_SHARE * (end - time.monotonic())
         run_isolated(COLMAP_WORKER, "match", job, log, "features and matches", progress, end)
-        _say_what_was_matched(workspace, progress)
+        if end is not None:
+            _say_what_was_matched(workspace.log / "matched.json", progress)
         found = {"global": map_by_colmap("global", job, workspace, progress, end)}
         judged = candidates_of("global", found["global"], workspace)
         if needs_second_opinion(judged, len(frames.index)) and (end is None or time.monotonic() < end):
@@ -60,9 +62,11 @@ class ColmapFrontEnd:
         return FrontEndResult(found)
 
 
-def _say_what_was_matched(workspace: Workspace, progress: Progress) -> None:
-    """Where the time ended matching before the last pair."""
-    told = json.loads((workspace.log / "matched.json").read_text())
+def _say_what_was_matched(path: Path, progress: Progress) -> None:
+    """Where the time ended matching before the last pair; path: of what the worker counted."""
+    if not path.exists():
+        return
+    told = json.loads(path.read_text())
     if told["matched"] < told["pairs"]:
         progress.log(
             f"of {told['pairs']} pairs of frames {told['matched']} were matched in the time, the nearest first; these "

@@ -1,11 +1,8 @@
 """Which images COLMAP matches, those first without which there is no map: matching may have to end before the last."""
 
-from pathlib import Path
 from typing import Any
 
-import cv2  # noqa: F401 - before pycolmap, as in the worker
-import numpy as np
-import pycolmap
+from numpy.typing import NDArray
 
 
 def sequential_pairs(names: list[str], overlap: int) -> list[tuple[str, str]]:
@@ -20,13 +17,10 @@ def sequential_pairs(names: list[str], overlap: int) -> list[tuple[str, str]]:
     return [(names[i], names[i + distance]) for distance in ordered for i in range(len(names) - distance)]
 
 
-def loops_to_try(job: dict[str, Any]) -> list[tuple[str, str]]:
-    """Pairs of images that look alike, beyond the overlap, from the features in the job's database."""
+def loops_to_try(job: dict[str, Any], descriptors: list[NDArray[Any]]) -> list[tuple[str, str]]:
+    """Pairs of the job's images that look alike, beyond the overlap, by each image's descriptors (N,128)."""
     from pipeline.matching.place_recognition import loop_pairs  # half a second to load; nothing else needs it
 
-    with pycolmap.Database.open(Path(job["database"])) as db:
-        ids = {image.name: image.image_id for image in db.read_all_images()}
-        descriptors = [np.asarray(db.read_descriptors(ids[name]).data) for name in job["images"]]
     found = loop_pairs(
         descriptors,
         job["loop_stride"],

@@ -42,7 +42,7 @@ def extract_and_match(job: dict[str, Any]) -> None:
         _extract(job, names)
         _report(done + 1, total)
     pairs = sequential_pairs(job["images"], job["overlap"])
-    pairs += loops_to_try(job)
+    pairs += loops_to_try(job, _descriptors(job))
     _report(len(batches) + 1, total)
     matched = 0
     for done, batch in enumerate(_batches(pairs)):
@@ -87,6 +87,13 @@ def _extract(job: dict[str, Any], names: list[str]) -> None:
         extraction_options=options,
         device=pycolmap.Device.cpu,
     )
+
+
+def _descriptors(job: dict[str, Any]) -> list[NDArray[Any]]:
+    """(N,128) of each of the job's images."""
+    with pycolmap.Database.open(Path(job["database"])) as db:
+        ids = {image.name: image.image_id for image in db.read_all_images()}
+        return [np.asarray(db.read_descriptors(ids[name]).data) for name in job["images"]]
 
 
 def _match(job: dict[str, Any], pairs: list[tuple[str, str]]) -> None:
