@@ -27,7 +27,7 @@ MAX_FEATURES = 2048  # per frame; more only lengthens matching
 OVERLAP = 8  # frames; each is matched with as many before it
 LOOP_NEIGHBOURS = 2  # look-alike frames beyond the overlap tried for each frame that looks for loops
 LOOP_STRIDE = 10  # frames between two that look for loops
-MATCHING_SHARE = 0.6  # of the time that COLMAP is given, for features and matches; mapping has the rest
+MATCHING_SHARE = 0.45  # of the time that COLMAP is given, for features and matches; mapping has the rest
 THREADS = 2  # of feature extraction; matching and mapping take one, to be repeatable
 
 
