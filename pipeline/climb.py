@@ -44,8 +44,8 @@ class SubmittedPath:
 
 @dataclass(frozen=True)
 class Reference:
-    """True poses: frames of the film from 0 (N,), ascending, and world_from_camera (N,4,4), mm. counted_from: of
-    pictures whose numbers gave the frames, and which seem to be counted from another number than 1."""
+    """True poses: frames of the film from 0 (N,), ascending, and world_from_camera (N,4,4), mm. counted_from: number of
+    the first picture, where the frames are known by pictures' numbers; CLiMB's is 1."""
 
     frames: NDArray[np.int64]
     world_from_camera: Array

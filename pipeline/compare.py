@@ -11,6 +11,7 @@ from haustra.core.errors import HaustraError
 from pipeline.finished_run import Run, open_run
 from pipeline.input.pose_files.colmap_poses import images_file
 from pipeline.input.pose_files.pairing import paired
+from pipeline.truth.data_set_truth import DataSetTruth
 from pipeline.truth.film_part import FilmPart, cut_note
 from pipeline.truth.hints import Timed, path_hints, surface_hint
 from pipeline.truth.registry import TRUTH_READERS, read_data_set_truth
@@ -113,9 +114,10 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     simcol3d = simcol3d_errors(estimated, true, "mm")
     part = FilmPart.of(finished.workspace)
     of_whole = not part.is_less_than(true_seconds)
-    points, surface, surface_se3 = _true_surface(truth, spacing_of(tau), true_seconds, part), None, None
+    known = read_data_set_truth(truth) if truth.is_dir() else None
+    points, surface, surface_se3 = _true_surface(truth, known, spacing_of(tau), true_seconds, part), None, None
     truth_from_run = align_poses(estimated, true)
-    coverage = _coverage(finished, truth_from_run, truth, of_whole)
+    coverage = _coverage(finished, truth_from_run, truth, known, of_whole)
     if points is not None:
         mesh = read_mesh(finished.mesh)
         surface = _surface(mesh, truth_from_run, points, tau)
@@ -125,22 +127,22 @@ def compare_run(run: Path, truth: Path, tau: float = 1.0) -> Comparison:
     path = Timed(seconds, world_from_camera[:, :3, 3])
     hints = path_hints(path, true_path_of_run, estimated, true, sim3.scale, se3 is not None)
     of_wall = surface_hint(points.seen, true_path_of_run.centres) if points is not None else ""
-    of_part = part_hint(truth) if points is not None and not of_whole else ""
+    of_part = part_hint(truth, known) if points is not None and not of_whole else ""
     found = tuple(hint for hint in (*hints, of_wall, of_part) if hint)
-    notes = cut_note(part, true_seconds) if points is not None and _knows_wall_by_frames(truth) else ()
+    notes = cut_note(part, true_seconds) if points is not None and _knows_wall_by_frames(truth, known) else ()
     counts = metrics["frames"]["posed"], metrics["frames"]["total"], len(finished.submaps)
     return Comparison(*counts, sim3, se3, simcol3d, surface, coverage, found, surface_se3, notes)
 
 
-def part_hint(truth: Path) -> str:
+def part_hint(truth: Path, known: DataSetTruth | None) -> str:
     """A sentence where a run is of a part of the film, and its surface is measured against the wall of the whole."""
-    if _knows_wall_by_frames(truth):
+    if _knows_wall_by_frames(truth, known):
         return ""
     return "the run is of a part of the film and the true wall of the whole: recall counts what the run never saw"
 
 
-def _knows_wall_by_frames(truth: Path) -> bool:
-    return truth.is_dir() and (read_data_set_truth(truth) is not None or has_wall_by_frames(truth))
+def _knows_wall_by_frames(truth: Path, known: DataSetTruth | None) -> bool:
+    return known is not None or has_wall_by_frames(truth)
 
 
 def spacing_of(tau: float) -> float:
@@ -155,12 +157,11 @@ def _surface(
 
 
 def _coverage(
-    run: Run, truth_from_run: NDArray[np.float64], truth: Path, of_whole: bool
+    run: Run, truth_from_run: NDArray[np.float64], truth: Path, known: DataSetTruth | None, of_whole: bool
 ) -> CoverageErrors | str | None:
     """The run's own coverage, moved to the truth, against the true wall's own flags."""
     if not truth.is_dir():
         return None
-    known = read_data_set_truth(truth)
     wall = known.wall if known is not None else None
     if wall is None and (truth / "mesh.ply").exists():
         wall = read_true_wall(truth / "mesh.ply")
@@ -205,7 +206,7 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def _true_surface(
-    truth: Path, spacing_mm: float, seconds: NDArray[np.float64], part: FilmPart
+    truth: Path, known: DataSetTruth | None, spacing_mm: float, seconds: NDArray[np.float64], part: FilmPart
 ) -> ReferenceSurface | None:
     """The surface that the truth shows, in points `spacing_mm` apart, to frames of a part of the film alone where it
     knows what each frame saw; None where it has none. seconds: (N,) of the true poses."""
@@ -215,7 +216,7 @@ def _true_surface(
         raise HaustraError(
             f"the F-score at {2 * spacing_mm:g} mm cannot be measured; from {LEAST_TAU_MM:g} mm on it can (--tau-mm)"
         )
-    if (known := read_data_set_truth(truth)) is not None:
+    if known is not None:
         return known.surface(spacing_mm, part.holds(seconds))
     has_surface = (truth / "depth").is_dir() or (truth / "mesh.ply").exists()
     between_s = part.from_s, part.to_s

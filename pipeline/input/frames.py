@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
+from haustra.core.extrapolation import extrapolated
 from haustra.core.progress import Progress, ProgressCallback
 from haustra.core.text import counted
 from haustra.core.threads import prefetched
@@ -56,9 +57,7 @@ class Frames:
         """(N,) times of frames by their numbers in the source, (N,): between and beyond the working frames by their
         mean interval."""
         interval = (self.seconds[-1] - self.seconds[0]) / max(int(self.index[-1] - self.index[0]), 1)
-        within = np.interp(numbers, self.index, self.seconds)
-        beyond = np.where(numbers < self.index[0], numbers - self.index[0], np.maximum(numbers - self.index[-1], 0))
-        return np.asarray(within + interval * beyond)
+        return extrapolated(numbers, self.index, self.seconds, float(interval))
 
 
 def read_frames(

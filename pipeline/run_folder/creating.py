@@ -3,6 +3,7 @@
 import importlib.metadata
 import platform
 from pathlib import Path
+from typing import Any
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import check_name
@@ -63,7 +64,8 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
     before it had a camera path, is in nobody's way, unless it was to replace an earlier one: the command is given
     again, corrected."""
     root, replaced = workspace.root, workspace.record_path.exists()
-    in_the_way = replaced and (is_kept(root) or not _is_in_nobodys_way(root))
+    record = _record_in(root) if replaced else None
+    in_the_way = replaced and (is_kept(root) or not _is_in_nobodys_way(record))
     if in_the_way and not overwrite:
         raise HaustraError(f"{root} already holds a run; {_ways_on(root, source, config)}")
     if replaced:
@@ -73,7 +75,7 @@ def _fill(workspace: Workspace, source: Path, config: Config, overwrite: bool) -
         "versions": _versions(),
         "config": config.model_dump(mode="json"),
     }
-    if in_the_way and _has_result(root):
+    if in_the_way and (record is None or FIRST_RESULT in record["stages"]):
         forget(root)  # kept by a run that has come to a result since
         keep(root, [path for path in files_of(workspace) if path.parent == root and path.exists()])
     elif replaced:
@@ -114,20 +116,18 @@ def _ways_on(root: Path, source: Path, config: Config) -> str:
     return f"its settings were others ({other[0]}), so --overwrite redoes it, and --resume goes on with those alone"
 
 
-def _has_result(root: Path) -> bool:
-    """Whether a run has come to a camera path, or has a record too damaged to tell."""
+def _record_in(root: Path) -> dict[str, Any] | None:
+    """The record of a run; None where it is damaged, and what the run had come to cannot be told."""
     try:
-        return FIRST_RESULT in open_workspace(root).record["stages"]
+        return open_workspace(root).record
     except HaustraError:
-        return True
+        return None
 
 
-def _is_in_nobodys_way(root: Path) -> bool:
-    try:
-        record = open_workspace(root).record
-        return not record["stages"] or (REFUSED in record and FIRST_RESULT not in record["stages"])
-    except HaustraError:  # a damaged record: what it knew cannot be told
+def _is_in_nobodys_way(record: dict[str, Any] | None) -> bool:
+    if record is None:
         return False
+    return not record["stages"] or (REFUSED in record and FIRST_RESULT not in record["stages"])
 
 
 def _versions() -> dict[str, str]:

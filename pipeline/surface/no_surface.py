@@ -6,6 +6,7 @@ from completion.confidence import error_from_confidence
 from haustra.core.text import counted
 from pipeline.config import FusionSettings
 from pipeline.depth.completed_submap import CompletedSubmap
+from pipeline.surface.depth_filter import LEAST_CONFIDENCE
 
 LARGEST_VOXEL = 0.2  # of the median depth; a wall that a camera sees is then one or two voxels across
 LEAST_SURE = 0.01  # share of the pixels with depth; where fewer are sure enough, that is the reason
@@ -23,7 +24,7 @@ def why_no_surface(completed: CompletedSubmap, settings: FusionSettings, voxel_s
             "median depth: make fusion.voxel_size smaller"
         )
     confidence = np.concatenate([confidence[depth > 0] for depth, confidence, _ in maps]) if maps else np.zeros(0)
-    error = depth * error_from_confidence(confidence.astype(np.float32), least=1e-6)
+    error = depth * error_from_confidence(confidence.astype(np.float32), LEAST_CONFIDENCE)
     limit = settings.max_error_voxels * voxel_size
     if len(depth) and (error <= limit).mean() < LEAST_SURE:
         return (

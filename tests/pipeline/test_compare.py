@@ -32,9 +32,9 @@ def workspace_of(folder, seconds, frames=None):
 
 
 def test_coverage_cannot_be_compared_with_a_mesh_of_seen_wall_alone(tmp_path):
-    assert compare._coverage(None, np.eye(4), tmp_path, True) is None  # no mesh at all
+    assert compare._coverage(None, np.eye(4), tmp_path, None, True) is None  # no mesh at all
     write_mesh(SurfaceMesh.from_triangles(np.eye(3), [[0, 1, 2]]), tmp_path / "mesh.ply")
-    assert "does not hold the wall that no frame saw" in compare._coverage(None, np.eye(4), tmp_path, True)
+    assert "does not hold the wall that no frame saw" in compare._coverage(None, np.eye(4), tmp_path, None, True)
 
 
 def test_true_coverage_is_compared_where_the_truth_has_no_depth(tmp_path, monkeypatch):
@@ -61,7 +61,7 @@ def test_a_perfect_surface_is_perfect_at_every_distance(tmp_path, tau):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=6)
     mesh = SurfaceMesh.from_triangles(np.asarray(ball.vertices), np.asarray(ball.faces))
     write_mesh(mesh, tmp_path / "mesh.ply")
-    truth = compare._true_surface(tmp_path, compare.spacing_of(tau), np.zeros(1), WHOLE)
+    truth = compare._true_surface(tmp_path, None, compare.spacing_of(tau), np.zeros(1), WHOLE)
     errors = compare._surface(mesh, np.eye(4), truth, tau)
     assert min(errors.precision, errors.recall) > 0.99
 
@@ -69,9 +69,9 @@ def test_a_perfect_surface_is_perfect_at_every_distance(tmp_path, tau):
 def test_a_distance_finer_than_the_truth_can_be_is_refused_where_there_is_a_surface(tmp_path):
     path = tmp_path / "trajectory.txt"
     path.write_text("0 0 0 0 0 0 0 1\n")
-    assert compare._true_surface(path, compare.spacing_of(0.1), np.zeros(1), WHOLE) is None
+    assert compare._true_surface(path, None, compare.spacing_of(0.1), np.zeros(1), WHOLE) is None
     with pytest.raises(HaustraError, match=r"F-score at 0\.1 mm cannot be measured"):
-        compare._true_surface(tmp_path, compare.spacing_of(0.1), np.zeros(1), WHOLE)
+        compare._true_surface(tmp_path, None, compare.spacing_of(0.1), np.zeros(1), WHOLE)
 
 
 def two_walls(folder):
@@ -101,16 +101,16 @@ def test_a_run_of_a_part_of_the_film_is_measured_by_the_wall_of_that_part(tmp_pa
     step = 0.9 if film == (0.0, 0.9) else 0.2
     read = np.arange(film[0], film[1] + 0.01, step)
     part = FilmPart.of(workspace_of(tmp_path, read, FrameSettings(start_s=start_s, end_s=end_s)))
-    surface = compare._true_surface(tmp_path, 0.5, seconds, part)
+    surface = compare._true_surface(tmp_path, None, 0.5, seconds, part)
     assert sorted(set(surface.required[:, 2].round(6))) == walls
     assert part.is_less_than(seconds) == (walls != [10, 20])
     told = cut_note(part, seconds)
     assert [note.split(":")[0] for note in told] == [
         f"the wall is cut to what {len(walls)} of the 2 true frames saw" for _ in range(2 - len(walls))
     ]
-    assert compare.part_hint(tmp_path) == ""
+    assert compare.part_hint(tmp_path, None) == ""
     (tmp_path / "wall_motion.json").write_text("{}")
-    assert compare.part_hint(tmp_path)
+    assert compare.part_hint(tmp_path, None)
 
 
 @pytest.mark.parametrize(("stride", "count"), [(1, 80), (2, 40), (3, 27), (7, 12)])
@@ -126,4 +126,4 @@ def test_a_stride_leaves_no_frame_of_the_whole_film_out(tmp_path, stride, count)
 def test_coverage_of_a_film_that_was_cut_is_not_compared_with_that_of_the_whole(tmp_path, monkeypatch):
     (tmp_path / "mesh.ply").write_text("")
     monkeypatch.setattr(compare, "read_true_wall", lambda _: "a wall with what no frame saw")
-    assert "of a part of the film" in compare._coverage(None, np.eye(4), tmp_path, False)
+    assert "of a part of the film" in compare._coverage(None, np.eye(4), tmp_path, None, False)

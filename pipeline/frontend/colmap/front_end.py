@@ -69,7 +69,7 @@ def _say_what_was_matched(path: Path, progress: Progress) -> None:
     told = json.loads(path.read_text())
     if told["matched"] < told["pairs"]:
         progress.log(
-            f"of {told['pairs']} pairs of frames {told['matched']} were matched in the time, the nearest first; these "
+            f"of {told['pairs']} pairs of frames {told['matched']} were matched in the time, neighbours first; these "
             "are mapped"
         )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
+from haustra.core.extrapolation import extrapolated
 from haustra.core.se3 import interpolated
 from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
@@ -71,17 +72,11 @@ class FilmFrames:
 
     def seconds_of(self, numbers: NDArray[np.int64]) -> Array:
         """(N,) times of frames by their numbers in the source (N,), looked at or not."""
-        return _extended(numbers.astype(np.float64), self.index.astype(np.float64), self.seconds, self.interval)
+        return extrapolated(numbers, self.index, self.seconds, self.interval)
 
     def numbers_at(self, seconds: Array) -> Array:
         """(N,) numbers in the source of the frames at times (N,), with their fractions between two frames."""
-        return _extended(seconds, self.seconds, self.index.astype(np.float64), 1 / self.interval)
-
-
-def _extended(wanted: Array, known: Array, values: Array, slope: float) -> Array:
-    """(N,) values at `wanted` (N,): between the ascending `known` (K,) on straight lines, beyond them by the slope."""
-    beyond = np.minimum(wanted - known[0], 0) + np.maximum(wanted - known[-1], 0)
-    return np.asarray(np.interp(wanted, known, values) + slope * beyond)
+        return extrapolated(seconds, self.seconds, self.index, 1 / self.interval)
 
 
 def first_numbers(table: PoseTable, film: FilmFrames) -> tuple[int, ...]:

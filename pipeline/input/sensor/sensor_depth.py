@@ -211,7 +211,8 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
         if fault := _fault(path):
             raise HaustraError(f"{path} {fault}")
     looked_at = images[:: -(-len(images) // LOOKED_AT)]
-    known = np.concatenate([_known(path) for path in looked_at])
+    stored = [_stored(path) for path in looked_at]
+    known = np.concatenate([_known(path, raw) for path, raw in zip(looked_at, stored, strict=True)])
     if len(known) == 0:
         raise HaustraError(
             f"the {len(looked_at)} images of {folder} that were looked at hold no depth: all are 0 or {NO_RETURN}"
@@ -223,7 +224,7 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
             f"{of_frames} of the {len(images)} depth images of {folder} are of the film's {announced} frames, by the "
             "numbers in their names: give those of this film"
         )
-    share = float(np.mean([np.mean(_stored(path) == NO_RETURN) for path in looked_at]))
+    share = float(np.mean([np.mean(raw == NO_RETURN) for raw in stored]))
     if share == 0:
         return ""
     percent = f"{100 * share:.0f}" if share >= 0.01 else "less than 1"
@@ -231,10 +232,9 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
     return f"{told} 16 bits: taken for no depth, as 0 is"
 
 
-def _known(path: Path) -> Array:
-    """(K,) values of a depth image, as stored, that are depth."""
-    raw = _read_depth(path)
-    return raw[(raw > 0) & (_confidence(path, raw.shape) >= LEAST_CONFIDENCE)].astype(np.float64)
+def _known(path: Path, raw: NDArray[np.uint16]) -> Array:
+    """(K,) values of a depth image, as stored (h,w), that are depth."""
+    return raw[(raw > 0) & (raw < NO_RETURN) & (_confidence(path, raw.shape) >= LEAST_CONFIDENCE)].astype(np.float64)
 
 
 def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:

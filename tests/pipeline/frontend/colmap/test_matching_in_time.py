@@ -1,4 +1,4 @@
-"""Matching ends in the time that it has, with the pairs of near images first."""
+"""Matching ends in the time that it has, with the pairs of neighbours first."""
 
 import json
 
@@ -57,4 +57,4 @@ def test_what_was_not_matched_is_said(tmp_path):
     for matched in (500, 300):
         path.write_text(json.dumps({"matched": matched, "pairs": 500}))
         front_end._say_what_was_matched(path, heard)
-    assert heard.said == ["of 500 pairs of frames 300 were matched in the time, the nearest first; these are mapped"]
+    assert heard.said == ["of 500 pairs of frames 300 were matched in the time, neighbours first; these are mapped"]
