@@ -13,6 +13,7 @@ from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.frontend.frames_between import every_nth, with_frames_between
+from pipeline.frontend.joined_maps import joined
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.registry import AUTO, FIRST, FRONT_ENDS, SECOND
 from pipeline.frontend.scoring import (
@@ -31,7 +32,6 @@ from pipeline.frontend.second_opinion import (
     ByMapper,
     ask_of_each,
     at_once,
-    joined,
     known_lens,
     most_frames,
     stretches_to_ask,

@@ -5,7 +5,7 @@ reprojection error do not tell a false two-view start.
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -71,16 +71,31 @@ def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -
         if check.inconsistent_share > MAX_INCONSISTENT:
             begin, end = best_stretch(correlations)
             if MIN_KEPT * len(submap.frames) <= end - begin < len(submap.frames):
-                few = submap.without_frames(set(np.delete(submap.frames, np.s_[begin:end]).tolist()))
-                submap = few.without_points(few.track_lengths() < 2)
+                submap = _only(submap, submap.frames[begin:end])
                 check, model = summarised(submap, correlations[begin:end]), None
         # COLMAP's own models, which are numbered too, stay as they are.
-        folder = model or workspace.log / mapper / f"{number}_written"
-        if model is None:
-            shutil.rmtree(folder, ignore_errors=True)  # of an earlier version, which wrote text beside the arrays
-            write_arrays(submap, folder)
+        folder = model or _written(submap, workspace.log / mapper / f"{number}_written")
         candidates.append(Candidate(submap, check, folder, mapper))
     return candidates
+
+
+def part_of(one: Candidate, frames: Collection[int]) -> Candidate:
+    """Its part of these frames, which it poses, as a submap of its own: as probably wrong as the whole."""
+    part = _only(one.submap, np.array(sorted(frames)))
+    folder = _written(part, one.folder.with_name(f"{one.folder.name}_part"))
+    return replace(one, submap=part, check=replace(one.check, frames=len(part.frames)), folder=folder)
+
+
+def _only(submap: Submap, frames: NDArray[np.int64]) -> Submap:
+    """These frames of a submap, and the points that two of them see."""
+    few = submap.without_frames(set(np.setdiff1d(submap.frames, frames).tolist()))
+    return few.without_points(few.track_lengths() < 2)
+
+
+def _written(submap: Submap, folder: Path) -> Path:
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier version, which wrote text beside the arrays
+    write_arrays(submap, folder)
+    return folder
 
 
 def without_wild_points(submap: Submap) -> Submap:

@@ -75,13 +75,14 @@ def refine_intrinsics(
     it, until it stays. The other maps wait for it, and are adjusted once.
 
     A guess with distortion (the mean colonoscope, or an untrusted camera file) gives way only where that map, adjusted
-    with the new lens, is wrong with a probability below `DOUBTED_FROM`; else it stays, and no other map is asked.
+    with the new lens, is wrong with a probability below `DOUBTED_FROM`; else it stays, no other map is asked, and in
+    the list `maps` the map as it was adjusted with the guess takes its place again.
     """
     asked = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))[:MOST_ASKED]
     camera = guess
     sigma: tuple[float, ...] = ()
     held: dict[int, float | None] = {}
-    wrong = 0.0
+    wrong, by_guess = 0.0, None
     for _ in range(ROUNDS):
         lenses: list[Lens] = []
         for number in asked:
@@ -98,14 +99,16 @@ def refine_intrinsics(
         if shift < LENS_CONVERGED:
             break
         camera = lens.camera
+        if any(guess.distortion) and by_guess is None:
+            by_guess = maps[asked[0]].copied(), held[asked[0]]
         held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress)
-        if any(guess.distortion) and (wrong := _doubt_of(maps[asked[0]], camera, workspace)) >= PROBABLE:
+        if by_guess and (wrong := _doubt_of(maps[asked[0]], camera, workspace)) >= PROBABLE:
             break
-    if camera != guess and wrong >= DOUBTED_FROM:
+    if by_guess and wrong >= DOUBTED_FROM:
         progress.log(
             "the lens stays as guessed: the map that determines another is in doubt, or too short to be judged"
         )
-        held |= _with_lens(maps, asked, guess, True, find, progress)  # anew: what fits the guess may have been dropped
+        maps[asked[0]], held[asked[0]] = by_guess
         camera, sigma = guess, (float("nan"),)
     if camera == guess:
         held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)

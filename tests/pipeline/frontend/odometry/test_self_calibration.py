@@ -229,8 +229,10 @@ def test_maps_that_are_not_asked_for_the_lens_are_adjusted_once_and_with_it(monk
 def test_the_mean_colonoscope_stays_where_the_map_that_determines_another_is_in_doubt(
     monkeypatch, doubts, asked, focal
 ):
-    mean, maps = colonoscope_across(305, 228, (0, 0, 305, 228)), [SimpleNamespace(tracked_frames=[1], keyframes=[])]
+    mean, by_guess = colonoscope_across(305, 228, (0, 0, 305, 228)), SimpleNamespace(by="the guess")
     mean = replace(mean, params=(160.0, *mean.params[1:]))
+    adjusted = SimpleNamespace(tracked_frames=[1], keyframes=[], copied=lambda: by_guess)
+    maps = [adjusted]
     focals, doubts, seen = iter([150.0, 141.0, 141.0]), iter(doubts), []
 
     def lens_of(local_map, camera, *_):
@@ -243,12 +245,13 @@ def test_the_mean_colonoscope_stays_where_the_map_that_determines_another_is_in_
     monkeypatch.setattr(self_calibration, "_lens_of", lens_of)
     monkeypatch.setattr(self_calibration, "_doubt_of", lambda *_: next(doubts))
     monkeypatch.setattr(self_calibration, "_with_lens", with_lens)
-    monkeypatch.setattr(self_calibration, "adjust_maps", lambda some, *_: [None] * len(some))
+    monkeypatch.setattr(self_calibration, "adjust_maps", lambda some, *_: [160.0] * len(some))
     camera, sigma, held = self_calibration.refine_intrinsics(
         maps, mean, 0, None, SimpleNamespace(log=None), SilentProgress()
     )
     assert len(seen) == asked
     assert camera.params[0] == held[0] == focal
+    assert maps == [by_guess if focal == mean.params[0] else adjusted]
     assert np.isnan(sigma[0]) == (focal == mean.params[0])
 
 
