@@ -23,7 +23,8 @@ from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge, Verdict
-from pipeline.input.picture_layout import PictureLayout
+from pipeline.input.layout.digital_zoom import DigitalZoom, LookedAt
+from pipeline.input.layout.picture_layout import PictureLayout
 from pipeline.input.video import RawFrame, Source
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace, report_corruption, write_json
@@ -164,17 +165,12 @@ def _in_range(source: Source, settings: FrameSettings, passed: list[float] | Non
 
 
 def _store_frames(
-    source: Source,
-    settings: FrameSettings,
-    area: ContentArea,
-    camera: Camera,
-    workspace: Workspace,
-    progress: Progress,
-) -> list[tuple[int, float, str]]:
+    source: Source, settings: FrameSettings, area: ContentArea, camera: Camera, workspace: Workspace, progress: Progress
+) -> list[LookedAt]:
     """Write the image and mask of each used frame; returns (index, seconds, verdict) of all that were looked at."""
     content = resized(area.mask, area, camera, cv2.INTER_NEAREST)
-    judge, layout = FrameJudge(), PictureLayout(area)
-    verdicts: list[tuple[int, float, str]] = []
+    judge, layout, zoom = FrameJudge(), PictureLayout(area), DigitalZoom(content)
+    verdicts: list[LookedAt] = []
 
     def used(advance: ProgressCallback) -> Iterator[_Used]:
         for frame in _in_range(source, settings):
@@ -187,13 +183,18 @@ def _store_frames(
             verdicts.append((frame.index, frame.seconds, verdict))
             if verdict == "used":
                 layout.remember(frame.seconds)
+                zoom.remember(rgb, frame.index)
                 yield _Used(frame.index, rgb, source.depth_mm())
 
     with progress.bar("reading frames", source.announced or None) as advance:
         for _ in prefetched(partial(_write_frame, workspace, content), used(advance), count=1):
             pass  # written while the next is judged
     source.notes += layout.notes
-    return verdicts
+    judged = zoom.judged(verdicts, source.notes)
+    for frame in (frame for (frame, _, before), (_, _, after) in zip(verdicts, judged, strict=True) if before != after):
+        for path in (workspace.image_path(frame), workspace.mask_path(frame), workspace.sensor_path(frame)):
+            path.unlink(missing_ok=True)
+    return judged
 
 
 @dataclass(frozen=True)

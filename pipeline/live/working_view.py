@@ -14,7 +14,7 @@ from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
 from pipeline.input.frame_quality import FrameJudge, Verdict
 from pipeline.input.frames import resized, working_scale
-from pipeline.input.picture_layout import PictureLayout
+from pipeline.input.layout.picture_layout import PictureLayout
 
 LOOKED_AT = 8  # frames from which the content area is found, and
 LOOK_EVERY_S = 0.06  # how far they are apart: the run at the end looks at the whole film

@@ -8,7 +8,7 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import Config
 from pipeline.input.content_area import find_content
 from pipeline.input.frames import read_frames
-from pipeline.input.picture_layout import WINDOW, PictureLayout
+from pipeline.input.layout.picture_layout import WINDOW, PictureLayout
 from pipeline.input.video import Source
 from pipeline.run_folder.creating import create_workspace
 from tests.helpers.real_data import shared
