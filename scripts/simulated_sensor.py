@@ -32,8 +32,9 @@ def sensed(
     zones: tuple[int, int],
     noise: float,
     rng: np.random.Generator,
+    along_ray: bool = False,
 ) -> NDArray[np.float64]:
-    """(rows, columns) depth in mm of true depth (H,W), 0 = none."""
+    """(rows, columns) depth in mm of true depth (H,W), 0 = none. along_ray: distance along each pixel's ray."""
     height, width = depth.shape
     y = ((np.arange(zones[1]) + 0.5) * height / zones[1]).astype(int)
     x = ((np.arange(zones[0]) + 0.5) * width / zones[0]).astype(int)
@@ -46,6 +47,8 @@ def sensed(
     cosine = np.abs((normal * rays).sum(axis=2)) / np.linalg.norm(rays, axis=2)
     seen = (cosine > GRAZING) & (rgb.min(axis=2) < BURNT) & (depth > 0) & known.reshape(height, width)
     measured = depth * (1 + noise * rng.standard_normal(depth.shape))
+    if along_ray:
+        measured = measured * np.linalg.norm(rays, axis=2)
     kept = rng.random(depth.shape) > DROPPED
     return np.where(seen & kept, np.maximum(measured, 0), 0.0)[np.ix_(y, x)]
 
@@ -57,6 +60,7 @@ def main() -> None:
     parser.add_argument("--zones", type=int, nargs=2, default=(64, 64))
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--factor", type=float, default=1.0, help="of all depths: a wrong unit")
+    parser.add_argument("--along-ray", action="store_true", help="distances along each pixel's ray, not z-depth")
     parser.add_argument("--shift", type=int, default=0, help="frames by which the depth is late, negative: early")
     parser.add_argument("--blind", type=int, nargs=2, help="first and last frame whose picture is blurred away")
     parser.add_argument("--seed", type=int, default=0)
@@ -67,10 +71,11 @@ def main() -> None:
     shutil.copytree(wanted.folder / "rgb", wanted.out / "rgb", dirs_exist_ok=True)
     files = sorted((wanted.folder / "depth").glob("*.png"))
     for number, path in enumerate(files):
-        seen = files[int(np.clip(number - wanted.shift, 0, len(files) - 1))]
-        true = cv2.imread(str(seen), cv2.IMREAD_UNCHANGED) * about["depth_unit_mm"]
+        late = files[int(np.clip(number - wanted.shift, 0, len(files) - 1))]
+        true = cv2.imread(str(late), cv2.IMREAD_UNCHANGED) * about["depth_unit_mm"]
         rgb = cv2.imread(str(wanted.folder / "rgb" / path.name))
-        depth = wanted.factor * sensed(true, rgb, camera, tuple(wanted.zones), wanted.noise, rng)
+        seen = sensed(true, rgb, camera, tuple(wanted.zones), wanted.noise, rng, wanted.along_ray)
+        depth = wanted.factor * seen
         cv2.imwrite(
             str(wanted.out / "depth" / path.name), np.clip(np.rint(depth / UNIT_MM), 0, 65535).astype(np.uint16)
         )

@@ -4,12 +4,13 @@ measured at its observations."""
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
-from haustra.core.se3 import in_camera
+from haustra.core.se3 import Array, in_camera
+from pipeline.input.sensor.along_ray import FEWEST, doubt_of_axis
 from pipeline.mapping.local_map import DepthAt, Keyframe, LocalMap
 from pipeline.optimization.depth_residuals import MeasuredDepth
 
-FEWEST = 30  # observations with depth, without which a map has no scale
 LEAST_ERROR = 0.003  # share of the depth; a cell of a sensor covers some wall, whatever it says of its noise
 
 
@@ -33,19 +34,36 @@ def make_metric(local_map: LocalMap, depth_at: DepthAt) -> float | None:
 def metric_scale(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None = None) -> float | None:
     """mm per unit of the map; None where too few observations have a depth. frames: of the keyframes that are asked;
     None: all."""
-    log_ratio = [np.zeros(0)]
+    log_ratio, _, _ = _log_ratios(local_map, depth_at, frames)
+    return float(np.exp(np.median(log_ratio))) if len(log_ratio) >= FEWEST else None
+
+
+def refuse_distances_of(maps: list[LocalMap], depth_at: DepthAt) -> None:
+    """HaustraError where a sensor seems to give distances along the rays. Of maps that were not yet adjusted by it,
+    with a lens that is known."""
+    found = [_log_ratios(local_map, depth_at, None) for local_map in maps]
+    if found and (doubt := doubt_of_axis(*(np.concatenate(parts) for parts in zip(*found, strict=True)))):
+        raise HaustraError(f"{doubt}; --depth none leaves the sensor out")
+
+
+def _log_ratios(
+    local_map: LocalMap, depth_at: DepthAt, frames: list[int] | None
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Of observations (K,) with a depth: log of mm per unit, log of distance over depth in the map, and frame."""
+    ratios, slants, numbers = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, np.int64)]
     for keyframe in local_map.keyframes:
         if frames is not None and keyframe.frame not in frames:
             continue
         points, pixels = local_map.visible_points(keyframe)
-        mapped, measured = (
-            in_camera(keyframe.camera_from_world, points)[:, 2],
+        away, measured = (
+            in_camera(keyframe.camera_from_world, points),
             depth_at(keyframe.frame, pixels.astype(np.float64))[0],
         )
-        known = (mapped > 0) & (measured > 0)
-        log_ratio.append(np.log(measured[known] / mapped[known]))
-    every = np.concatenate(log_ratio)
-    return float(np.exp(np.median(every))) if len(every) >= FEWEST else None
+        known = (away[:, 2] > 0) & (measured > 0)
+        ratios.append(np.log(measured[known] / away[known, 2]))
+        slants.append(np.log(np.linalg.norm(away[known], axis=1) / away[known, 2]))
+        numbers.append(np.full(int(known.sum()), keyframe.frame))
+    return np.concatenate(ratios), np.concatenate(slants), np.concatenate(numbers)
 
 
 def measured_depth(depth_at: DepthAt, keyframes: list[Keyframe], masks: list[NDArray[np.bool_]]) -> MeasuredDepth:

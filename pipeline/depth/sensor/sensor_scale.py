@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.text import counted
 from pipeline.depth.sparse_depth import reliable_points
+from pipeline.input.sensor.along_ray import FEWEST, doubt_of_axis, within_frames
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.input.sensor.usual_distances import check_unit, doubt_of_unit
 from pipeline.mapping.submap import Submap
 
 Array = NDArray[np.float64]
 MOST_FRAMES = 120  # spread over the submap
-FEWEST = 30  # ratios, without which there is no scale
-FEWEST_IN_FRAME = 8
 SHIFTS = (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)  # frames by which the sensor may be off
 BETTER = 0.9  # a shift must lower the disagreement to this part of it
 # Frames from their own to where the parabola through the squared disagreements is lowest. A map that late depth
@@ -69,10 +68,10 @@ class SensorScale:
 def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     """Scale of a submap in scene units; None where too little of it has depth. HaustraError, one sentence, where the
     sensor's unit, lens or clock cannot be right."""
-    log_ratio, row = _log_ratios(submap, sensor, 0)
+    log_ratio, row, slant = _log_ratios(submap, sensor, 0)
     if len(log_ratio) < FEWEST:
         return None
-    disagreement, medians = _disagreement(log_ratio, row)
+    disagreement, medians = within_frames(log_ratio, row)
     late = "" if sensor.stereo else _check_time(submap, sensor, disagreement)  # a pair's depth is of its own time
     if disagreement > MOST_DISAGREEMENT:
         raise HaustraError(
@@ -84,7 +83,9 @@ def sensor_scale(submap: Submap, sensor: SensorDepth) -> SensorScale | None:
     depths = submap.depths()
     median_mm = scale * float(np.median(depths[depths > 0]))
     check_unit(median_mm, sensor.stereo)
-    doubts = (doubt_of_unit(median_mm, sensor.stereo), "" if sensor.stereo else sensor.doubt_of_shape)
+    doubts = [doubt_of_unit(median_mm, sensor.stereo)]
+    if not sensor.stereo:
+        doubts += [sensor.doubt_of_shape, doubt_of_axis(log_ratio, slant, row)]
     doubt = "; ".join(filter(None, doubts))
     return SensorScale(scale, len(log_ratio), disagreement, float(np.std(medians)), doubt, late)
 
@@ -106,9 +107,9 @@ def _check_time(submap: Submap, sensor: SensorDepth, disagreement: float) -> str
     empty without a reason."""
     found = {0: disagreement}
     for shift in SHIFTS:
-        log_ratio, row = _log_ratios(submap, sensor, shift)
+        log_ratio, row, _ = _log_ratios(submap, sensor, shift)
         if len(log_ratio) >= FEWEST:
-            found[shift] = _disagreement(log_ratio, row)[0]
+            found[shift] = within_frames(log_ratio, row)[0]
     best = min(found, key=lambda shift: (found[shift], abs(shift)))
     if best != 0 and found[best] < BETTER * disagreement:
         when = f"{counted(abs(best), 'frame')} {'late' if best > 0 else 'early'}"
@@ -142,11 +143,12 @@ def _lowest_at(disagreement: dict[int, float]) -> float:
     return float(lowest) if rise > LEAST_RISE * (at_zero - curvature * lowest**2) else 0.0
 
 
-def _log_ratios(submap: Submap, sensor: SensorDepth, shift: int) -> tuple[Array, NDArray[np.int64]]:
-    """(K,) log of mm over scene units, and (K,) rows of the frames; shift: the sensor's frames are so many later."""
+def _log_ratios(submap: Submap, sensor: SensorDepth, shift: int) -> tuple[Array, NDArray[np.int64], Array]:
+    """(K,) log of mm over scene units, (K,) rows of the frames, and (K,) log of the distance along the ray over the
+    depth along the axis; shift: the sensor's frames are so many later."""
     good, _ = reliable_points(submap, submap.triangulation_angles(), submap.camera_params[0])
     rows = np.unique(np.linspace(0, len(submap.frames) - 1, min(MOST_FRAMES, len(submap.frames))).round().astype(int))
-    depths, ratios, found = submap.depths(), [np.zeros(0)], [np.zeros(0, np.int64)]
+    depths, ratios, found, slants = submap.depths(), [np.zeros(0)], [np.zeros(0, np.int64)], [np.zeros(0)]
     order, starts = submap.by_frame()
     for row in rows.tolist():
         mine = order[starts[row] : starts[row + 1]]
@@ -155,16 +157,6 @@ def _log_ratios(submap: Submap, sensor: SensorDepth, shift: int) -> tuple[Array,
         known = measured > 0
         ratios.append(np.log(measured[known] / depths[mine][known]))
         found.append(np.full(int(known.sum()), row))
-    return np.concatenate(ratios), np.concatenate(found)
-
-
-def _disagreement(log_ratio: Array, row: NDArray[np.int64]) -> tuple[float, Array]:
-    """Median absolute deviation from each frame's median, and those medians, of frames with enough points."""
-    medians, off = [], [np.zeros(0)]
-    for one in np.unique(row):
-        mine = log_ratio[row == one]
-        if len(mine) >= FEWEST_IN_FRAME:
-            medians.append(float(np.median(mine)))
-            off.append(np.abs(mine - medians[-1]))
-    every = np.concatenate(off)
-    return (float(np.median(every)) if len(every) else 0.0), np.array(medians or [0.0])
+        away = submap.points[submap.observations[mine[known], 1]] - submap.centres[row]
+        slants.append(np.log(np.linalg.norm(away, axis=1) / depths[mine][known]))
+    return np.concatenate(ratios), np.concatenate(found), np.concatenate(slants)

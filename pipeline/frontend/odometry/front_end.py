@@ -32,7 +32,7 @@ from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap
-from pipeline.mapping.metric_map import make_all_metric
+from pipeline.mapping.metric_map import make_all_metric, refuse_distances_of
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_merging import merge_and_adjust
 from pipeline.mapping.submap_of_map import submaps_of
@@ -103,6 +103,8 @@ def track_frames(
         give_back_freed_memory()  # the adjustment asks for other arrays
         sensor = open_sensor(workspace, frames.camera.width)
         if sensor is not None and sensor.settings.adjust:
+            if frames.camera.trusted and not sensor.stereo:
+                refuse_distances_of(maps, sensor.for_adjustment)
             make_all_metric(maps, sensor.for_adjustment, progress)
         camera, changed = frames.camera, stitching is not None
         sigma: tuple[float, ...] = ()

@@ -67,7 +67,8 @@ def submap():
     )  # fmt: skip
 
 
-def write_sensor(folder, unit_mm=0.05, noise=0.02, zones=(48, 40)):
+def write_sensor(folder, unit_mm=0.05, noise=0.02, zones=(48, 40), along_ray=False):
+    """Depth images of all frames; along_ray: of distances along each cell's ray."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(1)
     x, y = np.meshgrid(
@@ -77,5 +78,6 @@ def write_sensor(folder, unit_mm=0.05, noise=0.02, zones=(48, 40)):
     for k in range(COUNT):
         depth = wall_depth(rays, k) * (1 + noise * rng.normal(size=len(rays)))
         depth[(rng.random(len(rays)) < 0.2) | (depth > 150)] = 0
+        depth = depth * np.linalg.norm(rays, axis=1) if along_ray else depth
         raw = np.clip(np.rint(depth / unit_mm), 0, 65535).astype(np.uint16).reshape(zones[1], zones[0])
         cv2.imwrite(str(folder / f"{k:05d}.png"), raw)

@@ -1,5 +1,6 @@
 """Depth of a sensor in a tube whose wall is known: its scale, its points, and what it says when it cannot be right."""
 
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -154,6 +155,16 @@ def test_depth_of_another_film_is_told_by_its_count(tmp_path, frames, refused):
     settings = SensorSettings(folder=str(tmp_path / "depth"), unit_mm=0.05)
     with pytest.raises(HaustraError, match=r"4 of the 4 depth images .* 400 frames") if refused else nullcontext():
         check_sensor(tmp_path, settings, frames)
+
+
+def test_distance_along_the_ray_is_one_sentence(tmp_path, workspace):
+    write_sensor(tmp_path / "ranges", along_ray=True)
+    sensor = replace(
+        open_sensor(workspace, CAMERA.width), files={k: tmp_path / f"ranges/{k:05d}.png" for k in range(COUNT)}
+    )
+    told = r"as distances along each pixel's ray .* by 2\.\d % in the median instead of \d\.\d %\)"
+    assert re.search(told, sensor_scale(submap(), sensor).doubt)
+    assert sensor_scale(submap(), replace(sensor, stereo=True)).doubt == "", "a pair's depth is the program's own"
 
 
 @pytest.mark.parametrize(

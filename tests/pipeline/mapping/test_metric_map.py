@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from haustra.core.errors import HaustraError
 from haustra.core.se3 import inverse
 from pipeline.mapping.map_adjustment import adjust_all
-from pipeline.mapping.metric_map import make_metric, metric_scale
+from pipeline.mapping.metric_map import make_metric, metric_scale, refuse_distances_of
 from tests.helpers.tubes.bent_tube import COUNT, UNIT, sensed, tube, world_from_camera_at
 
 
@@ -47,6 +48,21 @@ def test_adjustment_with_depth_straightens_a_scale_that_pictures_leave_bent():
     bend = true[-8:].sum() / true[:8].sum()
     assert abs(lengths["depth"][1] - bend) < 0.01
     assert abs(lengths["depth"][1] - bend) < abs(lengths["pictures"][1] - bend)
+
+
+def test_distances_along_the_rays_are_refused_and_depth_is_not():
+    local_map, points = tube()
+    depth_at = sensed(points, 0.03)
+    refuse_distances_of([local_map], depth_at)
+    refuse_distances_of([], depth_at)
+
+    def distance_at(frame, pixels):
+        depth, sigma = depth_at(frame, pixels)
+        plane, _ = local_map.rays.camera.unproject(pixels)
+        return depth * np.sqrt(1 + (plane**2).sum(axis=1)), sigma
+
+    with pytest.raises(HaustraError, match=r"distances along each pixel's ray .*--depth none leaves the sensor out"):
+        refuse_distances_of([local_map], distance_at)
 
 
 def test_a_copy_of_a_map_shares_the_lens_and_the_sensor_alone():

@@ -19,7 +19,7 @@ def bent_model(seed=0):
 
 
 def sensor_of(points, noise=0.03):
-    return SimpleNamespace(for_adjustment=sensed(points, noise))
+    return SimpleNamespace(stereo=False, for_adjustment=sensed(points, noise))
 
 
 def true_centres():
@@ -51,6 +51,8 @@ def test_submap_survives_the_way_through_a_map():
 
 def test_model_that_the_sensor_did_not_see_stays():
     submap, _ = bent_model()
-    blind = SimpleNamespace(for_adjustment=lambda frame, pixels: (np.zeros(len(pixels)), np.zeros(len(pixels))))
+    blind = SimpleNamespace(
+        stereo=False, for_adjustment=lambda frame, pixels: (np.zeros(len(pixels)), np.zeros(len(pixels)))
+    )
     found = [FoundSubmap(submap, None)]
     assert adjusted_to_sensor(found, CAMERA, blind, SilentProgress()) == found
