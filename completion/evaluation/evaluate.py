@@ -84,7 +84,8 @@ def evaluate_frames(
     advance: Callable[[int], None] | None = None,
     left_out: list[str] | None = None,
 ) -> Iterable[FrameResult]:
-    """Results frame by frame; CompletionError for a frame in which the sampler finds no point.
+    """Results frame by frame; CompletionError for a frame in which the sampler finds no point, or whose picture and
+    true depth differ in size.
 
     A frame without any true depth cannot be judged: it is left out, and its name added to `left_out`.
 
@@ -94,6 +95,7 @@ def evaluate_frames(
     for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
         if protocol.depth_step:
             frame = replace(frame, depth=dequantize(frame.depth, protocol.depth_step))
+        _check_sizes(frame)
         if not (frame.depth > 0).any():
             if left_out is not None:
                 left_out.append(frame.name)
@@ -110,6 +112,17 @@ def evaluate_frames(
         yield FrameResult(frame.name, sparse.points, errors, frame.rgb, frame.depth, known, aligned, confidence)
         if advance:
             advance(judged)
+
+
+def _check_sizes(frame: EvaluationFrame) -> None:
+    """CompletionError where picture and depth do not lie pixel on pixel: a fill that does not look at the picture would
+    be judged all the same, and points at the picture's features would be depths of other places."""
+    (height, width), (rows, columns) = frame.rgb.shape[:2], frame.depth.shape
+    if (height, width) != (rows, columns):
+        raise CompletionError(
+            f"frame {frame.name}: its picture has {width}x{height} px and its true depth {columns}x{rows} px; "
+            "give both in one size"
+        )
 
 
 def mean_errors(results: Sequence[Score], protocol: Protocol) -> DepthErrors:

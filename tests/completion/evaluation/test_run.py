@@ -94,6 +94,14 @@ def test_a_frame_without_points_is_an_error_not_a_gap() -> None:
         list(evaluate_frames([blind], load_predictor("nearest"), Protocol(sampler="sfm")))
 
 
+@pytest.mark.parametrize("sampler", ["uniform", "sfm"])
+def test_a_picture_of_another_size_than_its_depth_is_refused(sampler: str) -> None:
+    view = frame()
+    halved = EvaluationFrame("7", view.rgb[:40], view.depth, "mm")
+    with pytest.raises(CompletionError, match="frame 7: its picture has 64x40 px and its true depth 64x64 px"):
+        list(evaluate_frames([halved], load_predictor("linear"), Protocol(sampler=sampler)))
+
+
 def precision_here() -> str:
     return choose_precision("auto", choose_device("auto"))
 
