@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from completion.evaluation.evaluate import FrameResult
 from completion.evaluation.uncertainty import ErrorCalibration
+from haustra.core.errors import CompletionError
 
 Features = NDArray[np.floating]  # (C,h,w)
 ERROR_SHOWN = 0.15  # relative error at which the colour saturates
@@ -85,6 +86,15 @@ def _without_ticks(figure: Any, axes: Any, title: str, path: Path) -> Path:
         axis.set_xticks([]), axis.set_yticks([])
     figure.suptitle(title, fontsize=9)
     return _saved(figure, path)
+
+
+def check_plot(path: Path) -> None:
+    """CompletionError for a suffix that is no kind of picture, before the work that the plot shows."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    known = FigureCanvasBase.get_supported_filetypes()
+    if path.suffix.lower().removeprefix(".") not in known:
+        raise CompletionError(f"cannot draw {path}: give a name that ends in .{', .'.join(sorted(known))}")
 
 
 def _saved(figure: Any, path: Path) -> Path:

@@ -29,6 +29,11 @@ class Predictor:
     network: nn.Module | None = None  # None for classical fills
     precision: str | None = None  # of a `DepthNetwork`'s convolutions: int8, bf16 or fp32
 
+    @property
+    def predicts_error(self) -> bool:
+        """Whether it says how far off its depth is, as confidence."""
+        return self.precision is not None
+
     def __call__(
         self, rgb: RGB, sparse: Depth, intrinsics: NDArray[np.float64] | None = None
     ) -> tuple[Depth, Depth | None]:
@@ -58,6 +63,13 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
         made: Any = completer.network  # also a module
         return Predictor(lambda rgb, sparse, intrinsics: completer(rgb, sparse), made, completer.precision)
     return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)
+
+
+def has_attention(network: nn.Module) -> bool:
+    """Whether the network has features before and after structure awareness."""
+    from completion.networks.channel_attention import StructureAwareness
+
+    return any(isinstance(module, StructureAwareness) for module in network.modules())
 
 
 def _metric(network: nn.Module, device: str, unit: float) -> Complete:

@@ -1,7 +1,7 @@
 """`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import astuple, dataclass
 from functools import partial
@@ -29,11 +29,12 @@ from completion.evaluation.metrics import Alignment, Averaging
 from completion.evaluation.plots import (
     attention_plot,
     calibration_plot,
+    check_plot,
     comparison_plot,
     sample_frames_plot,
     sweep_plot,
 )
-from completion.evaluation.predictors import Predictor, load_predictor
+from completion.evaluation.predictors import Predictor, has_attention, load_predictor
 from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 from haustra.core.progress import Progress, ProgressCallback
@@ -54,13 +55,27 @@ class Outputs:
 
     def make_way(self) -> None:
         """Create the files' folders; CompletionError for a file that cannot be written, before any work."""
-        for path in filter(None, astuple(self)):
+        given = [Path(path) for path in astuple(self) if path is not None]
+        for path in given:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise CompletionError(f"cannot write {path}: {error.strerror}") from None
             if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
                 raise CompletionError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not allowed'}")
+        twice = [path for path in given if sum(path.resolve() == other.resolve() for other in given) > 1]
+        if twice:
+            raise CompletionError(f"two outputs are one file, {twice[0]}: the later would replace the earlier")
+        for path in filter(None, (self.sheet, self.sweep, self.calibration, self.compare, self.attention)):
+            check_plot(path)
+
+    def check_models(self, predictors: Mapping[str, Predictor]) -> None:
+        """CompletionError for a plot that none of the models can fill, before any work."""
+        networks = [predictor.network for predictor in predictors.values() if predictor.network is not None]
+        if self.calibration and not any(predictor.predicts_error for predictor in predictors.values()):
+            raise CompletionError("none of these models predicts its own error: nothing to calibrate")
+        if self.attention and not any(has_attention(network) for network in networks):
+            raise CompletionError("none of these models has channel attention: nothing for --attention to show")
 
 
 def protocol_of(
@@ -93,6 +108,7 @@ def evaluate(
             raise CompletionError(f"two {kind_of}s have the same name, and the tables would not tell them apart")
     outputs.make_way()
     predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
+    outputs.check_models(predictors)
     several = len(folders) * len(protocols) > 1
     tables: list[str] = []
     renamed: list[Path] = []
@@ -160,7 +176,7 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
     if outputs.calibration:
         found = {_label(r): ErrorCalibration(**r["calibration"]) for r in records if r["calibration"]}
         if not found:
-            raise CompletionError("none of these models predicts its own error: nothing to calibrate")
+            raise CompletionError("these frames have too few pixels with true depth to calibrate the predicted error")
         calibration_plot(outputs.calibration, found, {_label(r): r["strata"] for r in records if r["strata"]})
 
 

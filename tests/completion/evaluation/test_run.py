@@ -152,6 +152,25 @@ def test_what_cannot_be_written_is_said_before_the_work(tmp_path: Path, path: st
         evaluate([tmp_path / "none"], ["linear"], [], Outputs(csv=tmp_path / path), None, SilentProgress())
 
 
+@pytest.mark.parametrize(
+    ("outputs", "sentence"),
+    [
+        ({"sheet": "s.txt"}, "cannot draw .*s.txt: give a name that ends in .*.png"),
+        ({"sweep": "curve"}, "cannot draw .*curve"),
+        ({"csv": "e.csv", "json": "e.csv"}, "two outputs are one file, .*e.csv"),
+        ({"calibration": "c.png"}, "none of these models predicts its own error"),
+        ({"attention": "a.png"}, "none of these models has channel attention"),
+    ],
+)
+def test_a_file_that_no_model_can_fill_is_said_before_the_work(
+    tmp_path: Path, outputs: dict[str, str], sentence: str
+) -> None:
+    files = Outputs(**{name: tmp_path / file for name, file in outputs.items()})
+    with pytest.raises(CompletionError, match=sentence):
+        evaluate([tmp_path / "none"], ["linear"], [Protocol()], files, None, SilentProgress())
+    assert not list(tmp_path.iterdir())
+
+
 def test_progress_counts_the_frames_that_are_judged() -> None:
     seen: list[int] = []
     frames = [frame() for _ in range(7)]
