@@ -41,16 +41,24 @@ class Protocol(BaseModel):
     """In the truth's unit: quantization step that is smoothed out of the truth first; 0: none."""
 
     def __str__(self) -> str:
+        return self.told("")
+
+    def told(self, found: str) -> str:
+        """In words; `found` is said of the points, where there were not as many as asked for."""
         untouched = "no scale alignment"
         if (
             self.sampler == "sfm"
         ):  # its points have an unknown factor, noise and outliers; see `sampling_benchmark.like_sfm`
             untouched = "their unknown scale given back by its true value"
         scaled = {"none": untouched, "points": "scale from the sparse points"}
-        return (
-            f"{self.points} {self.sampler} points, {scaled.get(self.alignment, self.alignment + ' scale')}, "
-            f"{self.averaging.replace('_', '-')} mean, seed {self.seed}{self._truth}"
-        )
+        scale = scaled.get(self.alignment, self.alignment + " scale")
+        return f"{self.points} {self.sampler} points{found}, {scale}, {self.conditions}"
+
+    @property
+    def conditions(self) -> str:
+        """What holds for any points and alignment: averaging, seed, frames that are looked at, truth."""
+        every = f", one frame in {self.stride}" if self.stride > 1 else ""
+        return f"{self.averaging.replace('_', '-')} mean, seed {self.seed}{every}{self._truth}"
 
     @property
     def _truth(self) -> str:

@@ -38,7 +38,7 @@ from completion.evaluation.predictors import Predictor, has_attention, load_pred
 from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 from haustra.core.progress import Progress, ProgressCallback
-from haustra.core.text import json_text
+from haustra.core.text import counted, json_text
 
 
 @dataclass(frozen=True)
@@ -122,14 +122,13 @@ def evaluate(
                         folder, kind, predictor, protocol, accumulator, progress.bar(f"{folder.name} {model}", None)
                     )
                     records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
-                rows.append((model, paper_row(mean_errors(accumulator.scores, protocol), unit)))
+                rows.append(
+                    (_with_gaps(model, accumulator), paper_row(mean_errors(accumulator.scores, protocol), unit))
+                )
                 sample_frames[Path(model).name] = accumulator.sample_frames()
                 renamed += _write_plots(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
-            without = len(accumulator.left_out)
-            missing = f" ({without} without true depth left out)" if without else ""
-            counted = f"{len(accumulator.scores)} frames{missing}"
-            about = ", ".join([counted, str(protocol), *precisions])
+            about = ", ".join([_frames_told(accumulator, protocol), *precisions])
             tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
@@ -140,6 +139,23 @@ def evaluate(
     if renamed:
         tables.append("written, one for each figure: " + ", ".join(map(str, renamed)))
     return "\n\n".join(tables)
+
+
+def _frames_told(accumulator: Accumulator, protocol: Protocol) -> str:
+    """How many frames were judged, how many points they really had where fewer were found, and the protocol."""
+    without, found = len(accumulator.left_out), [score.points for score in accumulator.scores]
+    missing = f" ({without} without true depth left out)" if without else ""
+    least, most = min(found), max(found)
+    span = str(least) if least == most else f"{least} to {most}"
+    had = f" ({span} found in a frame)" if span != str(protocol.points) else ""
+    return f"{counted(len(found), 'frame')}{missing}, {protocol.told(had)}"
+
+
+def _with_gaps(model: str, accumulator: Accumulator) -> str:
+    """The model, with the share of pixels that have truth but that it gave no depth: they are in no error."""
+    missing = sum(score.errors.missing for score in accumulator.scores)
+    known = missing + sum(score.errors.pixels for score in accumulator.scores)
+    return f"{model} (no depth at {100 * missing / known:.2g} % of the pixels, in no error)" if missing else model
 
 
 def _run(
@@ -171,8 +187,9 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
     if outputs.json:
         outputs.json.write_text(json_text(records) + "\n")
     if outputs.sweep:
-        averaging = records[0]["protocol"]["averaging"]
-        sweep_plot(outputs.sweep, _curves(records), f"{len(records[0]['frames'])} frames; {averaging} mean")
+        judged = {record["folder"]: counted(len(record["frames"]), "frame") for record in records}
+        told = "; ".join(f"{folder}: {number}" for folder, number in judged.items())
+        sweep_plot(outputs.sweep, _curves(records), f"{told}; {Protocol(**records[0]['protocol']).conditions}")
     if outputs.calibration:
         found = {_label(r): ErrorCalibration(**r["calibration"]) for r in records if r["calibration"]}
         if not found:

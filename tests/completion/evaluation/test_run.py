@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ import pytest
 from completion.confidence import confidence_from_error, error_from_confidence
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.sampling_benchmark import features, like_sfm, uniform
+from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.predictors import load_predictor
-from completion.evaluation.run import Outputs, evaluate, protocol_of
+from completion.evaluation.run import Outputs, _with_gaps, evaluate, protocol_of
 from completion.inference.completer import choose_device
 from completion.networks.precision import choose_precision
 from haustra.core.errors import CompletionError
@@ -137,6 +139,21 @@ def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
     named = text.rsplit("one for each figure: ", 1)[1].split(", ")
     alone = {*outputs.json.parent.glob("*.json"), outputs.sweep, outputs.calibration}
     assert {Path(name) for name in named} == {p for p in tmp_path.iterdir() if p.is_file()} - alone
+
+
+def test_a_table_counts_the_points_that_it_is_of_and_the_pixels_that_it_leaves_out(tmp_path: Path) -> None:
+    folder = generate(TINY, tmp_path / "phantom", threads=1)
+    protocols = [Protocol(points=10**6, stride=2), Protocol(points=20)]
+    text = evaluate([folder], ["nearest"], protocols, Outputs(), None, SilentProgress())
+    many, few = text.split("**phantom**: ")[1:]
+    assert re.search(r"1000000 uniform points \(\d+( to \d+)? found in a frame\), .* one frame in 2", many)
+    assert "20 uniform points, no" in few
+    assert "one frame in" not in few
+    assert "no depth at" not in text
+    with Accumulator() as accumulator:
+        blind = lambda rgb, sparse, lens: (np.where(np.arange(64) < 16, 0, 9.0).repeat(64).reshape(64, 64).T, None)  # noqa: E731
+        accumulator.add_all(evaluate_frames([frame()], blind, Protocol()))
+        assert _with_gaps("half", accumulator) == "half (no depth at 25 % of the pixels, in no error)"
 
 
 def test_error_and_confidence_are_each_others_inverse() -> None:
