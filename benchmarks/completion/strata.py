@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmarks.common.record import print_row
 from benchmarks.common.runner import add_folders
-from completion.evaluation.run import Outputs, evaluate, protocol_of
+from completion.evaluation.outputs import Outputs
+from completion.evaluation.run import evaluate, protocol_of
 from haustra.core.camera import Camera
 from haustra.core.progress import SilentProgress
 from pipeline.depth.rectification import make_rectifier

@@ -1,9 +1,7 @@
 """`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from completion.data.evaluation_frame import EvaluationFrame
-from completion.data.readers import read_evaluation_frames
+from completion.data.readers import read_evaluation_frames, recognise
 from completion.data.sampling_benchmark import SAMPLERS
 from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import (
@@ -26,56 +24,19 @@ from completion.evaluation.evaluate import (
     write_csv,
 )
 from completion.evaluation.metrics import Alignment, Averaging
+from completion.evaluation.outputs import Outputs
 from completion.evaluation.plots import (
     attention_plot,
     calibration_plot,
-    check_plot,
     comparison_plot,
     sample_frames_plot,
     sweep_plot,
 )
-from completion.evaluation.predictors import Predictor, has_attention, load_predictor
+from completion.evaluation.predictors import Predictor, load_predictor
 from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 from haustra.core.progress import Progress, ProgressCallback
 from haustra.core.text import counted, json_text
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Files to write; None: not written."""
-
-    csv: Path | None = None
-    json: Path | None = None
-    sheet: Path | None = None
-    sweep: Path | None = None
-    calibration: Path | None = None
-    compare: Path | None = None
-    attention: Path | None = None
-
-    def make_way(self) -> None:
-        """Create the files' folders; CompletionError for a file that cannot be written, before any work."""
-        given = [Path(path) for path in astuple(self) if path is not None]
-        for path in given:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise CompletionError(f"cannot write {path}: {error.strerror}") from None
-            if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-                raise CompletionError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not allowed'}")
-        twice = [path for path in given if sum(path.resolve() == other.resolve() for other in given) > 1]
-        if twice:
-            raise CompletionError(f"two outputs are one file, {twice[0]}: the later would replace the earlier")
-        for path in filter(None, (self.sheet, self.sweep, self.calibration, self.compare, self.attention)):
-            check_plot(path)
-
-    def check_models(self, predictors: Mapping[str, Predictor]) -> None:
-        """CompletionError for a plot that none of the models can fill, before any work."""
-        networks = [predictor.network for predictor in predictors.values() if predictor.network is not None]
-        if self.calibration and not any(predictor.predicts_error for predictor in predictors.values()):
-            raise CompletionError("none of these models predicts its own error: nothing to calibrate")
-        if self.attention and not any(has_attention(network) for network in networks):
-            raise CompletionError("none of these models has channel attention: nothing for --attention to show")
 
 
 def protocol_of(
@@ -101,8 +62,22 @@ def evaluate(
     kind: str | None,
     progress: Progress,
 ) -> str:
-    """Markdown tables, one per folder and protocol, a row per model; files as `outputs` says, with the names of those
-    that had to be told apart below the tables."""
+    """Markdown tables as `evaluated_tables` gives them, below each other."""
+    return "\n\n".join(evaluated_tables(folders, models, protocols, outputs, kind, progress))
+
+
+def evaluated_tables(
+    folders: Sequence[Path],
+    models: Sequence[str],
+    protocols: Sequence[Protocol],
+    outputs: Outputs,
+    kind: str | None,
+    progress: Progress,
+) -> Iterator[str]:
+    """Markdown tables, one per folder and protocol, a row per model, each as soon as it is made; files as `outputs`
+    says, with the names of those that had to be told apart below the tables. JSON and CSV hold what was judged before
+    an error, too."""
+    folders = [folder if folder.name else folder.resolve() for folder in folders]  # "." has no name of its own
     for kind_of, names in (("model", [Path(m).name for m in models]), ("folder", [f.name for f in folders])):
         if len(set(names)) < len(names):
             raise CompletionError(f"two {kind_of}s have the same name, and the tables would not tell them apart")
@@ -110,7 +85,6 @@ def evaluate(
     predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
     outputs.check_models(predictors)
     several = len(folders) * len(protocols) > 1
-    tables: list[str] = []
     renamed: list[Path] = []
     records: list[dict[str, Any]] = []
     for folder in folders:
@@ -118,10 +92,16 @@ def evaluate(
             rows, sample_frames = [], {}
             for model, predictor in predictors.items():
                 with Accumulator(trajectory=outputs.json is not None) as accumulator:
-                    unit = _run(
-                        folder, kind, predictor, protocol, accumulator, progress.bar(f"{folder.name} {model}", None)
-                    )
+                    bar = progress.bar(f"{folder.name} {model}", None)
+                    try:
+                        unit = _run(folder, kind, predictor, protocol, accumulator, bar)
+                    except CompletionError as error:
+                        label = f"{folder.name}_{Path(model).name}_{protocol.sampler}{protocol.points}"
+                        kept = outputs.csv and _named(outputs.csv, label, several or len(models) > 1)
+                        raise _with_what_was_judged(error, accumulator, kept) from error
                     records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
+                    if outputs.json:
+                        outputs.json.write_text(json_text(records) + "\n")
                 rows.append(
                     (_with_gaps(model, accumulator), paper_row(mean_errors(accumulator.scores, protocol), unit))
                 )
@@ -129,7 +109,7 @@ def evaluate(
                 renamed += _write_plots(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
             about = ", ".join([_frames_told(accumulator, protocol), *precisions])
-            tables.append(f"**{folder.name}**: {about}\n\n{markdown_table(rows)}")
+            yield f"**{folder.name}**: {about}\n\n{markdown_table(rows)}"
             if outputs.compare:
                 label = f"{folder.name}_{protocol.sampler}{protocol.points}"
                 path = _named(outputs.compare, label, several)
@@ -137,8 +117,18 @@ def evaluate(
                 renamed += [path] * several
     _write_summaries(outputs, records)
     if renamed:
-        tables.append("written, one for each figure: " + ", ".join(map(str, renamed)))
-    return "\n\n".join(tables)
+        yield "written, one for each figure: " + ", ".join(map(str, renamed))
+
+
+def _with_what_was_judged(error: CompletionError, accumulator: Accumulator, csv: Path | None) -> CompletionError:
+    """The error with the frames judged before it, which are written where a CSV was asked for."""
+    if not accumulator.scores:
+        return error
+    before = f"{counted(len(accumulator.scores), 'frame')} judged before it"
+    if csv is None:
+        return CompletionError(f"{error}; {before} (--csv keeps such)")
+    write_csv(csv, accumulator.scores)
+    return CompletionError(f"{error}; {before}: {csv}")
 
 
 def _frames_told(accumulator: Accumulator, protocol: Protocol) -> str:
@@ -178,14 +168,16 @@ def _run(
     with bar as advance:
         accumulator.add_all(evaluate_frames(frames(), predictor, protocol, advance, accumulator.left_out))
     if not accumulator.scores:
-        raise CompletionError(f"{folder} has no frames")
+        layout = kind or recognise(folder)
+        if accumulator.left_out:
+            read = f"{counted(len(accumulator.left_out), 'frame')} of {folder} read as {layout}"
+            raise CompletionError(f"{read}, and none has true depth: every pixel has the value that means none")
+        raise CompletionError(f"{folder} has no frames, read as {layout}: no picture of that layout lies in it")
     return unit
 
 
 def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> None:
-    """Write the files that cover all records: JSON, sweep and calibration plots."""
-    if outputs.json:
-        outputs.json.write_text(json_text(records) + "\n")
+    """Write the plots that cover all records: sweep and calibration."""
     if outputs.sweep:
         judged = {record["folder"]: counted(len(record["frames"]), "frame") for record in records}
         told = "; ".join(f"{folder}: {number}" for folder, number in judged.items())

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import re
+from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,8 +17,9 @@ from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.sampling_benchmark import features, like_sfm, uniform
 from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
+from completion.evaluation.outputs import Outputs
 from completion.evaluation.predictors import load_predictor
-from completion.evaluation.run import Outputs, _with_gaps, evaluate, protocol_of
+from completion.evaluation.run import _with_gaps, evaluate, evaluated_tables, protocol_of
 from completion.inference.completer import choose_device
 from completion.networks.precision import choose_precision
 from haustra.core.errors import CompletionError
@@ -154,6 +157,32 @@ def test_a_table_counts_the_points_that_it_is_of_and_the_pixels_that_it_leaves_o
         blind = lambda rgb, sparse, lens: (np.where(np.arange(64) < 16, 0, 9.0).repeat(64).reshape(64, 64).T, None)  # noqa: E731
         accumulator.add_all(evaluate_frames([frame()], blind, Protocol()))
         assert _with_gaps("half", accumulator) == "half (no depth at 25 % of the pixels, in no error)"
+
+
+def test_what_was_judged_before_an_error_is_kept(tmp_path: Path) -> None:
+    good, bad = (generate(TINY, tmp_path / name, threads=1) for name in ("good", "bad"))
+    sorted((bad / "depth").iterdir())[2].write_bytes(b"cut off")
+    outputs = Outputs(csv=tmp_path / "e.csv", json=tmp_path / "e.json")
+    tables = evaluated_tables([good, bad], ["nearest"], [Protocol(points=20)], outputs, None, SilentProgress())
+    assert "**good**" in next(tables)
+    with pytest.raises(CompletionError, match=r"cannot read .*; 2 frames judged before it: .*e_bad_nearest_uniform20"):
+        next(tables)
+    assert [record["folder"] for record in json.loads(outputs.json.read_text())] == ["good"]
+    assert len(list(csv.DictReader((tmp_path / "e_bad_nearest_uniform20.csv").open()))) == 2
+
+
+def test_frames_without_truth_are_not_called_no_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = generate(TINY, tmp_path / "phantom", threads=1)
+    for path in (folder / "depth").iterdir():
+        cv2.imwrite(str(path), np.zeros((TINY.camera.height, TINY.camera.width), np.uint16))
+    ask = partial(evaluate, models=["nearest"], protocols=[Protocol()], outputs=Outputs(), progress=SilentProgress())
+    count = TINY.motion.frames
+    with pytest.raises(CompletionError, match=f"{count} frames of .*phantom read as rgbd, and none has true depth"):
+        ask([folder], kind=None)
+    with pytest.raises(CompletionError, match="phantom has no frames, read as c3vd: no picture of that layout"):
+        ask([folder], kind="c3vd")
+    monkeypatch.chdir(generate(TINY, tmp_path / "other", threads=1))
+    assert "**other**: " in ask([Path()], kind=None)
 
 
 def test_error_and_confidence_are_each_others_inverse() -> None:

@@ -11,7 +11,8 @@ import torch
 from torch import nn
 
 from completion import DepthCompleter
-from completion.evaluation.run import Outputs, evaluate, protocol_of
+from completion.evaluation.outputs import Outputs
+from completion.evaluation.run import evaluate, protocol_of
 from completion.inference.onnx_export import export_onnx
 from completion.networks.checkpoint import load_network, save_network
 from completion.networks.protocol import GRID, DepthNetwork, Estimate

@@ -9,7 +9,7 @@ import pytest
 from completion.training.config import TrainConfig
 from haustra.core.errors import CompletionError, HaustraError
 from pipeline import run
-from pipeline.cli import batch
+from pipeline.cli import batch, completion_commands
 from pipeline.cli import main as cli
 from pipeline.config import FAST_KEYFRAME_MOTION, OdometrySettings, load_config
 from pipeline.demo import CAMERA, VIDEO
@@ -176,12 +176,12 @@ def test_a_missing_gpu_is_refused_before_anything_is_written(monkeypatch, tmp_pa
 
 def test_the_help_of_train_names_the_defaults_of_its_settings():
     named = set()
-    for name, annotated in get_type_hints(cli.train, include_extras=True).items():
+    for name, annotated in get_type_hints(completion_commands.train, include_extras=True).items():
         told = next(
             (o.show_default for o in getattr(annotated, "__metadata__", ()) if hasattr(o, "show_default")), None
         )
         if isinstance(told, str):
             assert told == str(TrainConfig.model_fields[name].default), name
             named.add(name)
-    optional = {name for name, of in signature(cli.train).parameters.items() if of.default is None}
+    optional = {name for name, of in signature(completion_commands.train).parameters.items() if of.default is None}
     assert named == optional - {"preset", "init"}

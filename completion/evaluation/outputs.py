@@ -1,0 +1,47 @@
+"""The files that an evaluation writes, checked before its work."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+from completion.evaluation.plots import check_plot
+from completion.evaluation.predictors import Predictor, has_attention
+from haustra.core.errors import CompletionError
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write; None: not written."""
+
+    csv: Path | None = None
+    json: Path | None = None
+    sheet: Path | None = None
+    sweep: Path | None = None
+    calibration: Path | None = None
+    compare: Path | None = None
+    attention: Path | None = None
+
+    def make_way(self) -> None:
+        """Create the files' folders; CompletionError for a file that cannot be written, before any work."""
+        given = [Path(path) for path in astuple(self) if path is not None]
+        for path in given:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise CompletionError(f"cannot write {path}: {error.strerror}") from None
+            if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+                raise CompletionError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not allowed'}")
+        twice = [path for path in given if sum(path.resolve() == other.resolve() for other in given) > 1]
+        if twice:
+            raise CompletionError(f"two outputs are one file, {twice[0]}: the later would replace the earlier")
+        for path in filter(None, (self.sheet, self.sweep, self.calibration, self.compare, self.attention)):
+            check_plot(path)
+
+    def check_models(self, predictors: Mapping[str, Predictor]) -> None:
+        """CompletionError for a plot that none of the models can fill, before any work."""
+        networks = [predictor.network for predictor in predictors.values() if predictor.network is not None]
+        if self.calibration and not any(predictor.predicts_error for predictor in predictors.values()):
+            raise CompletionError("none of these models predicts its own error: nothing to calibrate")
+        if self.attention and not any(has_attention(network) for network in networks):
+            raise CompletionError("none of these models has channel attention: nothing for --attention to show")
