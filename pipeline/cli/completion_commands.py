@@ -71,6 +71,7 @@ def train(
 ) -> None:
     """Train a completion network; called again with the same arguments it goes on from its last checkpoint."""
     given_paths.must_exist(*shards, init)
+    given_paths.must_be_no_folder(out)
     from completion.training.config import make_config
     from completion.training.train import train as run
     from haustra.core.progress import TerminalProgress
@@ -94,6 +95,8 @@ def onnx(
     ] = False,
 ) -> None:
     """Write a completion network for programs without torch."""
+    given_paths.must_have_folder(out)
+    given_paths.must_be_no_folder(out)
     from completion.inference.completer import load_depth_network
     from completion.inference.onnx_export import export_onnx
 

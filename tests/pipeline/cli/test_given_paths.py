@@ -11,6 +11,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.cli.given_paths import STREAMS, must_be_named_or_exist, must_exist
+from pipeline.cli.main import app, run_cleanly
 from pipeline.live.capture.live_film import SCHEMES
 
 COMMANDS = [
@@ -32,8 +33,10 @@ COMMANDS = [
     ["compare", "run", "film.mp4", "--json", "no/figures.json"],
     ["evaluate", "film.mp4", "no"],
     ["train", "no", "--out", "weights.safetensors"],
+    ["onnx", "no/model.onnx"],
     ["view", "no"],
 ]
+INTO_A_FOLDER = [["onnx", "run"], ["train", "run", "--out", "run"], ["compare", "run", "run", "--json", "run"]]
 SCRIPT = """
 import contextlib, io, json, sys
 from pipeline.cli.main import app, run_cleanly
@@ -64,6 +67,19 @@ def test_every_command_names_what_is_not_there_at_once(tmp_path: Path) -> None:
         assert f"{wrong}\n" in error or f"{wrong} " in error, words
         assert not heavy, words
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "run"]
+
+
+@pytest.mark.parametrize("words", INTO_A_FOLDER)
+def test_a_folder_where_a_file_is_to_be_written_is_said_before_the_work(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.yaml").write_text("{}")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["haustra", *words])
+    assert run_cleanly(app) == 1
+    assert capsys.readouterr().err == "error: run is a folder; give the name of a file to write\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 
 def test_the_streams_are_those_that_live_takes() -> None:
