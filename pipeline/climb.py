@@ -125,6 +125,8 @@ def write_submission(run: Path, folder: Path) -> Path:
     loop = loop_seconds(finished)
     if loop is None:
         raise HaustraError(f"{run} does not say how long its frame loop took, which runtime.txt needs; use odometry")
+    if folder.exists() and not folder.is_dir():
+        raise HaustraError(f"{folder} is a file; give a new or empty folder")
     if folder.exists() and any(folder.iterdir()) and not (folder / "runtime.txt").exists():
         raise HaustraError(f"{folder} holds something else; give another folder")
     paths, maps = folder / "camera_trajectory", folder / "3D_maps"

@@ -24,12 +24,17 @@ def export_mesh(run: Path, target: Path, max_error: float | None = None, texture
         write_textured(textured(light, mesh), target)
     else:
         write_mesh(light, target)
-    if light is mesh:
+    if max_error is None:
         return str(target)
+    if light is mesh:
+        kept = f"all {len(mesh.faces)} triangles are left"
+        return f"{target}: {kept}, since none of half as many was found within {max_error:g} {unit}"
     return f"{target}: {len(light.faces)} of {len(mesh.faces)} triangles, at most {_rounded_up(error)} {unit} off"
 
 
 def _rounded_up(length: float) -> str:
-    """Two digits, never less than the length itself."""
+    """Two digits, never less than the length itself; of a flat mesh it is 0."""
+    if not length > 0:
+        return "0"
     step = 10.0 ** (np.floor(np.log10(length)) - 1)
     return f"{np.ceil(length / step) * step:.2g}"

@@ -13,6 +13,7 @@ import trimesh
 
 from pipeline.cli import main as cli
 from pipeline.finished_run import Run
+from pipeline.report.mesh_export import _rounded_up
 from reconstruction.evaluation.trajectory_io import write_tum
 from tests.helpers.tiny_run import MM, make_tiny_run
 
@@ -154,3 +155,24 @@ def test_one_program_at_a_time(made, tmp_path, monkeypatch, capsys):
     assert export(monkeypatch, made, tmp_path / "out", "--slicer", "--colmap") == 1
     assert export(monkeypatch, made, tmp_path / "out", "--slicer", "--texture") == 1
     assert "give one of" in capsys.readouterr().err
+
+
+def test_fewer_triangles_are_counted_and_so_is_none_fewer(made, tmp_path, monkeypatch, capsys):
+    target, count = tmp_path / "light.ply", len(made.surfaces[0].mesh.faces)
+    assert export(monkeypatch, made, target, "--max-error", "1e-9") == 0
+    said = f"all {count} triangles are left, since none of half as many was found within 1e-09 mm"
+    assert capsys.readouterr().out == f"{target}: {said}\n"
+    assert export(monkeypatch, made, target, "--max-error", "1e9") == 0
+    assert f" of {count} triangles, at most " in capsys.readouterr().out
+
+
+def test_a_flat_mesh_loses_triangles_without_any_error():
+    assert _rounded_up(0.0) == "0"
+    assert _rounded_up(0.1231) == "0.13"
+
+
+def test_a_file_where_a_climb_folder_is_to_be_is_named(made, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pipeline.climb.loop_seconds", lambda run: 1.0)
+    (tmp_path / "file").touch()
+    assert export(monkeypatch, made, tmp_path / "file", "--climb") == 1
+    assert capsys.readouterr().err == f"error: {tmp_path / 'file'} is a file; give a new or empty folder\n"
