@@ -164,8 +164,9 @@ def what_else_is_in(folder: Path) -> str:
     if films:
         several = f", or all of them, as {folder}/*{Path(films[0]).suffix}, to haustra batch" if len(films) > 1 else ""
         return f"it holds the film {films[0]}: give the file{several}"
-    kinds = Counter(path.suffix.lower() or "no suffix" for path in inside if path.is_file()).most_common(1)
-    found = f"most of its files are {kinds[0][0]}" if kinds else "it is empty"
+    kinds = Counter(path.suffix.lower() for path in inside if path.is_file()).most_common(1)
+    most = "" if not kinds else f"are {kinds[0][0]}" if kinds[0][0] else "have no suffix"
+    found = f"most of its files {most}" if kinds else "it is empty"
     return f"{found}; those that are: {' '.join(sorted(IMAGE_SUFFIXES))}"
 
 

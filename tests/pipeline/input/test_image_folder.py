@@ -123,6 +123,7 @@ def test_names_without_an_order_are_told(tmp_path: Path) -> None:
     ("make", "says"),
     [
         (lambda f: write_pictures(f, list("123"), ".heic"), "most of its files are .heic; those that are: .bmp"),
+        (lambda f: write_pictures(f, list("123"), ""), "most of its files have no suffix; those that are: .bmp"),
         (lambda f: write_pictures(f / "sub", list("123")), "there are some in sub inside it: give that folder"),
         (lambda f: write_pictures(f, ["a"], ".mp4"), "it holds the film a.mp4: give the file"),
         (lambda f: write_pictures(f, ["a", "b"], ".AVI"), "give the file, or all of them, as"),
