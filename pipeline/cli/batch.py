@@ -169,14 +169,15 @@ def holds_another(job: Job, config: Config) -> bool:
     return has_run(job) and not is_same(job, config)
 
 
-def resume_hint(videos: list[Path], output: Path, config: Config) -> str:
-    """What to do about failures: nothing tries a video again whose folder holds a run of something else."""
+def resume_hint(videos: list[Path], output: Path, config: Config, failed: int) -> str:
+    """What to do about so many failures: nothing tries a video again whose folder holds a run of something else."""
     others = sum(holds_another(job, config) for job in plan_jobs(videos, output))
     if not others:
         return "the same command tries them again"
+    rest = "; the same command tries the others again" if failed > others else ""
     return (
-        f"{others} because of a run of another video or with other settings in the folder, which --overwrite replaces; "
-        "the same command tries the others again"
+        f"{others} because of a run of another video or with other settings in the folder, which --overwrite replaces"
+        f"{rest}"
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from haustra.core.text import counted
 from pipeline.run_folder.workspace import Workspace, write_json, write_text
 
 KEPT = "kept"
@@ -79,12 +80,13 @@ def print_table(outcomes: list[Outcome]) -> None:
     from rich.text import Text  # unlike a string, it holds no markup
 
     counts = ", ".join(f"{n} {status}" for status, n in Counter(outcome.status for outcome in outcomes).items())
-    table = Table(title=f"{len(outcomes)} videos: {counts}", title_justify="left")
+    table = Table(title=f"{counted(len(outcomes), 'video')}: {counts}", title_justify="left")
+    names = _told_apart(outcomes)
     for name in ("video", "status", "min", "posed", "area", "seen"):
         table.add_column(name, justify="right" if name in ("min", "posed", "area", "seen") else "left")
-    for o in outcomes:
+    for name, o in zip(names, outcomes, strict=True):
         table.add_row(
-            Text(o.name),
+            Text(name),
             Text(o.status, style="red" if o.status == "failed" else ""),
             _shown(o.minutes, "{:.1f}"),
             "" if o.posed is None else f"{o.posed}/{o.frames}",
@@ -93,9 +95,15 @@ def print_table(outcomes: list[Outcome]) -> None:
         )
     console = Console(highlight=False)
     console.print(table)
-    for o in outcomes:
+    for name, o in zip(names, outcomes, strict=True):
         if o.message:
-            console.print(Text.assemble((o.name, "bold"), f": {o.message}"))
+            console.print(Text.assemble((name, "bold"), f": {o.message}"))
+
+
+def _told_apart(outcomes: list[Outcome]) -> list[str]:
+    """The videos' names; with its run folder's where several videos have one name."""
+    often = Counter(outcome.name for outcome in outcomes)
+    return [o.name if often[o.name] == 1 else f"{o.name} (in {_printable(Path(o.folder).name)})" for o in outcomes]
 
 
 def _printable(text: str) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from haustra.core.errors import HaustraError
+from haustra.core.text import counted
 from pipeline.cli.given_paths import must_be_named_or_exist, must_exist, must_match
 
 if TYPE_CHECKING:
@@ -214,7 +215,8 @@ def batch(
     print_table(outcomes)
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if failed:
-        raise HaustraError(f"{failed} of {len(outcomes)} videos failed; {resume_hint(videos, output, settings)}")
+        of = f"{failed} of {counted(len(outcomes), 'video')} failed"
+        raise HaustraError(f"{of}; {resume_hint(videos, output, settings, failed)}")
 
 
 def paced(fast: bool) -> dict[str, Any]:

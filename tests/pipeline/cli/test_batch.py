@@ -230,8 +230,10 @@ def test_overwrite_replaces_what_is_of_other_settings_or_another_video_alone(vid
 
     every = {"b": "", "new": "", "stopped": "--resume"}
     assert how(False) == every | dict.fromkeys(("other", "replaced", "damaged"), "--resume")
-    assert resume_hint(given, out, config).startswith("3 because of a run of another video or with other settings")
-    assert resume_hint([tmp_path / "stopped.mp4", videos[2]], out, config) == "the same command tries them again"
+    told = "3 because of a run of another video or with other settings in the folder, which --overwrite replaces"
+    assert resume_hint(given, out, config, 3) == told  # there are no others to try again
+    assert resume_hint(given, out, config, 4) == told + "; the same command tries the others again"
+    assert resume_hint([tmp_path / "stopped.mp4", videos[2]], out, config, 2) == "the same command tries them again"
     assert how(True) == every | dict.fromkeys(("other", "replaced", "damaged"), "--overwrite")
 
 
@@ -286,3 +288,13 @@ def test_the_command_isolates_failures_and_ends_with_code_1(tmp_path, monkeypatc
     }
     assert "black" in messages["dark.mp4"]
     assert "IsADirectoryError" in messages["logless.mp4"]
+
+
+def test_videos_of_one_name_are_told_apart_by_their_run_folders(capsys):
+    films = [Outcome(f"/{day}/v.mp4", f"/out/{run}", "failed", message="why") for day, run in ((1, "v"), (2, "v-ab12"))]
+    print_table([*films, Outcome("/1/w.mp4", "/out/w", "failed", message="why")])
+    said = capsys.readouterr().out
+    for name in ("v.mp4 (in v)", "v.mp4 (in v-ab12)", "w.mp4"):
+        assert f"{name}: why" in said
+    print_table(films[:1])
+    assert capsys.readouterr().out.startswith("1 video: 1 failed")
