@@ -3,6 +3,7 @@
 A new format of whole runs is a file with its writer and a row of `EXPORTERS` (docs/extending.md).
 """
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,11 +43,24 @@ def export_run(run: Path, target: Path, max_error: float | None = None, texture:
 
 
 def export_folder(run: Path, target: Path, program: str) -> str:
-    """Write a finished run's first submap as a folder for a program of `FOLDER_EXPORTERS`, and say what was written."""
+    """Write a finished run's first submap as a folder for a program of `FOLDER_EXPORTERS`, and say what was written.
+
+    What an error or Ctrl-C leaves half written goes: it would look whole, and refuse the same command.
+    """
     from pipeline.finished_run import open_run
+    from pipeline.report.folder_exports.keyframe_views import empty_folder
     from pipeline.report.folder_exports.registry import FOLDER_EXPORTERS
 
-    return str(FOLDER_EXPORTERS[program](open_run(run), target))
+    finished, made = open_run(run), not target.exists()
+    empty_folder(target)
+    try:
+        return str(FOLDER_EXPORTERS[program](finished, target))
+    except BaseException:
+        for left in target.iterdir():
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        if made:
+            target.rmdir()
+        raise
 
 
 def described_formats() -> str:

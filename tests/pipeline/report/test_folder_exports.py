@@ -176,3 +176,21 @@ def test_a_file_where_a_climb_folder_is_to_be_is_named(made, tmp_path, monkeypat
     (tmp_path / "file").touch()
     assert export(monkeypatch, made, tmp_path / "file", "--climb") == 1
     assert capsys.readouterr().err == f"error: {tmp_path / 'file'} is a file; give a new or empty folder\n"
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_an_export_that_fails_leaves_nothing_in_the_way_of_the_next(made, tmp_path, monkeypatch, capsys, there):
+    target, frames = tmp_path / "out", made.completed[0].submap.frames.tolist()
+    if there:
+        target.mkdir()
+    lost = made.workspace.mask_path(frames[-1])
+    mask = lost.read_bytes()
+    lost.unlink()
+    assert export(monkeypatch, made, target, "--nerfstudio") == 1
+    assert "has lost its" in capsys.readouterr().err
+    assert target.exists() == there
+    assert not list(tmp_path.glob("out/*"))
+    lost.write_bytes(mask)
+    assert export(monkeypatch, made, target, "--nerfstudio") == 0
+    assert export(monkeypatch, made, target, "--nerfstudio") == 1  # and what is whole is not touched
+    assert (target / "transforms.json").is_file()
