@@ -57,7 +57,7 @@ class Scene {
       { type: "mesh3d", hoverinfo: "skip", lighting: light, ...(mesh ? { ...xyz(mesh.vertices), ...triangles(mesh.faces), vertexcolor: mesh.tissue } : { x: [], y: [], z: [], i: [], j: [], k: [] }) },
       { type: "scatter3d", mode: "lines", ...xyz(path), customdata: map.path.frames, hovertemplate: "frame %{customdata}, %{text} s<extra></extra>", text: map.path.seconds,
         line: { color: map.path.seconds, colorscale: "Viridis", width: 5, showscale: map.path.seconds.length > 1,
-          colorbar: { title: { text: "time [s]", font: { size: 11 } }, len: 0.35, thickness: 8, x: 1, xanchor: "right", xpad: 12, y: 0.9, yanchor: "top", tickfont: { size: 10 }, outlinewidth: 0 } } },
+          colorbar: { title: { text: "time [s]", font: { size: 11 } }, len: 0.35, thickness: 8, x: 1, xanchor: "right", xpad: 12, y: 0.7, yanchor: "top", tickfont: { size: 10 }, outlinewidth: 0 } } },
       { type: "scatter3d", mode: "markers", ...xyz(keys), customdata: map.keyframes.frames, hovertemplate: "keyframe %{customdata}: click to see it<extra></extra>",
         marker: { size: map.keyframes.frames.map(frame => near.has(frame) ? 7 : 3.5), color: "#ffffff", line: { width: 0 } } },
       { type: "mesh3d", hoverinfo: "skip", ...xyz(missed.vertices), ...triangles(missed.faces), color: MISSED, opacity: 0.55, lighting: { ambient: 0.85, diffuse: 0.25, specular: 0, fresnel: 0 } },

@@ -228,3 +228,23 @@ def test_light_or_dark_is_kept_where_it_can_be(browser, opened):
     assert refusing.evaluate(colours) == "dark"
     assert said == []
     context.close()
+
+
+OVERLAPS = """names => names.flatMap((name, k) => names.slice(k + 1).map(other => [name, other])).filter(pair => {
+    const [a, b] = pair.map(name => document.querySelector(name).getBoundingClientRect());
+    return a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+})"""
+
+
+@slow
+def test_on_a_phone_no_sentence_is_cut_off_and_nothing_lies_over_another(browser, opened):
+    page = browser.new_page(viewport={"width": 380, "height": 800})
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(opened[0].url)
+    page.wait_for_selector("html[data-ready=yes]")
+    page.evaluate("document.querySelectorAll('details').forEach(part => part.open = true)")
+    ends = page.evaluate("[...document.querySelectorAll('.facts td')].map(cell => cell.getBoundingClientRect().right)")
+    assert 0 < max(ends) <= 380
+    drawn = ["#wall", "#paint", "#layers", ".views", "#scale-bar", "#mesh-note", "#view3d .infolayer g.colorbar"]
+    assert page.evaluate(OVERLAPS, drawn) == []
+    page.close()
