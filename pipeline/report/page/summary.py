@@ -224,9 +224,9 @@ def coverage_section(result: CoverageResult, links: Mapping[int, Link]) -> str:
         '<p class="fine">The wall of the visited stretch laid flat. Areas of missed regions are those of a smooth '
         "closing of the surface, which is not part of the mesh. 12 o'clock is the top of the picture where the stretch "
         f"begins, carried along without twisting. {_meanings(record)}"
-        "Look before you believe one. The nearest frame is that from nearest the region that pointed towards it; the "
-        "keyframe to look at is one close to it that has the direction of the region in its picture. With JavaScript a "
-        "ring marks that direction; a fold often hides the region there.</p>"
+        "Look before you believe one. The nearest frame is that of the camera nearest to the region, of those that "
+        "pointed towards it; the keyframe to look at is one close to it that has the direction of the region in its "
+        "picture. With JavaScript a ring marks that direction; a fold often hides the region there.</p>"
     )
 
 
