@@ -20,6 +20,15 @@ def advice_after(front_ends: Iterable[str], workspace: Workspace) -> str:
     return lens + (f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames")
 
 
+def advice_unrelated(front_ends: Iterable[str], workspace: Workspace) -> str:
+    """What to try where these front ends made no map at all."""
+    lens = "check that the lens is this film's (--camera), " if _named_lens(workspace) else ""
+    longer = "give a longer part, or one where the camera moves more (--start, --end)"
+    return f"{lens}{longer}" + (
+        f", or try --front-end {SECOND}" if FIRST in front_ends and SECOND not in front_ends else ""
+    )
+
+
 def few_posed(posed: int, total: int, advice: str) -> list[str]:
     """Of a film most of which is in no map, whatever the rest is worth."""
     return [] if posed >= FEW_POSED * total else [f"only {posed} of {total} usable frames have a pose; {advice}"]

@@ -18,6 +18,7 @@ from pipeline.frontend.automatic import FrontEndJob, run_front_ends
 from pipeline.frontend.base import disjoint, is_determined
 from pipeline.frontend.map_cautions import (
     advice_after,
+    advice_unrelated,
     carried_by_depth,
     doubt_of_named_lens,
     doubts_of_submaps,
@@ -115,9 +116,11 @@ def _solve(
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
     found = by_mapper.get(mapper, [])
     if not found:
+        tried = [*results, *([] if failure is None else [SECOND])]
         raise HaustraError(
-            f"no two frames could be related: too few features, or a camera that does not move ({total} frames tried "
-            f"by {', '.join(results)})" + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
+            f"no two frames could be related: too few features that they share, or too little motion of the camera "
+            f"({total} frames tried by {', '.join(results)}); {advice_unrelated(tried, workspace)}"
+            + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
     with single_threaded():
         _begin_features(found, frames, features, settings)

@@ -257,7 +257,8 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 def _too_few(verdicts: Counter[str], notes: list[str]) -> str:
     if verdicts.total() < MIN_FRAMES:
         looked_at = counted(verdicts.total(), "frame")
-        return "; ".join([f"the input has {looked_at} to look at; at least {MIN_FRAMES} are needed", *notes])
+        needed = f"the input has {looked_at} to look at; at least {MIN_FRAMES} are needed"
+        return "; ".join([f"{needed}: give more of it (--start, --end, --stride), or another", *notes])
     tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
     return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({_listed(verdicts)})", *notes])
 

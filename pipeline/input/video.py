@@ -112,7 +112,11 @@ class Source:
                 continue
             size = size or image.shape
             if image.shape != size:
-                raise HaustraError(f"{path.name} has another size than the images before it in {path.parent}")
+                own, first = (f"{shape[1]}x{shape[0]} px" for shape in (image.shape, size))
+                raise HaustraError(
+                    f"{path.name} has {own}, but the images before it in {self.path} have {first}: give a folder of "
+                    "images of one size; where several are of each, a folder for each size"
+                )
             if image.dtype != np.uint8:
                 bits = bits or bits_of(self.images)
                 self._note(f"the pictures hold values of {bits} bits: they were brought to 8")

@@ -4,6 +4,7 @@ import json
 import os
 import sys
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -35,6 +36,7 @@ def assert_one_sentence(outcome, words):
     assert error.strip().splitlines()[-1] == lines[0]
     assert words in lines[0]
     assert "Traceback" not in error
+    return lines[0]
 
 
 def test_missing_file(run):
@@ -113,7 +115,20 @@ def test_a_film_that_was_refused_does_not_block_the_corrected_command(run, tmp_p
 def test_unrelated_frames(run, tmp_path):
     """Texture in plenty, but no two frames show the same thing: structure fails, in one sentence."""
     write_video(tmp_path / "a.mp4", [textured_frames(1, seed=i)[0] for i in range(6)])
-    assert_one_sentence(run("a.mp4", "-q"), "no two frames could be related")
+    told = assert_one_sentence(run("a.mp4", "-q", "--front-end", "odometry"), "no two frames could be related")
+    assert "6 frames tried by odometry" in told
+    assert "give a longer part, or one where the camera moves more (--start, --end), or try --front-end sfm" in told
+
+
+def test_a_picture_of_another_size_in_a_folder(run, tmp_path):
+    (tmp_path / "pictures").mkdir()
+    for number, frame in enumerate(textured_frames(6)):
+        size = (80, 60) if number == 4 else (160, 160)
+        cv2.imwrite(str(tmp_path / "pictures" / f"{number}.png"), cv2.resize(frame, size))
+    told = assert_one_sentence(
+        run("pictures", "-q"), "4.png has 80x60 px, but the images before it in pictures have 160x160"
+    )
+    assert "images of one size" in told
 
 
 def test_camera_file_for_another_resolution(run, tmp_path):
