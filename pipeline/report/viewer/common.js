@@ -22,6 +22,9 @@ function backToList() {
   part("back").append(Object.assign(document.createElement("a"), { href: "/", textContent: "all runs" }));
 }
 
+// Of which submap figures are that are of the largest one alone.
+function ofLargest(run) { return run.submaps > 1 ? ` (largest of ${run.submaps} submaps)` : ""; }
+
 function figure(value, digits = 3) {
   return value === null || value === undefined ? "–" : Number(value.toPrecision(digits)).toLocaleString("en");
 }

@@ -42,8 +42,8 @@ function table(rows) {
   const body = part("figures").tBodies[0];
   const kinds = [
     ["frames posed", run => `${run.posed} of ${run.total}`],
-    ["wall seen", run => run.seen_percent === null ? "not judged" : `${run.seen_percent.toFixed(1)} %`],
-    ["surface", run => `${figure(run.area, 4)} ${run.unit}²`],
+    ["wall seen", run => (run.seen_percent === null ? "not judged" : `${run.seen_percent.toFixed(1)} %`) + ofLargest(run)],
+    ["surface", run => `${figure(run.area, 4)} ${run.unit}²${ofLargest(run)}`],
     ["submaps", run => String(run.submaps)],
     ["settings", run => run.settings],
     ["warnings", run => run.words.length ? folded(run.words) : "none"],

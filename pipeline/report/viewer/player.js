@@ -148,8 +148,8 @@ async function start() {
   part("title").textContent = name;
   document.title = `${name} · haustra`;
   part("about").textContent = run.warnings.join("; ");
-  part("coverage-words").textContent = run.coverage === null || run.coverage === undefined ? `not judged: ${run.reason}`
-    : `${run.coverage.toFixed(0)} % of the wall along the visited lumen was seen; ${run.regions.length === 1 ? "1 missed region is" : `${run.regions.length} missed regions are`} listed`;
+  part("coverage-words").textContent = run.coverage === null || run.coverage === undefined ? `not judged${ofLargest(run)}: ${run.reason}`
+    : `${run.coverage.toFixed(0)} % of the wall along the visited lumen was seen${ofLargest(run)}; ${run.regions.length === 1 ? "1 missed region is" : `${run.regions.length} missed regions are`} listed`;
   if (run.coverage !== null && run.coverage !== undefined) Object.assign(part("coverage"), { src: path("coverage", name), hidden: false });
   part("confidence-scale").replaceChildren(bar(run.ramps.confidence, "0", "confidence", "1"));
   listRegions();

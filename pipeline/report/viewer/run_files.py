@@ -32,7 +32,7 @@ def scene_json(folder: Path) -> bytes:
 
 
 def player_data(folder: Path) -> dict[str, Any]:
-    """Frames on disk with their times, keyframes, missed regions, unit."""
+    """Frames on disk with their times, keyframes, unit; coverage and missed regions of the largest submap."""
     workspace = open_workspace(folder)
     with report_corruption(workspace.frames):
         frames = json.loads(workspace.frames.read_text())["frames"]
@@ -53,6 +53,7 @@ def player_data(folder: Path) -> dict[str, Any]:
         "near": NEAR_S,
         "coverage": coverage.get("covered_percent"),
         "reason": coverage.get("reason", ""),
+        "submaps": len(metrics["submaps"]),
         "warnings": metrics["warnings"],
     }
 

@@ -17,6 +17,22 @@ from tests.helpers.showing.shown_runs import make_shown_run
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 slow = pytest.mark.slow  # each is quick, but they are many and share a browser; the first is the everyday one
+
+
+@slow
+def test_figures_of_the_largest_of_several_submaps_say_so(opened):
+    """They are no figures of the film."""
+    page = opened.open("play?run=one")
+    count = page.evaluate("maps.length")
+    assert count > 1
+    said = f"(largest of {count} submaps)"
+    assert f"was seen {said}" in page.inner_text("#coverage-words")
+    cells = opened.open("compare?a=one&b=three").locator("#figures tbody tr").all_inner_texts()
+    for title in ("wall seen", "surface"):
+        assert said in next(cell for cell in cells if cell.startswith(title))
+    assert "wall seen and surface are the largest one's" in opened.open().inner_text("body")
+
+
 CAMERA = "document.getElementById('{}').layout.scene.camera.eye"
 
 
