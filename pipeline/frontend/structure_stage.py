@@ -196,7 +196,8 @@ def _sentence(candidates: list[Candidate], total: int) -> str:
     by = " and ".join(mappers) + (" mapper" if len(mappers) == 1 else " mappers")
     agreeing = 100 * (1 - first.inconsistent_share)
     light = f", lighting consistent in {agreeing:.0f} % of {first.n_checked} frames" if first.n_checked else ""
+    of_first = "" if len(candidates) == 1 else f"the first, of {counted(first.frames, 'frame')}, has "
     return (
-        f"{posed} of {total} frames posed in {counted(len(candidates), 'submap')} by the {by}: "
+        f"{posed} of {total} frames posed in {counted(len(candidates), 'submap')} by the {by}: {of_first}"
         f"{first.points} points, reprojection {first.reprojection_px:.2f} px{light}"
     )

@@ -110,5 +110,5 @@ def test_what_is_finished_stays_when_another_stretch_fails(tmp_path, error):
 
 def test_the_sentence_names_the_mappers_of_what_is_kept():
     both = structure_stage._sentence([map_of(range(60)), map_of(range(50, 90), mapper="global")], 100)
-    assert both.startswith("90 of 100 frames posed in 2 submaps by the odometry and global mappers: 600 points")
+    assert both.startswith("90 of 100 frames posed in 2 submaps by the odometry and global mappers: the first, of 60")
     assert " by the odometry mapper: " in structure_stage._sentence([GOOD], 100)
