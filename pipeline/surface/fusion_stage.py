@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
+from haustra.core.text import counted
 from haustra.core.threads import prefetched
 from pipeline.config import ConsistencySettings, FusionSettings
 from pipeline.depth.completed_submap import CompletedKeyframe, CompletedSubmap
@@ -16,7 +17,7 @@ from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
 from pipeline.surface.no_surface import why_no_surface
-from pipeline.surface.scale import Scale, ScaleSource, find_scale
+from pipeline.surface.scale import Scale, ScaleSource, find_scale, unit_label
 from reconstruction.fusion.dark_spots import dark_spots, without_vertices
 from reconstruction.fusion.lamp import Lamp
 from reconstruction.fusion.photometry import Illumination, fit_illumination
@@ -217,10 +218,10 @@ def depth_filter(
 
 
 def _sentence(surface: Surface) -> str:
-    mesh, unit = surface.mesh, surface.scale.unit
+    mesh, unit, left_out = surface.mesh, unit_label(surface.scale.unit), len(surface.left_out)
     share = f"{100 * surface.opened_share:.2f} %"
     opened = f"{share} was too dark for its depth and left open; " if surface.opened_share else ""
-    without = f"; without {len(surface.left_out)} keyframes that the others contradict" if surface.left_out else ""
+    without = f"; without {counted(left_out, 'keyframe')} that the others contradict" if left_out else ""
     return (
         f"surface of {len(mesh.faces)} triangles, voxel {surface.voxel_size:.3g} {unit}; "
         f"{100 * surface.dropped_share:.1f} % of the area was loose and dropped; {opened}{surface.scale}{without}"

@@ -77,7 +77,7 @@ class KnownPosesFrontEnd:
             if settings.poses.mm_per_unit is not None:
                 check_view(check.depth * settings.poses.mm_per_unit, "poses", POSES_UNIT)
             progress.log(
-                f"poses of {table.path.name}: {len(index)} of {len(frames.index)} frames; "
+                f"poses of {_called(table.path)}: {len(index)} of {len(frames.index)} frames; "
                 f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"
             )
             motion = min(settings.odometry.keyframe_motion, MOST_MOTION) * frames.camera.width
@@ -95,6 +95,11 @@ class KnownPosesFrontEnd:
         return FrontEndResult({NAME: [FoundSubmap(whole)]}, {"inliers": check.inliers})
 
 
+def _called(path: Path) -> str:
+    """A file's name; of a folder its parent's, too, since COLMAP's models are called by numbers."""
+    return "/".join(path.resolve().parts[-2:]) if path.is_dir() else path.name
+
+
 def _without_stray(
     index: NDArray[np.int64], by_frame: Mapping[int, Array], path: Path, progress: Progress
 ) -> tuple[NDArray[np.int64], Array]:
@@ -104,7 +109,7 @@ def _without_stray(
     if stray.any():
         worst = int(np.where(stray, away, 0).argmax())
         progress.log(
-            f"poses of {path.name}: {counted(int(stray.sum()), 'frame')} left out, far from the poses before and "
+            f"poses of {_called(path)}: {counted(int(stray.sum()), 'frame')} left out, far from the poses before and "
             f"after: frame {index[worst]} by {away[worst]:.3g} in the poses' unit"
         )
     return index[~stray], given[~stray]

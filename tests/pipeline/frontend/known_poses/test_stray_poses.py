@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from pipeline.frontend.known_poses import front_end
 from pipeline.frontend.known_poses.stray_poses import stray_poses
 
 T = np.linspace(0, 1, 120)
@@ -57,3 +58,10 @@ def test_a_camera_that_mostly_rests_goes_both_ways():
     there = np.linspace(0, 30, 12)
     along = np.concatenate([np.zeros(200), there, there[::-1], np.zeros(200)])
     assert not stray_poses(poses(np.outer(along, [1, 0, 0])), np.arange(len(along)))[0].any()
+
+
+def test_a_model_of_colmap_is_called_by_its_parent_too(tmp_path):
+    """Its own name is a number, of which "poses of 0" would say nothing."""
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    assert front_end._called(tmp_path / "sparse" / "0") == "sparse/0"
+    assert front_end._called(tmp_path / "sparse" / "poses.txt") == "poses.txt"
