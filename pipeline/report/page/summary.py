@@ -39,6 +39,7 @@ def cards(metrics: dict[str, Any]) -> str:
     word = unit_label(unit)
     several = len(metrics["submaps"]) > 1
     where = f", largest of {len(metrics['submaps'])} submaps" if several else ""
+    of_one = where if any(one["scale"] != main["scale"] for one in metrics["submaps"]) else ""
     if seen["judged"]:
         regions = seen["missed_regions"]
         items = [
@@ -50,16 +51,21 @@ def cards(metrics: dict[str, Any]) -> str:
             (
                 "missed regions",
                 str(len(regions)),
-                f"of {seen['listed_from']:.2g} {word} and more{likely(regions)}; {seen['smaller_regions']} smaller",
+                f"of {seen['listed_from']:.2g} {word} and more{likely(regions)}{where}; "
+                f"{seen['smaller_regions']} smaller",
             ),
         ]
     else:
-        items = [("wall seen", "not judged", seen["reason"])]
+        items = [("wall seen", "not judged", seen["reason"] + where)]
     items += [
-        ("frames posed", f"{frames['posed']} of {frames['total']}", f"{main['keyframes']} keyframes completed{where}"),
+        (
+            "frames posed",
+            f"{frames['posed']} of {frames['total']}",
+            f"{counted(main['keyframes'], 'keyframe')} completed{where}",
+        ),
         ("camera path", _figure(main["path_length"]), f"{word}{where}"),
         ("surface", _figure(main["area"]), f"{word}², {main['faces']:,} triangles{where}"),
-        ("scale", "mm" if unit == "mm" else "unknown", main["scale"]),
+        ("scale", "mm" if unit == "mm" else "unknown", main["scale"] + of_one),
     ]
     return '<section class="cards">' + "".join(_card(*item) for item in items) + "</section>"
 
