@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
+from haustra.core.text import counted
 from haustra.core.threads import prefetched
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -113,7 +114,9 @@ def _complete_all(
                 advance(done)
     workspace.finish(STAGE, keyframe_rows=kept, kept_share=[round(s.rectifier.kept_share, 4) for s in planned])
     skipped = total - sum(len(rows) for rows in kept)
-    progress.log(f"{total - skipped} keyframes completed" + (f", {skipped} had too few points" if skipped else ""))
+    progress.log(
+        f"{counted(total - skipped, 'keyframe')} completed" + (f", {skipped} had too few points" if skipped else "")
+    )
 
 
 def _complete(

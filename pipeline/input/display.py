@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.text import counted
+
 if TYPE_CHECKING:
     from av import VideoFrame
 
@@ -45,8 +47,8 @@ class Clock:
             self._shift = self.last + self.step - stamp
             self._restarts += backwards
             self._leaps += not backwards
-            counted = [("run backwards", self._restarts), ("leap over an hour ahead", self._leaps)]
-            times = " and ".join(f"{what} {count} times" for what, count in counted if count)
+            kinds = [("run backwards", self._restarts), ("leap over an hour ahead", self._leaps)]
+            times = " and ".join(f"{what} {counted(count, 'time')}" for what, count in kinds if count)
             self.notes = [f"the film's time stamps {times}: each part was put behind the one before"]
         # A stamp that is repeated or a little early is of one frame alone: those after it are right.
         self.last = max(stamp + self._shift, self.last + LEAST_STEP * self.step)

@@ -103,7 +103,8 @@ def images_of(folder: Path) -> tuple[list[Path], str]:
         raise HaustraError(f"{inner} holds several kinds of images ({', '.join(sorted(groups))}); give one in a folder")
     chosen = named.pop() if len(groups) > 1 else next(iter(groups), "")
     left_out = count - len(groups.get(chosen, []))
-    notes = [f"{left_out} images of other kinds in {inner.name} were left out"] if left_out else []
+    were = "was" if left_out == 1 else "were"
+    notes = [f"{counted(left_out, 'image')} of other kinds in {inner.name} {were} left out"] if left_out else []
     if count and inner == folder and (films := _films(folder)):
         notes.append(f"{inner.name} also holds the film {films[0]}, which was passed over for its {count} images")
     ordered = in_natural_order(groups.get(chosen, []))

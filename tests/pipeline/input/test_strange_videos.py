@@ -67,7 +67,7 @@ def test_a_part_with_another_clock_goes_on_behind_the_first(second: float) -> No
     clock = Clock(30.0)
     times = np.concatenate([np.arange(20), np.arange(20)]) / 30 + np.repeat([40_000.0, 40_000.0 + second], 20)
     np.testing.assert_allclose([clock.seconds(float(time)) for time in times], np.arange(40) / 30, atol=1e-6)
-    assert ("leap over an hour ahead 1 times" if second > 0 else "run backwards 1 times") in clock.notes[0]
+    assert ("leap over an hour ahead 1 time:" if second > 0 else "run backwards 1 time:") in clock.notes[0]
 
 
 def test_one_stamp_that_is_damaged_moves_no_other_frame_far() -> None:
