@@ -1,8 +1,8 @@
-"""Which maps are kept of two front ends: the better ones of each stretch that was in doubt, and the other ones where
-these pose nothing.
+"""Which maps are kept of two front ends: the better ones of each stretch that was in doubt, and parts of the first
+one's where these pose nothing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.frontend.scoring import MAX_INCONSISTENT, MIN_JUDGED, Candidate, best_mapper, part_of, score, sure_of
 from pipeline.frontend.second_opinion import ByMapper, Opinion
+from pipeline.mapping.map_doubt import PROBABLE
 from pipeline.mapping.submap import MIN_FRAMES
 
 
@@ -20,8 +21,8 @@ def joined(first: list[Candidate], total: int, opinions: list[Opinion]) -> ByMap
     Maps of the first one that are sure, or in no stretch, stay. Of one stretch, each mapper's maps take the place of
     the other ones. Of several, those of a mapper or the first front end's, whichever are better on the frames in doubt;
     stretches that a map of the first one spans are decided together. None takes the place of others that are expected
-    to pose more frames rightly: a large map in doubt is worth more than a few frames. Of the first front end's maps
-    that give way, what poses frames that no other does stays. Nothing where they are better everywhere.
+    to pose more frames rightly: a large map in doubt is worth more than a few frames. Nothing where the first front
+    end's are better everywhere.
     """
     sure = [id(one) for one in sure_of(first, total)]
     groups = _groups([one for one in first if id(one) not in sure], opinions)
@@ -31,37 +32,46 @@ def joined(first: list[Candidate], total: int, opinions: list[Opinion]) -> ByMap
         ((maps, (opinion,)),) = groups
         expected = partial(_poses_rightly, frames=opinion.stretch.doubtful)
         usable = {mapper: _usable(opinion, mapper, kept) for mapper in opinion.candidates}
-        return {
-            mapper: _with_rests(_distinct(kept, of), maps) if expected(of) >= expected(maps) else []
-            for mapper, of in usable.items()
-        }
+        return {mapper: _distinct(kept, of) if expected(of) >= expected(maps) else [] for mapper, of in usable.items()}
     second: list[Candidate] = []
-    given_up: list[Candidate] = []
     for maps, about in groups:
         doubtful = np.concatenate([opinion.stretch.doubtful for opinion in about])
         theirs = [one for opinion in about for one in _best(opinion, kept)]
         better = _worth(theirs, doubtful) > _worth(maps, doubtful)
         if better and _poses_rightly(theirs, doubtful) >= _poses_rightly(maps, doubtful):
             second += theirs
-            given_up += maps
         else:
             kept = kept + maps
     names = " and ".join(dict.fromkeys(one.mapper for one in second))
-    return {names: _with_rests(_distinct(kept, second), given_up)} if second else {}
+    return {names: _distinct(kept, second)} if second else {}
 
 
-def _with_rests(found: list[Candidate], given_up: list[Candidate]) -> list[Candidate]:
-    """Both, most frames first; of the maps that were given up only what poses frames that no other has, if that is long
-    enough to be judged, the light does not contradict the map, and it has the others' lens: one film has one."""
-    claimed = {int(frame) for one in found for frame in one.submap.frames}
-    lenses, rests = {one.submap.camera_params for one in found}, []
-    for one in sorted(given_up, key=lambda one: -one.check.frames):
-        own = {int(frame) for frame in one.submap.frames} - claimed
-        agrees = one.check.inconsistent_share <= MAX_INCONSISTENT and lenses <= {one.submap.camera_params}
-        if agrees and len(own) >= MIN_JUDGED:
-            rests.append(one if len(own) == len(one.submap.frames) else part_of(one, own))
-            claimed |= own
-    return sorted([*found, *rests], key=lambda one: -one.check.frames)
+def with_rests(
+    kept: list[Candidate], first: list[Candidate], image_of: Callable[[int], NDArray[np.uint8]]
+) -> list[Candidate]:
+    """Maps that are kept, and of the first front end's maps that gave way to them the parts that pose frames that none
+    of them does, most frames first.
+
+    A part has at least `MIN_JUDGED` frames one after the other, the light does not contradict it, its map is more
+    probably right than wrong, and has the others' lens: one film has one. image_of: picture (H,W,3) of a frame."""
+    claimed = {int(frame) for one in kept for frame in one.submap.frames}
+    lenses, found = {one.submap.camera_params for one in kept}, list(kept)
+    for one in sorted(first, key=lambda one: -one.check.frames):
+        if any(one is other for other in kept) or one.wrong >= PROBABLE or not lenses <= {one.submap.camera_params}:
+            continue
+        part = part_of(one, _unclaimed(one.submap.frames, claimed), image_of)
+        if part is not None and part.check.inconsistent_share <= MAX_INCONSISTENT:
+            found.append(part)
+            claimed |= {int(frame) for frame in part.submap.frames}
+    return sorted(found, key=lambda one: -one.check.frames)
+
+
+def _unclaimed(frames: NDArray[np.int64], claimed: set[int]) -> NDArray[np.int64]:
+    """Of a map's frames those that are not claimed, in stretches of at least `MIN_JUDGED` without a claimed one."""
+    free = np.array([int(frame) not in claimed for frame in frames])
+    edges = np.flatnonzero(np.diff(free.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    stretches = [frames[begin:end] for begin, end in edges if end - begin >= MIN_JUDGED]
+    return np.concatenate([np.zeros(0, np.int64), *stretches])
 
 
 def _groups(maps: list[Candidate], opinions: list[Opinion]) -> list[tuple[list[Candidate], list[Opinion]]]:

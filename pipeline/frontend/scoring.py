@@ -5,7 +5,7 @@ reprojection error do not tell a false two-view start.
 """
 
 import shutil
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,13 @@ from haustra.core.camera import Camera
 from pipeline.frontend.base import FoundSubmap, disjoint
 from pipeline.input.frames import Frames, read_image
 from pipeline.mapping.colmap_io import write_arrays
-from pipeline.mapping.lighting_check import LightingCheck, best_stretch, lighting_correlations, summarised
+from pipeline.mapping.lighting_check import (
+    LightingCheck,
+    best_stretch,
+    check_lighting,
+    lighting_correlations,
+    summarised,
+)
 from pipeline.mapping.map_doubt import FAMILY, MapDoubt, coefficients, gather_evidence, judge
 from pipeline.mapping.submap import MIN_FRAMES, Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN
@@ -79,11 +85,19 @@ def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -
     return candidates
 
 
-def part_of(one: Candidate, frames: Collection[int]) -> Candidate:
-    """Its part of these frames, which it poses, as a submap of its own: as probably wrong as the whole."""
-    part = _only(one.submap, np.array(sorted(frames)))
+def part_of(
+    one: Candidate, frames: NDArray[np.int64], image_of: Callable[[int], NDArray[np.uint8]]
+) -> Candidate | None:
+    """Its part of these frames (N,), which it poses, as a submap of its own, checked and written: as probably wrong as
+    the whole. None where fewer than `MIN_JUDGED` of them see enough points."""
+    if len(frames) == len(one.submap.frames):
+        return one
+    part = _only(one.submap, frames)
+    part = _only(part, part.frames[_sees_enough(part)])
+    if len(part.frames) < MIN_JUDGED:
+        return None
     folder = _written(part, one.folder.with_name(f"{one.folder.name}_part"))
-    return replace(one, submap=part, check=replace(one.check, frames=len(part.frames)), folder=folder)
+    return replace(one, submap=part, check=check_lighting(part, image_of), folder=folder)
 
 
 def _only(submap: Submap, frames: NDArray[np.int64]) -> Submap:

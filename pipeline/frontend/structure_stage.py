@@ -16,6 +16,7 @@ from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.automatic import FrontEndJob, run_front_ends
 from pipeline.frontend.base import disjoint, is_determined
+from pipeline.frontend.joined_maps import with_rests
 from pipeline.frontend.map_cautions import (
     advice_after,
     advice_unrelated,
@@ -25,7 +26,7 @@ from pipeline.frontend.map_cautions import (
     few_posed,
 )
 from pipeline.frontend.registry import FIRST, FRONT_ENDS, SECOND, chosen
-from pipeline.frontend.scoring import Candidate, accepted, best_mapper, frames_posed, uncovered
+from pipeline.frontend.scoring import Candidate, accepted, best_mapper, frames_posed, image_reader, uncovered
 from pipeline.input.frames import Frames, write_lens
 from pipeline.mapping.feature_triangulation import frames_of_features
 from pipeline.mapping.submap import Submap, read_submap, refined_camera
@@ -123,8 +124,11 @@ def _solve(
             + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
         )
     with single_threaded():
-        _begin_features(found, frames, features, settings)
         kept = uncovered(accepted(found))
+        if SECOND in results and mapper in results[SECOND].candidates:
+            first = [one for of in results[FIRST].candidates.values() for one in of] if FIRST in results else []
+            kept = with_rests(kept, first, image_reader(workspace))
+        _begin_features(kept, frames, features, settings)
         _keep(kept, workspace)
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
     _keep_lens(frames.camera, refined_camera(frames.camera, kept[0].submap), workspace)

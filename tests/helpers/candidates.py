@@ -40,13 +40,6 @@ def stretch_of(begin, end, margin=MARGIN):
     return Stretch(replace(many_frames(len(index)), index=index, seconds=index / 30), np.arange(begin, end))
 
 
-def shorter(one, frames):
-    """In place of `part_of`, which writes a model: the same with these frames alone."""
-    frames = np.array(sorted(frames))
-    submap = SimpleNamespace(frames=frames, camera_params=one.submap.camera_params)
-    return replace(one, submap=submap, check=replace(one.check, frames=len(frames)))
-
-
 @dataclass(frozen=True)
 class Given:
     """What is asked of a submap."""

@@ -1,17 +1,18 @@
 """Which maps are kept of two front ends."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from pipeline.frontend import joined_maps
-from pipeline.frontend.joined_maps import joined
-from pipeline.frontend.scoring import part_of, uncovered
+from pipeline.frontend import scoring
+from pipeline.frontend.joined_maps import joined, with_rests
+from pipeline.frontend.scoring import Candidate, part_of, uncovered
 from pipeline.frontend.second_opinion import Opinion, stretches_in_doubt
 from pipeline.mapping.submap import Submap, read_submap
-from tests.helpers.candidates import GOOD, Given, many_frames, map_of, shorter, stretch_of
+from tests.helpers.candidates import DARK, GOOD, Given, many_frames, map_of, stretch_of
 
 
 def global_(frames, inconsistent=0.0):
@@ -109,62 +110,96 @@ def test_a_map_that_only_has_frames_of_others_goes():
     assert uncovered(covered) == [covered[0], covered[2]]
 
 
-@pytest.mark.parametrize("alone", [True, False])
-def test_frames_that_only_the_map_that_gave_way_poses_stay(monkeypatch, alone):
-    """COLMAP's maps are right, and end before odometry's, of which one lies where they pose nothing."""
-    monkeypatch.setattr(joined_maps, "part_of", shorter)
+def mapped(frames, params=(200.0,), wrong=0.3, folder=None):
+    """A map of these frames in which each sees 20 points of its own and of its neighbours."""
+    frames, rng = np.asarray(frames), np.random.default_rng(0)
+    row = np.repeat(np.arange(len(frames)), 20)
+    point = (10 * row + np.tile(np.arange(20), len(frames))) % (10 * len(frames))
+    poses = np.tile(np.eye(4), (len(frames), 1, 1))
+    poses[:, :3, 3] = rng.normal(size=(len(frames), 3))
+    points = rng.normal((0, 0, 9), 1, (10 * len(frames), 3))
+    seen = np.stack([row, point], axis=1)
+    submap = Submap(frames, poses, points, np.ones(len(points)), seen, rng.uniform(1, 63, (len(seen), 2)), params)
+    check = replace(GOOD.check, frames=len(frames))
+    return Candidate(submap, check, folder or Path(), "odometry", SimpleNamespace(probability=wrong))
 
-    def wrong(frames):
-        return replace(map_of(frames), doubt=SimpleNamespace(probability=0.9))
 
-    first = [wrong(range(120)), wrong(range(120, 180)), wrong(range(180, 240)), wrong(range(50, 70))]
-    theirs = {"global": [global_(range(90)), global_(range(122, 161))]}
-    opinions = [Opinion(stretch_of(0, 240), theirs)]
-    opinions += [] if alone else [Opinion(stretch_of(300, 320), {"global": []})]
-    (found,) = joined([*first, map_of(range(240, 300))], 320, opinions).values()
-    assert shown(found) == [
-        ("global", 0, 89),
-        ("global", 122, 160),
-        ("odometry", 90, 119),
-        ("odometry", 120, 179),  # frames 120, 121 and 161 to 179
-        ("odometry", 180, 239),
-        ("odometry", 240, 299),
-    ]
-    counts = [len(one.submap.frames) for one in found]
-    assert counts == sorted(counts, reverse=True) == [one.check.frames for one in found]
-    assert sum(counts) == 300, "no frame is posed twice"
-    assert [one.doubt is None for one in found if one.mapper == "odometry"] == [True, False, False, False]
+def grey(_):
+    return np.full((64, 64, 3), 90, np.uint8)
+
+
+def lit(submap, _):
+    """In place of `check_lighting`: nothing speaks against it."""
+    return replace(GOOD.check, frames=len(submap.frames))
+
+
+@pytest.fixture
+def in_light(monkeypatch):
+    monkeypatch.setattr(scoring, "check_lighting", lit)
+
+
+def test_frames_that_only_a_map_poses_that_gave_way_stay(in_light, tmp_path):
+    """COLMAP's maps end before odometry's, of which one lies where they pose nothing."""
+    first = [mapped(range(120), folder=tmp_path / "0_written"), mapped(range(120, 180), folder=tmp_path / "1_written")]
+    first += [mapped(range(180, 240)), mapped(range(240, 300), wrong=0.1)]
+    kept = [mapped(range(90)), mapped(range(122, 150)), first[3]]
+    found = with_rests(kept, first, grey)
+    assert [(int(one.submap.frames[0]), len(one.submap.frames)) for one in found] == [
+        (0, 90),
+        (240, 60),
+        (180, 60),
+        (90, 30),
+        (150, 30),
+        (122, 28),
+    ], "frames 120 and 121 are too few for a submap"
+    assert [one.check.frames for one in found] == [len(one.submap.frames) for one in found]
+    assert found[2] is first[2]
+    for part, number in ((found[3], 0), (found[4], 1)):
+        read = read_submap(part.folder)
+        assert part.folder.name == f"{number}_written_part"
+        assert read.frames.tolist() == part.submap.frames.tolist()
+        assert (read.track_lengths() >= 2).all()
+        assert len(read.points) > 0
+        assert part.doubt is first[number].doubt
 
 
 @pytest.mark.parametrize(
     "given_up",
     [
-        map_of(range(119)),
-        map_of(range(130), 0.06),
-        replace(map_of(range(130)), submap=Given(np.arange(130), (), (9.0,))),
+        mapped(range(119)),
+        mapped(range(130), wrong=0.5),
+        mapped(range(130), params=(9.0,)),
+        mapped(range(0, 200, 5)),
     ],
-    ids=["too few", "against the light", "another lens"],
+    ids=["too few", "probably wrong", "another lens", "here and there"],
 )
-def test_not_all_that_gave_way_stays(given_up):
-    doubted = replace(given_up, doubt=SimpleNamespace(probability=0.9))
-    found = joined([doubted], 130, [Opinion(stretch_of(0, 130), {"global": [global_(range(100))]})])
-    assert shown(found["global"]) == [("global", 0, 99)]
+def test_not_all_that_gave_way_stays(given_up, in_light, tmp_path):
+    kept = [mapped([frame for frame in range(200) if frame < 100 or frame % 10])]
+    if len(given_up.submap.frames) > 40:
+        kept = [mapped(range(100))]
+    assert with_rests(kept, [replace(given_up, folder=tmp_path / "0_written")], grey) == kept
 
 
-def test_a_part_of_a_map_is_written_with_its_own_frames_and_points(tmp_path):
-    rng, frames, points = np.random.default_rng(0), np.arange(10, 30), 50
-    seen = np.argwhere(rng.uniform(size=(len(frames), points)) < 0.3)  # each point in six frames, in the mean
-    pixels = rng.uniform(0, 200, (len(seen), 2))
-    poses = np.tile(np.eye(4), (len(frames), 1, 1))
-    poses[:, :3, 3] = rng.normal(size=(len(frames), 3))
-    whole = Submap(frames, poses, rng.normal(size=(points, 3)), np.ones(points), seen, pixels, (200.0,))
-    one = replace(GOOD, submap=whole, folder=tmp_path / "0_written")
-    part = part_of(one, {int(frame) for frame in whole.frames[5:12]})
-    read = read_submap(part.folder)
-    assert read.frames.tolist() == whole.frames[5:12].tolist()
-    np.testing.assert_array_equal(read.world_from_camera, whole.world_from_camera[5:12])
-    assert part.check.frames == 7
-    assert part.doubt is one.doubt
-    assert (read.track_lengths() >= 2).all()
-    assert 0 < len(read.points) < len(whole.points)
-    assert not one.folder.exists(), "the whole map is left as it is"
+def test_a_part_that_the_light_contradicts_goes(monkeypatch, tmp_path):
+    """What was measured of the whole map says nothing of its end."""
+    monkeypatch.setattr(scoring, "check_lighting", lambda submap, _: replace(DARK.check, frames=len(submap.frames)))
+    kept = [mapped(range(100))]
+    assert with_rests(kept, [mapped(range(140), folder=tmp_path / "0_written")], grey) == kept
+
+
+def test_frames_that_see_too_little_are_in_no_part(in_light, tmp_path):
+    """Points that the frames before saw are not the part's."""
+    one = mapped(range(130), folder=tmp_path / "0_written")
+    seen = one.submap.observations
+    blind = (seen[:, 0] >= 105) & (seen[:, 0] < 108)
+    submap = replace(one.submap, observations=seen[~blind], pixels=one.submap.pixels[~blind])
+    part = with_rests([mapped(range(100))], [replace(one, submap=submap)], grey)[1]
+    assert part.submap.frames.tolist() == [*range(100, 105), *range(108, 130)]
+
+
+def test_the_real_check_of_light_looks_at_the_part(tmp_path):
+    one = mapped(range(130), folder=tmp_path / "0_written")
+    part = part_of(one, np.arange(100, 130), grey)
+    assert part.check.frames == 30
+    assert part.check.points == len(part.submap.points)
+    assert part_of(one, one.submap.frames, grey) is one

@@ -10,14 +10,14 @@ import pytest
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import Config, OdometrySettings
-from pipeline.frontend import automatic, joined_maps, scoring, second_opinion, structure_stage
+from pipeline.frontend import automatic, scoring, second_opinion, structure_stage
 from pipeline.frontend.automatic import FrontEndJob, run_front_ends
 from pipeline.frontend.base import FrontEndResult
 from pipeline.frontend.colmap import front_end as colmap
 from pipeline.frontend.registry import FRONT_ENDS, check_front_end
 from pipeline.frontend.scoring import Candidate, best_mapper
 from pipeline.matching.sift_cache import SiftCache
-from tests.helpers.candidates import DARK, GOOD, many_frames, map_of, shorter
+from tests.helpers.candidates import DARK, GOOD, many_frames, map_of
 from tests.helpers.tubes.textured_tube import CAMERA
 
 SETTINGS = Config().front_end_settings
@@ -66,9 +66,7 @@ def test_colmap_is_asked_where_odometry_is_doubtful(asked):
     assert asked("auto", 100, found) == (["odometry", "global", "incremental"], "incremental")
 
 
-def test_colmap_is_asked_where_odometrys_map_may_well_be_wrong_and_its_own_wins_by_the_probability(asked, monkeypatch):
-    monkeypatch.setattr(joined_maps, "part_of", shorter)
-
+def test_colmap_is_asked_where_odometrys_map_may_well_be_wrong_and_its_own_wins_by_the_probability(asked):
     def doubted(probability):
         return replace(GOOD, doubt=SimpleNamespace(probability=probability))
 
