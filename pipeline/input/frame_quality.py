@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Verdict = Literal["used", "black", "overexposed", "red-out", "no texture", "blurred", "duplicate", "other layout"]
+Verdict = Literal[
+    "used", "black", "overexposed", "red-out", "no texture", "blurred", "duplicate", "other layout", "other zoom"
+]
 HISTORY = 15  # frames over which sharpness is compared
 MIN_BRIGHTNESS = 8.0  # grey levels; a darker median frame is black
 SATURATED, MAX_SATURATED = 250, 0.6  # grey level, and share of pixels at it beyond which nothing is left to see

@@ -22,8 +22,8 @@ from haustra.core.threads import prefetched
 from pipeline.config import FrameSettings
 from pipeline.input.calibration import Calibration, calibrate
 from pipeline.input.content_area import ContentArea, find_content, has_cut_corners, highlight_mask
-from pipeline.input.frame_quality import FrameJudge, Verdict
-from pipeline.input.layout.digital_zoom import DigitalZoom, LookedAt
+from pipeline.input.frame_quality import FrameJudge
+from pipeline.input.layout.digital_zoom import OTHER_ZOOM, DigitalZoom, LookedAt
 from pipeline.input.layout.picture_layout import PictureLayout
 from pipeline.input.video import RawFrame, Source
 from pipeline.run_folder.stage import load_or_make
@@ -178,10 +178,9 @@ def _store_frames(
             if frame.index % settings.stride:
                 continue
             rgb = resized(frame.rgb, area, camera, cv2.INTER_AREA)
-            elsewhere = layout.is_elsewhere(frame.rgb, frame.seconds)
-            verdict: Verdict = "other layout" if elsewhere else judge.judge(rgb, content)
-            verdicts.append((frame.index, frame.seconds, verdict))
-            if verdict == "used":
+            is_elsewhere = layout.is_elsewhere(frame.rgb, frame.seconds)
+            verdicts.append((frame.index, frame.seconds, "other layout" if is_elsewhere else judge.judge(rgb, content)))
+            if verdicts[-1][2] == "used":
                 layout.remember(frame.seconds)
                 zoom.remember(rgb, frame.index)
                 yield _Used(frame.index, rgb, source.depth_mm())
@@ -190,11 +189,11 @@ def _store_frames(
         for _ in prefetched(partial(_write_frame, workspace, content), used(advance), count=1):
             pass  # written while the next is judged
     source.notes += layout.notes
-    judged = zoom.judged(verdicts, source.notes)
-    for frame in (frame for (frame, _, before), (_, _, after) in zip(verdicts, judged, strict=True) if before != after):
+    verdicts = zoom.judged(verdicts, source.notes)
+    for frame in (frame for frame, _, verdict in verdicts if verdict == OTHER_ZOOM):
         for path in (workspace.image_path(frame), workspace.mask_path(frame), workspace.sensor_path(frame)):
             path.unlink(missing_ok=True)
-    return judged
+    return verdicts
 
 
 @dataclass(frozen=True)

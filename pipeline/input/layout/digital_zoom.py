@@ -1,11 +1,11 @@
 """Parts of a film in which the processor shows a cut-out of its picture enlarged: another lens within the same outline.
 
-From one frame to the next all of the picture then grows by one factor about its middle, whatever the depth. A scope
-that moves forward never does that: near wall grows more than far wall, and no scope comes a tenth nearer in a frame
-after it hardly moved in the one before.
+From one frame to the next all of the picture then grows by one factor about its middle, whatever the depth, and stays
+so. Of a scope that moves forward near wall grows more than far wall, and it moves in the frames around as well.
 """
 
 from collections import deque
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,23 +13,32 @@ from numpy.typing import NDArray
 
 from pipeline.input.frame_quality import Verdict
 
+OTHER_ZOOM: Verdict = "other zoom"
 THUMBNAIL = (64, 64)
 HISTORY, LEAST_HISTORY = 15, 3  # frames whose changes are the usual one, and how many it takes
-JUMP = 2.5  # times the usual change between thumbnails: by a zoom of 1.1 and more they change by 4 times and more
+JUMP = 2.5  # times the usual change between thumbnails: by a zoom of 1.2 and more they change by 4 times and more
+MOST_GAP = 2.0  # times the usual step between the numbers of used frames
 FEATURES, CONTRAST = 1500, 0.01  # of SIFT, which finds a wall's faint vessels by so little contrast
 RATIO = 0.8
 # Of the features of two frames, those that one similarity maps to this share of the width, and what a zoom's has: a
 # factor, no turn, and, as a share of the width, a middle that stays. Chosen on a real colonoscopy of 1,800 frames
-# (realclips/gastrolab_normal): of its own frames none has a factor of 1.06 and more by these; zooms of 1.2 to 2 put in
-# at ten places have 58 to 97 % inliers at nine of them. The rest, in quick motion or on bare wall, is not found.
+# (realclips/gastrolab_normal), of which none has a factor of 1.06 and more by these. Of zooms put into it about half
+# are found; the others begin in quick motion or on bare wall.
 INLIER_SHARE, LEAST_INLIERS, LEAST_SHARE = 0.005, 25, 0.55
-LEAST_FACTOR, MOST_TURN_DEG, MOST_SHIFT = 1.08, 1.5, 0.02
+LEAST_FACTOR, MOST_TURN_DEG, MOST_SHIFT = 1.15, 1.5, 0.02
 SAME = 0.06  # between the logarithms of two factors that are one
-
-OTHER: Verdict = "other layout"
 
 Grey = NDArray[np.uint8]
 LookedAt = tuple[int, float, str]  # number of a frame, seconds, verdict
+
+
+@dataclass(frozen=True)
+class _Change:
+    """At a frame's place in the order in which the used ones came, the logarithm of the factor of its zoom over the one
+    before."""
+
+    place: int
+    log_factor: float
 
 
 class DigitalZoom:
@@ -39,57 +48,86 @@ class DigitalZoom:
         """content: mask (H,W) of the picture in working frames."""
         around = 2 * round(0.01 * content.shape[1]) + 1
         self._inside = cv2.erode(content, np.ones((around, around), np.uint8), borderValue=0)
-        self._changes: deque[float] = deque(maxlen=HISTORY)
+        self._usual: deque[float] = deque(maxlen=HISTORY)  # changes between thumbnails
+        self._steps: deque[int] = deque(maxlen=HISTORY)  # between numbers of frames
         self._last: tuple[Grey, NDArray[np.float32]] | None = None
-        self._levels = [0.0]  # logarithm of the factor over the first frame's
-        self._level: list[int] = []  # of each frame
         self._frames: list[int] = []
+        self._changes: list[_Change] = []
+        self._pending: _Change | None = None  # of the latest frame; it counts if the next one goes on as usual
 
     def remember(self, rgb: NDArray[np.uint8], frame: int) -> None:
         """The next used frame (H,W,3) and its number."""
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         thumbnail = cv2.resize(grey, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.float32)
-        level = self._level[-1] if self._level else 0
         if self._last is not None:
-            change = float(np.abs(thumbnail - self._last[1]).mean())
-            if len(self._changes) >= LEAST_HISTORY and change > JUMP * np.median(self._changes):
-                level = self._level_at(level, zoom_between(self._last[0], grey, self._inside))
-            self._changes.append(change)
+            before, thumbnail_before = self._last
+            change, step = float(np.abs(thumbnail - thumbnail_before).mean()), frame - self._frames[-1]
+            known = len(self._usual) >= LEAST_HISTORY
+            has_jumped = known and change > JUMP * np.median(self._usual)
+            if self._pending is not None and not has_jumped:
+                self._changes.append(self._pending)
+            self._pending = None
+            if has_jumped and step <= MOST_GAP * np.median(self._steps):
+                log_factor = float(np.log(zoom_between(before, grey, self._inside)))
+                self._pending = _Change(len(self._frames), log_factor) if log_factor else None
+            if not has_jumped:
+                self._usual.append(change)
+            self._steps.append(step)
         self._last = grey, thumbnail
-        self._level.append(level)
         self._frames.append(frame)
 
-    def _level_at(self, before: int, factor: float) -> int:
-        """Number of the level after a change by this factor; a level that was there before counts as the same."""
-        if factor == 1.0:
-            return before
-        wanted = self._levels[before] + np.log(factor)
-        off = np.abs(np.array(self._levels) - wanted)
-        if off.min() < SAME:
-            return int(off.argmin())
-        self._levels.append(float(wanted))
-        return len(self._levels) - 1
-
     def judged(self, looked_at: list[LookedAt], notes: list[str]) -> list[LookedAt]:
-        """The same, but that those are of another layout that are shown at another zoom than most; of two zooms with as
-        many, than the first. `notes` gets what a person is told."""
-        if len(self._levels) == 1:
-            return looked_at
-        kept = int(np.bincount(self._level).argmax())
-        out = {frame for frame, level in zip(self._frames, self._level, strict=True) if level != kept}
-        factors = np.exp(np.array([self._levels[n] for n in sorted({*self._level} - {kept})]) - self._levels[kept])
-        seconds = [at for frame, at, _ in looked_at if frame in out]
-        notes.append(_told(len(out), seconds[0], seconds[-1], sorted(factors)))
-        return [(frame, at, OTHER if frame in out else verdict) for frame, at, verdict in looked_at]
+        """The same, but that frames between a change of the zoom and the change back are of another zoom; not where
+        they are the most. `notes` gets what a person is told of these, and of changes that nothing takes back, which
+        may have had their other end where the wall shows too little."""
+        between, open_ends = self._paired()
+        out = {self._frames[place] for begin, end, _ in between for place in range(begin, end)}
+        seconds = {frame: at for frame, at, _ in looked_at}
+        if 2 * len(out) > len(self._frames):
+            out, open_ends = set(), [_Change(begin, factor) for begin, _, factor in between] + open_ends
+        if out:
+            factors = sorted(float(np.exp(factor)) for _, _, factor in between)
+            notes.append(_told(len(out), seconds[min(out)], seconds[max(out)], factors))
+        if open_ends:
+            notes.append(_doubted([(seconds[self._frames[one.place]], np.exp(one.log_factor)) for one in open_ends]))
+        return [(frame, at, OTHER_ZOOM if frame in out else verdict) for frame, at, verdict in looked_at]
+
+    def _paired(self) -> tuple[list[tuple[int, int, float]], list[_Change]]:
+        """Stretches of another zoom, by their first place, the one after their last, and the logarithm of the factor at
+        their beginning; and changes that no later ones undo."""
+        between: list[tuple[int, int, float]] = []
+        still_open: list[_Change] = []
+        for change in self._changes:
+            back = change.log_factor
+            for number in range(len(still_open) - 1, -1, -1):
+                back += still_open[number].log_factor
+                if abs(back) < SAME:
+                    first = still_open[number]
+                    between = [one for one in between if one[0] < first.place]  # shorter ones within
+                    between.append((first.place, change.place, first.log_factor))
+                    del still_open[number:]
+                    break
+            else:
+                still_open.append(change)
+        return between, still_open
 
 
 def _told(count: int, first: float, last: float, factors: list[float]) -> str:
-    larger = " and ".join(f"{factor:.2g}" for factor in factors)
-    enlarged = "" if factors[0] > 1 else "; a camera file of the whole picture is wrong for the others"
+    larger = " and ".join(dict.fromkeys(f"{factor:.2g}" for factor in factors))
     return (
-        f"{count} of the frames between {first:.1f} and {last:.1f} s are shown {larger} times as large as the "
-        "others, all of the picture at once, as by a processor's digital zoom, which makes another lens; they were "
-        f"left out, and --start and --end make a run of their own of such a part{enlarged}"
+        f"{count} of the frames between {first:.1f} and {last:.1f} s are shown {larger} times as large as those before "
+        "and after, all of the picture at once, as by a processor's digital zoom, which makes another lens; they were "
+        "left out, and --start and --end make a run of their own of such a part"
+    )
+
+
+def _doubted(changes: list[tuple[float, float]]) -> str:
+    """changes: seconds, and the factor by which the picture grew there."""
+    told = [f"{factor:.2g} times as large from {at:.1f} s on" for at, factor in changes]
+    listed = ", ".join([*told[:3], "..."] if len(told) > 3 else told)
+    return (
+        f"the picture may be shown at several zooms ({listed}): the lens would be another there, and what is built of "
+        "both wrong; make a run of each part by --start and --end"
     )
 
 
