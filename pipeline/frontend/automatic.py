@@ -51,6 +51,7 @@ class Result:
     candidates: ByMapper  # of each mapper, in the order in which they were run
     stats: dict[str, float]
     in_parts: bool = False  # of stretches of the film, with the first front end's submaps of the rest
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ class FrontEndJob:
             settings = settings.model_copy(update={"deadline": settings.deadline - aside})
         result = FRONT_ENDS[name].run(mapped, self.features, settings, self.workspace, self.progress)
         found = result.found if every == 1 else {m: self._between(of, frames, every) for m, of in result.found.items()}
-        return Result({m: candidates_of(m, of, self.workspace) for m, of in found.items()}, result.stats)
+        candidates = {m: candidates_of(m, of, self.workspace) for m, of in found.items()}
+        return Result(candidates, result.stats, warnings=result.warnings)
 
     def _between(self, found: list[FoundSubmap], frames: Frames, every: int) -> list[FoundSubmap]:
         read, deadline = frame_reader(self.workspace), self.settings.deadline

@@ -33,10 +33,11 @@ class FoundSubmap:
 @dataclass(frozen=True)
 class FrontEndResult:
     """found: submaps of each mapper that was run, by its name, in the order in which they were run. stats: figures of
-    the front end for `run.yaml`, such as frames_per_second."""
+    the front end for `run.yaml`, such as frames_per_second. warnings: sentences for a person."""
 
     found: dict[str, list[FoundSubmap]]
     stats: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 class FrontEnd(Protocol):

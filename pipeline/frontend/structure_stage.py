@@ -138,6 +138,7 @@ def _solve(
     warnings += doubts_of_submaps(kept, advice)
     name = next(name for name, result in results.items() if mapper in result.candidates)
     warnings += carried_by_depth(results[name].stats.get("bridged", 0))
+    warnings += [sentence for result in results.values() for sentence in result.warnings]
     if results[name].in_parts:  # loops between the submaps of two front ends are still open
         name = FIRST
     workspace.finish(

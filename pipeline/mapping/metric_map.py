@@ -4,7 +4,6 @@ measured at its observations."""
 import numpy as np
 from numpy.typing import NDArray
 
-from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress
 from haustra.core.se3 import Array, in_camera
 from pipeline.input.sensor.along_ray import FEWEST, doubt_of_axis
@@ -38,12 +37,10 @@ def metric_scale(local_map: LocalMap, depth_at: DepthAt, frames: list[int] | Non
     return float(np.exp(np.median(log_ratio))) if len(log_ratio) >= FEWEST else None
 
 
-def refuse_distances_of(maps: list[LocalMap], depth_at: DepthAt) -> None:
-    """HaustraError where a sensor seems to give distances along the rays. Of maps that were not yet adjusted by it,
-    with a lens that is known."""
+def doubt_of_axis_by(maps: list[LocalMap], depth_at: DepthAt) -> str:
+    """A sentence where a sensor seems to give distances along the rays, by maps that were not yet adjusted by it."""
     found = [_log_ratios(local_map, depth_at, None) for local_map in maps]
-    if found and (doubt := doubt_of_axis(*(np.concatenate(parts) for parts in zip(*found, strict=True)))):
-        raise HaustraError(f"{doubt}; --depth none leaves the sensor out")
+    return doubt_of_axis(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else ""
 
 
 def _log_ratios(

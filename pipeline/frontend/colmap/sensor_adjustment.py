@@ -10,7 +10,7 @@ from haustra.core.ray_table import ray_table
 from pipeline.frontend.base import FoundSubmap
 from pipeline.input.sensor.sensor_depth import SensorDepth
 from pipeline.mapping.map_adjustment import adjust_all
-from pipeline.mapping.metric_map import make_metric, refuse_distances_of
+from pipeline.mapping.metric_map import make_metric
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.mapping.submap_of_map import map_of_submap, to_submap
 
@@ -20,12 +20,7 @@ LEAST_KEPT = 0.9  # of a model's frames; an adjustment that loses more has not f
 def adjusted_to_sensor(
     found: list[FoundSubmap], camera: Camera, sensor: SensorDepth, progress: Progress
 ) -> list[FoundSubmap]:
-    """Each model in mm and adjusted; those of which the sensor saw too little, or that it does not fit, stay.
-    HaustraError where the largest says that the sensor gives distances along the rays."""
-    if found and camera.trusted and not sensor.stereo:
-        largest = max((one.submap for one in found), key=lambda submap: len(submap.frames))
-        largest_map = map_of_submap(largest, ray_table(refined_camera(camera, largest)))
-        refuse_distances_of([largest_map], sensor.for_adjustment)
+    """Each model in mm and adjusted; those of which the sensor saw too little, or that it does not fit, stay."""
     with progress.bar("adjusting to depth", len(found)) as advance:
         adjusted = []
         for number, one in enumerate(found, start=1):

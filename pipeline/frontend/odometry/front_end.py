@@ -32,7 +32,7 @@ from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.final_adjustment import adjust_maps
 from pipeline.mapping.local_map import LocalMap
-from pipeline.mapping.metric_map import make_all_metric, refuse_distances_of
+from pipeline.mapping.metric_map import doubt_of_axis_by, make_all_metric
 from pipeline.mapping.submap import Submap
 from pipeline.mapping.submap_merging import merge_and_adjust
 from pipeline.mapping.submap_of_map import submaps_of
@@ -58,14 +58,16 @@ class OdometryFrontEnd:
         progress.log(tracked.sentence)
         shutil.rmtree(workspace.log / NAME, ignore_errors=True)
         shutil.rmtree(temp_dir(workspace), ignore_errors=True)
-        return FrontEndResult({NAME: [FoundSubmap(submap) for submap in tracked.submaps]}, tracked.stats)
+        return FrontEndResult(
+            {NAME: [FoundSubmap(submap) for submap in tracked.submaps]}, tracked.stats, tracked.warnings
+        )
 
 
 @dataclass(frozen=True)
 class Tracked:
     """submaps: most frames first. frames_per_second: wall time of tracking and local mapping, images read from disk.
     maps: how many were begun and kept; joins: how many of them were merged into another, bridged: of these, by a
-    sensor's depth alone. stitching: of a video that was tracked in chunks."""
+    sensor's depth alone. stitching: of a video that was tracked in chunks. warnings: sentences for a person."""
 
     submaps: list[Submap]
     frames_per_second: float
@@ -73,6 +75,7 @@ class Tracked:
     joins: int
     stitching: Stitching | None = None
     bridged: int = 0
+    warnings: tuple[str, ...] = ()
 
     @property
     def stats(self) -> dict[str, float]:
@@ -101,10 +104,10 @@ def track_frames(
         maps, stitching = _tracked(frames, features, settings, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         give_back_freed_memory()  # the adjustment asks for other arrays
-        sensor = open_sensor(workspace, frames.camera.width)
+        sensor, doubt = open_sensor(workspace, frames.camera.width), ""
         if sensor is not None and sensor.settings.adjust:
-            if frames.camera.trusted and not sensor.stereo:
-                refuse_distances_of(maps, sensor.for_adjustment)
+            if not sensor.stereo:
+                doubt = doubt_of_axis_by(maps, sensor.for_adjustment)
             make_all_metric(maps, sensor.for_adjustment, progress)
         camera, changed = frames.camera, stitching is not None
         sigma: tuple[float, ...] = ()
@@ -117,7 +120,8 @@ def track_frames(
         bridged = 0
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
-        return Tracked(submaps_of(merged, camera.params, sigma), rate, len(maps), joins + bridged, stitching, bridged)
+        submaps, warnings = submaps_of(merged, camera.params, sigma), (doubt,) if doubt else ()
+        return Tracked(submaps, rate, len(maps), joins + bridged, stitching, bridged, warnings)
 
 
 def _tracked(

@@ -19,7 +19,7 @@ def bent_model(seed=0):
 
 
 def sensor_of(points, noise=0.03):
-    return SimpleNamespace(stereo=False, for_adjustment=sensed(points, noise))
+    return SimpleNamespace(for_adjustment=sensed(points, noise))
 
 
 def true_centres():
