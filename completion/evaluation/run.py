@@ -1,7 +1,8 @@
 """`haustra evaluate`: depth completion on folders with truth, per frame and in mean, with its protocol beside it."""
 
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -36,7 +37,7 @@ from completion.evaluation.predictors import Predictor, load_predictor
 from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 from haustra.core.progress import Progress, ProgressCallback
-from haustra.core.text import counted, json_text
+from haustra.core.text import counted, json_text, write_text
 
 
 def protocol_of(
@@ -75,9 +76,9 @@ def evaluated_tables(
     progress: Progress,
 ) -> Iterator[str]:
     """Markdown tables, one per folder and protocol, a row per model, each as soon as it is made; files as `outputs`
-    says, with the names of those that had to be told apart below the tables. JSON and CSV hold what was judged before
-    an error, too."""
-    folders = [folder if folder.name else folder.resolve() for folder in folders]  # "." has no name of its own
+    says, with the names of those that had to be told apart below the tables. What was judged before an error or Ctrl-C
+    is kept: in CSV each frame, in JSON each model that was finished, a record for each folder and protocol."""
+    folders = [f if f.name not in ("", "..") else f.resolve() for f in folders]  # "." and ".." are no names
     for kind_of, names in (("model", [Path(m).name for m in models]), ("folder", [f.name for f in folders])):
         if len(set(names)) < len(names):
             raise CompletionError(f"two {kind_of}s have the same name, and the tables would not tell them apart")
@@ -91,17 +92,23 @@ def evaluated_tables(
         for protocol in protocols:
             rows, sample_frames = [], {}
             for model, predictor in predictors.items():
+                label = f"{folder.name}_{Path(model).name}_{protocol.sampler}{protocol.points}"
+                csv = outputs.csv and _named(outputs.csv, label, several or len(models) > 1)
                 with Accumulator(trajectory=outputs.json is not None) as accumulator:
                     bar = progress.bar(f"{folder.name} {model}", None)
                     try:
                         unit = _run(folder, kind, predictor, protocol, accumulator, bar)
-                    except CompletionError as error:
-                        label = f"{folder.name}_{Path(model).name}_{protocol.sampler}{protocol.points}"
-                        kept = outputs.csv and _named(outputs.csv, label, several or len(models) > 1)
-                        raise _with_what_was_judged(error, accumulator, kept) from error
+                    except BaseException as error:  # Ctrl-C and a full disk, too
+                        kept = _keep_what_was_judged(accumulator, csv)
+                        if isinstance(error, CompletionError) and kept:
+                            raise CompletionError(f"{error}; {kept}") from error
+                        raise
+                    if csv:
+                        write_csv(csv, accumulator.scores)
+                        renamed += [csv] * (several or len(models) > 1)
                     records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
                     if outputs.json:
-                        outputs.json.write_text(json_text(records) + "\n")
+                        _write_json(outputs.json, records)
                 rows.append(
                     (_with_gaps(model, accumulator), paper_row(mean_errors(accumulator.scores, protocol), unit))
                 )
@@ -115,20 +122,29 @@ def evaluated_tables(
                 path = _named(outputs.compare, label, several)
                 comparison_plot(path, sample_frames, f"{folder.name}: {about}")
                 renamed += [path] * several
-    _write_summaries(outputs, records)
     if renamed:
         yield "written, one for each figure: " + ", ".join(map(str, renamed))
+    _write_summaries(outputs, records)  # last: it may have too little to show
 
 
-def _with_what_was_judged(error: CompletionError, accumulator: Accumulator, csv: Path | None) -> CompletionError:
-    """The error with the frames judged before it, which are written where a CSV was asked for."""
+def _keep_what_was_judged(accumulator: Accumulator, csv: Path | None) -> str:
+    """Write the frames judged before an error where a CSV was asked for, and say so; empty where there are none."""
     if not accumulator.scores:
-        return error
+        return ""
     before = f"{counted(len(accumulator.scores), 'frame')} judged before it"
     if csv is None:
-        return CompletionError(f"{error}; {before} (--csv keeps such)")
-    write_csv(csv, accumulator.scores)
-    return CompletionError(f"{error}; {before}: {csv}")
+        return f"{before} (--csv keeps such)"
+    with suppress(Exception):  # the error itself is the one to be told
+        write_csv(csv, accumulator.scores)
+        return f"{before}: {csv}"
+    return f"{before}, which {csv} could not take"
+
+
+def _write_json(path: Path, records: Sequence[dict[str, Any]]) -> None:
+    """Replaced as a whole; a link, a device and a file whose folder is closed are written in place."""
+    in_place = path.is_symlink() or (path.exists() and not (path.is_file() and os.access(path.parent, os.W_OK)))
+    text = json_text(records) + "\n"
+    path.write_text(text) if in_place else write_text(path, text)
 
 
 def _frames_told(accumulator: Accumulator, protocol: Protocol) -> str:
@@ -216,14 +232,10 @@ def _record(
 def _write_plots(
     outputs: Outputs, accumulator: Accumulator, predictor: Predictor, record: dict[str, Any], several: bool
 ) -> list[Path]:
-    """Write CSV and plots of one record; with several records return the files, whose names then tell them apart."""
+    """Write plots of one record; with several records return the files, whose names then tell them apart."""
     label = _label(record)
     title = f"{record['folder']}, {record['model']}: {Protocol(**record['protocol'])}"
-    csv, sheet, attention = (
-        path and _named(path, label, several) for path in (outputs.csv, outputs.sheet, outputs.attention)
-    )
-    if csv:
-        write_csv(csv, accumulator.scores)
+    sheet, attention = (path and _named(path, label, several) for path in (outputs.sheet, outputs.attention))
     if sheet:
         sample_frames_plot(sheet, accumulator.sample_frames(), title, record["unit"])
     frames = (
@@ -231,7 +243,7 @@ def _write_plots(
     )  # asked of the models that have one
     if attention and frames:
         attention_plot(attention, frames, title)
-    return [path for path in (csv, sheet, attention if frames else None) if path and several]
+    return [path for path in (sheet, attention if frames else None) if path and several]
 
 
 def _attention(

@@ -1,17 +1,18 @@
-"""A count in words; JSON that every program reads; text and JSON that a user wrote, in what editors and shells save.
-
-That is UTF-8 and UTF-16, with a mark or without.
+"""A count in words; JSON that every program reads; text files replaced as wholes; text and JSON that a user wrote, in
+what editors and shells save: UTF-8 and UTF-16, with a mark or without.
 """
 
 import codecs
 import json
 import math
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from haustra.core.errors import HaustraError
 
+PARTIAL = ".partial"  # ends the name of a text file that is being written
 MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"),
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -33,6 +34,18 @@ def check_name(path: Path) -> None:
     except UnicodeEncodeError:
         shown = os.fsencode(path).decode(errors="replace")
         raise HaustraError(f"the name {shown} has bytes that are no UTF-8; give it another name") from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a text file as a whole."""
+    partial = path.with_name(path.name + PARTIAL)
+    try:
+        partial.write_text(text)
+        os.replace(partial, path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink()
+        raise
 
 
 def read_text(path: Path | str) -> str:

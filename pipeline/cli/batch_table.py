@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from haustra.core.text import counted
-from pipeline.run_folder.workspace import Workspace, write_json, write_text
+from haustra.core.text import counted, write_text
+from pipeline.run_folder.workspace import Workspace, write_json
 
 KEPT = "kept"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from haustra.core.errors import HaustraError
-from haustra.core.text import check_name
+from haustra.core.text import PARTIAL, check_name
 from pipeline.config import Config, beyond_surface
 from pipeline.run_folder.earlier_run import LEFT_BY_STOP, RECORD_NAME, forget, is_kept, keep, mend_stopped
 from pipeline.run_folder.inputs import changed_inputs, inputs_of, record_inputs
@@ -18,7 +18,6 @@ from pipeline.run_folder.workspace import (
     LIVE_FILM,
     LIVE_FOLDER,
     LIVE_RECORD,
-    PARTIAL,
     REFUSED,
     Workspace,
     clear_if_begun,

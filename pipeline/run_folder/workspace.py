@@ -17,12 +17,11 @@ from typing import Any
 import yaml
 
 from haustra.core.errors import HaustraError
-from haustra.core.text import json_text
+from haustra.core.text import json_text, write_text
 from pipeline.config import Config, read_recorded, retired_differences
 from pipeline.run_folder.earlier_run import RECORD_NAME, bring_back, forget, is_kept
 from pipeline.run_folder.lock import RunLock
 
-PARTIAL = ".partial"  # ends the name of a text file that is being written
 # Of a live session: its record, its recording, and keyframes for its own use.
 LIVE_RECORD, LIVE_FILM, LIVE_FOLDER = "live.json", "film.mkv", "live"
 FIRST_RESULT = "structure"  # the stage before which a run that was refused is in nobody's way
@@ -197,13 +196,6 @@ def files_of(workspace: Workspace) -> list[Path]:
     named = [path for path in vars(workspace).values() if isinstance(path, Path)]
     further = [path for pattern in FURTHER for path in workspace.root.glob(pattern)]
     return [path for path in (*named, *further) if path not in (workspace.root, workspace.record_path)]
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace a text file as a whole."""
-    partial = path.with_name(path.name + PARTIAL)
-    partial.write_text(text)
-    os.replace(partial, path)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from haustra.core.text import counted
+from haustra.core.text import counted, write_text
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.input.frames import Frames
 from pipeline.report.page.keyframe_gallery import MOST_SUBMAPS, Shown, count_sentence
@@ -22,7 +22,7 @@ from pipeline.report.page.pictures import PagePictures, draw_pictures, finite_su
 from pipeline.report.page.scene import scene_data
 from pipeline.report.page.summary import Link, cards, cautions, coverage_section, details, source_name
 from pipeline.report.page.timeline import frame_states, timeline_section
-from pipeline.run_folder.workspace import Workspace, write_text
+from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.coverage_stage import CoverageResult
 from pipeline.surface.fusion_stage import Surface
 

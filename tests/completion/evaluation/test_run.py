@@ -19,7 +19,7 @@ from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.outputs import Outputs
 from completion.evaluation.predictors import load_predictor
-from completion.evaluation.run import _with_gaps, evaluate, evaluated_tables, protocol_of
+from completion.evaluation.run import _with_gaps, evaluate, protocol_of
 from completion.inference.completer import choose_device
 from completion.networks.precision import choose_precision
 from haustra.core.errors import CompletionError
@@ -159,16 +159,12 @@ def test_a_table_counts_the_points_that_it_is_of_and_the_pixels_that_it_leaves_o
         assert _with_gaps("half", accumulator) == "half (no depth at 25 % of the pixels, in no error)"
 
 
-def test_what_was_judged_before_an_error_is_kept(tmp_path: Path) -> None:
-    good, bad = (generate(TINY, tmp_path / name, threads=1) for name in ("good", "bad"))
-    sorted((bad / "depth").iterdir())[2].write_bytes(b"cut off")
-    outputs = Outputs(csv=tmp_path / "e.csv", json=tmp_path / "e.json")
-    tables = evaluated_tables([good, bad], ["nearest"], [Protocol(points=20)], outputs, None, SilentProgress())
-    assert "**good**" in next(tables)
-    with pytest.raises(CompletionError, match=r"cannot read .*; 2 frames judged before it: .*e_bad_nearest_uniform20"):
-        next(tables)
-    assert [record["folder"] for record in json.loads(outputs.json.read_text())] == ["good"]
-    assert len(list(csv.DictReader((tmp_path / "e_bad_nearest_uniform20.csv").open()))) == 2
+@pytest.mark.parametrize("given", ["..", "depth/..", "."])
+def test_a_folder_without_a_name_of_its_own_has_its_real_one(tmp_path: Path, monkeypatch, given: str) -> None:
+    folder = generate(TINY, tmp_path / "phantom", threads=1)
+    monkeypatch.chdir(folder / "depth" if given == ".." else folder)
+    text = evaluate([Path(given)], ["nearest"], [Protocol(points=20)], Outputs(), None, SilentProgress())
+    assert "**phantom**: " in text
 
 
 def test_frames_without_truth_are_not_called_no_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
