@@ -23,20 +23,24 @@ class Outputs:
     attention: Path | None = None
 
     def make_way(self) -> None:
-        """Create the files' folders; CompletionError for a file that cannot be written, before any work."""
+        """Create the files' folders; CompletionError for a file that cannot be written, before any work, and before
+        any folder where the names alone say so."""
         given = [Path(path) for path in astuple(self) if path is not None]
-        for path in given:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise CompletionError(f"cannot write {path}: {error.strerror}") from None
-            if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-                raise CompletionError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not allowed'}")
         twice = [path for path in given if sum(path.resolve() == other.resolve() for other in given) > 1]
         if twice:
             raise CompletionError(f"two outputs are one file, {twice[0]}: the later would replace the earlier")
         for path in filter(None, (self.sheet, self.sweep, self.calibration, self.compare, self.attention)):
             check_plot(path)
+        for path in given:
+            if path.is_dir():
+                raise CompletionError(f"cannot write {path}: it is a folder")
+        for path in given:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise CompletionError(f"cannot write {path}: {error.strerror}") from None
+            if not os.access(path if path.exists() else path.parent, os.W_OK):
+                raise CompletionError(f"cannot write {path}: it is not allowed")
 
     def check_models(self, predictors: Mapping[str, Predictor]) -> None:
         """CompletionError for a plot that none of the models can fill, before any work."""

@@ -15,6 +15,7 @@ from completion.evaluation.uncertainty import ErrorCalibration
 from haustra.core.errors import CompletionError
 
 Features = NDArray[np.floating]  # (C,h,w)
+KINDS = ("png", "jpg", "jpeg", "pdf", "svg", "tif", "tiff", "webp")  # that need no other program: pgf asks for LaTeX
 ERROR_SHOWN = 0.15  # relative error at which the colour saturates
 
 
@@ -90,11 +91,8 @@ def _without_ticks(figure: Any, axes: Any, title: str, path: Path) -> Path:
 
 def check_plot(path: Path) -> None:
     """CompletionError for a suffix that is no kind of picture, before the work that the plot shows."""
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    known = FigureCanvasBase.get_supported_filetypes()
-    if path.suffix.lower().removeprefix(".") not in known:
-        raise CompletionError(f"cannot draw {path}: give a name that ends in .{', .'.join(sorted(known))}")
+    if path.suffix.lower().removeprefix(".") not in KINDS:
+        raise CompletionError(f"cannot draw {path}: give a name that ends in .{', .'.join(KINDS)}")
 
 
 def _saved(figure: Any, path: Path) -> Path:

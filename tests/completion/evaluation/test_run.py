@@ -18,6 +18,7 @@ from completion.data.sampling_benchmark import features, like_sfm, uniform
 from completion.evaluation.accumulator import Accumulator
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.outputs import Outputs
+from completion.evaluation.plots import KINDS, sweep_plot
 from completion.evaluation.predictors import load_predictor
 from completion.evaluation.run import _with_gaps, evaluate, protocol_of
 from completion.inference.completer import choose_device
@@ -199,7 +200,11 @@ def test_what_cannot_be_written_is_said_before_the_work(tmp_path: Path, path: st
     [
         ({"sheet": "s.txt"}, "cannot draw .*s.txt: give a name that ends in .*.png"),
         ({"sweep": "curve"}, "cannot draw .*curve"),
+        ({"csv": "new/e.csv", "sweep": "new/curve.txt"}, "cannot draw .*curve.txt"),
+        ({"sheet": "s.pgf"}, "cannot draw .*s.pgf"),
+        ({"compare": "c.rgba"}, "cannot draw .*c.rgba"),
         ({"csv": "e.csv", "json": "e.csv"}, "two outputs are one file, .*e.csv"),
+        ({"csv": "new/e.csv", "json": "new/e.csv"}, "two outputs are one file, .*e.csv"),
         ({"calibration": "c.png"}, "none of these models predicts its own error"),
         ({"attention": "a.png"}, "none of these models has channel attention"),
     ],
@@ -211,6 +216,11 @@ def test_a_file_that_no_model_can_fill_is_said_before_the_work(
     with pytest.raises(CompletionError, match=sentence):
         evaluate([tmp_path / "none"], ["linear"], [Protocol()], files, None, SilentProgress())
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_picture_that_is_taken_can_be_drawn(tmp_path: Path, kind: str) -> None:
+    assert sweep_plot(tmp_path / f"s.{kind}", {"nearest": {20: 0.1, 60: 0.05}}, "").stat().st_size > 1000
 
 
 def test_progress_counts_the_frames_that_are_judged() -> None:
