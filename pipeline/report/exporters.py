@@ -5,6 +5,7 @@ A new format of whole runs is a file with its writer and a row of `EXPORTERS` (d
 
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from haustra.core.errors import HaustraError
@@ -45,21 +46,24 @@ def export_run(run: Path, target: Path, max_error: float | None = None, texture:
 def export_folder(run: Path, target: Path, program: str) -> str:
     """Write a finished run's first submap as a folder for a program of `FOLDER_EXPORTERS`, and say what was written.
 
-    What an error or Ctrl-C leaves half written goes: it would look whole, and refuse the same command.
+    What an error or Ctrl-C leaves half written goes, with the folders made for it: it would look whole, and refuse the
+    same command.
     """
     from pipeline.finished_run import open_run
     from pipeline.report.folder_exports.keyframe_views import empty_folder
     from pipeline.report.folder_exports.registry import FOLDER_EXPORTERS
 
-    finished, made = open_run(run), not target.exists()
+    finished = open_run(run)
+    made = [folder for folder in (target, *target.parents) if not folder.exists()]  # the innermost first
     empty_folder(target)
     try:
         return str(FOLDER_EXPORTERS[program](finished, target))
     except BaseException:
         for left in target.iterdir():
             shutil.rmtree(left) if left.is_dir() else left.unlink()
-        if made:
-            target.rmdir()
+        for folder in made:
+            with suppress(OSError):  # somebody else's file may lie in it by now
+                folder.rmdir()
         raise
 
 

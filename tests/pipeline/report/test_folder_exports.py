@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from haustra.core.errors import HaustraError
 from pipeline.cli import main as cli
 from pipeline.finished_run import Run
+from pipeline.report.exporters import export_folder
 from pipeline.report.mesh_export import _rounded_up
 from reconstruction.evaluation.trajectory_io import write_tum
 from tests.helpers.tiny_run import MM, make_tiny_run
@@ -194,3 +196,11 @@ def test_an_export_that_fails_leaves_nothing_in_the_way_of_the_next(made, tmp_pa
     assert export(monkeypatch, made, target, "--nerfstudio") == 0
     assert export(monkeypatch, made, target, "--nerfstudio") == 1  # and what is whole is not touched
     assert (target / "transforms.json").is_file()
+
+
+def test_an_export_that_fails_takes_the_folders_with_it_that_were_made_for_it(made, tmp_path):
+    (tmp_path / "films").mkdir()
+    made.workspace.mask_path(made.completed[0].submap.frames[-1]).unlink()
+    with pytest.raises(HaustraError, match="has lost its"):
+        export_folder(made.workspace.root, tmp_path / "films/one/out", "nerfstudio")
+    assert not list((tmp_path / "films").iterdir())
