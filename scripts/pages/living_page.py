@@ -27,7 +27,7 @@ AMPLITUDES = {"0.0": "0", "2.5": "2.5", "5.0": "5", "10": "10"}
 
 HEAD = """# Walls that move
 
-- **Date:** 2026-11-28
+- **Date:** 2026-11-30
 - **Question:** How far off are the camera path and the surface when the wall moves by 0, 2.5, 5 or 10 mm?
 - **Films:** the sweep of `haustra/phantom/dataset/living.yaml`: three recorded paths of a real hand (C3VD, 18 to 46 mm
   long), each filmed with four walls, through the lens and lamp of endoscopes 3, 9 and 13; 600 frames of 400x300,
@@ -35,8 +35,9 @@ HEAD = """# Walls that move
   5 mm, and that its map may win where the light contradicts both was mended after a look at path b at 10 mm. Two more
   rules were decided on a real clip: that a correlation which chance has contradicts nothing (lighting check), and that
   a map is not given up for one that is expected to pose fewer frames rightly.
-- **Command:** `python -m benchmarks.living FILMS/* --json living.json`; {processor}, {cores} cores with other work
-  beside it, so that the seconds say little. Seed 0, one run a film. Rendered from `benchmarks/results/living.json` by
+- **Command:** `python -m benchmarks.living FILMS/* --json living.json`; {processor}, {cores} cores, nothing beside it.
+  Rows of `before` were made on an AMD EPYC with other work beside it, so that the seconds of the two do not compare.
+  Seed 0, one run a film. Rendered from `benchmarks/results/living.json` by
   `python scripts/pages/living_page.py > docs/lab/living.md`.
 
 ATE is CLiMB's: mean distance of camera centres after one Sim(3) a submap, weighted by matched poses. F-score at 1 mm is

@@ -110,6 +110,7 @@ def refine_intrinsics(
         )
         maps[asked[0]], held[asked[0]] = by_guess
         camera, sigma = guess, (float("nan"),)
+    by_guess = None  # a long film's copy is large, and the other maps are still to be adjusted
     if camera == guess:
         held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)
     else:
