@@ -35,10 +35,9 @@ HEAD = """# Walls that move
   5 mm, and that its map may win where the light contradicts both was mended after a look at path b at 10 mm. Two more
   rules were decided on a real clip: that a correlation which chance has contradicts nothing (lighting check), and that
   a map is not given up for one that is expected to pose fewer frames rightly.
-- **Command:** `python -m benchmarks.living FILMS/* --json living.json`; {processor}, {cores} cores, nothing beside it.
-  Rows of `before` were made on an AMD EPYC with other work beside it, so that the seconds of the two do not compare.
-  Seed 0, one run a film. Rendered from `benchmarks/results/living.json` by
-  `python scripts/pages/living_page.py > docs/lab/living.md`.
+- **Command:** `python -m benchmarks.living FILMS/* --json living.json`, and the same with `--checkout` of the version
+  `before` and `--name before`, on the same films; {processor}, {cores} cores, nothing beside it. Seed 0, one run a
+  film. Rendered from `benchmarks/results/living.json` by `python scripts/pages/living_page.py > docs/lab/living.md`.
 
 ATE is CLiMB's: mean distance of camera centres after one Sim(3) a submap, weighted by matched poses. F-score at 1 mm is
 that of the largest submap's mesh against the wall at rest, after the Sim(3) of its camera poses; it counts against the
