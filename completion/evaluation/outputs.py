@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 from completion.evaluation.plots import check_plot
-from completion.evaluation.predictors import Predictor, has_attention
+from completion.evaluation.predictors import Predictor
 from haustra.core.errors import CompletionError
 
 
@@ -44,8 +44,10 @@ class Outputs:
 
     def check_models(self, predictors: Mapping[str, Predictor]) -> None:
         """CompletionError for a plot that none of the models can fill, before any work."""
+        from completion.networks.channel_attention import structure_awareness_of
+
         networks = [predictor.network for predictor in predictors.values() if predictor.network is not None]
         if self.calibration and not any(predictor.predicts_error for predictor in predictors.values()):
             raise CompletionError("none of these models predicts its own error: nothing to calibrate")
-        if self.attention and not any(has_attention(network) for network in networks):
+        if self.attention and all(structure_awareness_of(network) is None for network in networks):
             raise CompletionError("none of these models has channel attention: nothing for --attention to show")

@@ -65,13 +65,6 @@ def load_predictor(model: str | Path, device: str = "auto", precision: str = "au
     return Predictor(_metric(network, device, float(read_metadata(path).get("unit_mm", 1.0))), network)
 
 
-def has_attention(network: nn.Module) -> bool:
-    """Whether the network has features before and after structure awareness."""
-    from completion.networks.channel_attention import StructureAwareness
-
-    return any(isinstance(module, StructureAwareness) for module in network.modules())
-
-
 def _metric(network: nn.Module, device: str, unit: float) -> Complete:
     """Call of a metric network, whose depth is in multiples of `unit`; it has no confidence."""
     import torch

@@ -86,14 +86,15 @@ def evaluated_tables(
     predictors = {model: load_predictor(model) for model in models}  # all of them, before any work
     outputs.check_models(predictors)
     several = len(folders) * len(protocols) > 1
+    of_models = several or len(models) > 1
     renamed: list[Path] = []
     records: list[dict[str, Any]] = []
     for folder in folders:
         for protocol in protocols:
             rows, sample_frames = [], {}
             for model, predictor in predictors.items():
-                label = f"{folder.name}_{Path(model).name}_{protocol.sampler}{protocol.points}"
-                csv = outputs.csv and _named(outputs.csv, label, several or len(models) > 1)
+                label = _joined(folder.name, model, protocol.sampler, protocol.points)
+                csv = outputs.csv and _named(outputs.csv, label, of_models)
                 with Accumulator(trajectory=outputs.json is not None) as accumulator:
                     bar = progress.bar(f"{folder.name} {model}", None)
                     try:
@@ -105,7 +106,7 @@ def evaluated_tables(
                         raise
                     if csv:
                         write_csv(csv, accumulator.scores)
-                        renamed += [csv] * (several or len(models) > 1)
+                        renamed += [csv] * of_models
                     records.append(_record(folder.name, model, predictor.precision, protocol, accumulator, unit))
                     if outputs.json:
                         _write_json(outputs.json, records)
@@ -113,7 +114,7 @@ def evaluated_tables(
                     (_with_gaps(model, accumulator), paper_row(mean_errors(accumulator.scores, protocol), unit))
                 )
                 sample_frames[Path(model).name] = accumulator.sample_frames()
-                renamed += _write_plots(outputs, accumulator, predictor, records[-1], several or len(models) > 1)
+                renamed += _write_plots(outputs, accumulator, predictor, records[-1], of_models)
             precisions = sorted({p.precision for p in predictors.values() if p.precision})
             about = ", ".join([_frames_told(accumulator, protocol), *precisions])
             yield f"**{folder.name}**: {about}\n\n{markdown_table(rows)}"
@@ -264,8 +265,12 @@ def _attention(
 
 def _label(record: dict[str, Any]) -> str:
     protocol = record["protocol"]
-    model = Path(record["model"]).name
-    return f"{record['folder']}_{model}_{protocol['sampler']}{protocol['points']}"
+    return _joined(record["folder"], record["model"], protocol["sampler"], protocol["points"])
+
+
+def _joined(folder: str, model: str, sampler: str, points: int) -> str:
+    """What tells the files of one record from those of others."""
+    return f"{folder}_{Path(model).name}_{sampler}{points}"
 
 
 def _named(path: Path, label: str, several: bool) -> Path:

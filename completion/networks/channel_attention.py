@@ -52,13 +52,18 @@ class StructureAwareness(nn.Module):
         return energy.softmax(dim=2)
 
 
+def structure_awareness_of(network: nn.Module) -> StructureAwareness | None:
+    """The first such module of a network; None without any."""
+    return next((module for module in network.modules() if isinstance(module, StructureAwareness)), None)
+
+
 def attention_features(network: nn.Module, run: Callable[[], object]) -> tuple[Tensor, Tensor] | None:
     """Features (C,h,w) before and after structure awareness while `run()` calls the network (paper Fig. 6).
 
     Of the first frame of the batch and the module's last call; None for a network without the module.
     """
     seen: dict[str, Tensor] = {}
-    found = next((module for module in network.modules() if isinstance(module, StructureAwareness)), None)
+    found = structure_awareness_of(network)
     if found is None:
         return None
 

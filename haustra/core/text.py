@@ -6,6 +6,7 @@ import codecs
 import json
 import math
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,11 @@ def check_name(path: Path) -> None:
     except UnicodeEncodeError:
         shown = os.fsencode(path).decode(errors="replace")
         raise HaustraError(f"the name {shown} has bytes that are no UTF-8; give it another name") from None
+
+
+def first_few(told: Sequence[str]) -> str:
+    """Three of a list for a person, and dots for the rest."""
+    return ", ".join([*told[:3], "..."] if len(told) > 3 else told)
 
 
 def write_text(path: Path, text: str) -> None:

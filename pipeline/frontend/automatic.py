@@ -53,6 +53,11 @@ class Result:
     in_parts: bool = False  # of stretches of the film, with the first front end's submaps of the rest
     warnings: tuple[str, ...] = ()
 
+    @property
+    def maps(self) -> list[Candidate]:
+        """Of all its mappers."""
+        return [one for of in self.candidates.values() for one in of]
+
 
 @dataclass(frozen=True)
 class FrontEndJob:
@@ -92,7 +97,7 @@ def run_front_ends(job: FrontEndJob, front_end: str, frames: Frames) -> tuple[di
         return {front_end: _doubted(job.run(front_end, frames), frames)}, None
     started = time.monotonic()
     results = {FIRST: _doubted(job.run(FIRST, frames), frames)}
-    found = [candidate for of in results[FIRST].candidates.values() for candidate in of]
+    found = results[FIRST].maps
     if not needs_second_opinion(found, len(frames.index)):
         return results, None
     second, failure = _second_opinion(job, frames, found, time.monotonic() - started)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frontend.scoring import MAX_INCONSISTENT, MIN_JUDGED, Candidate, best_mapper, part_of, score, sure_of
-from pipeline.frontend.second_opinion import ByMapper, Opinion
+from pipeline.frontend.second_opinion import ByMapper, Opinion, runs_of
 from pipeline.mapping.map_doubt import PROBABLE
 from pipeline.mapping.submap import MIN_FRAMES
 
@@ -69,9 +69,7 @@ def with_rests(
 def _unclaimed(frames: NDArray[np.int64], claimed: set[int]) -> NDArray[np.int64]:
     """Of a map's frames those that are not claimed, in stretches of at least `MIN_JUDGED` without a claimed one."""
     free = np.array([int(frame) not in claimed for frame in frames])
-    edges = np.flatnonzero(np.diff(free.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
-    stretches = [frames[begin:end] for begin, end in edges if end - begin >= MIN_JUDGED]
-    return np.concatenate([np.zeros(0, np.int64), *stretches])
+    return np.concatenate([np.zeros(0, np.int64), *(frames[slice(*run)] for run in runs_of(free, MIN_JUDGED))])
 
 
 def _groups(maps: list[Candidate], opinions: list[Opinion]) -> list[tuple[list[Candidate], list[Opinion]]]:

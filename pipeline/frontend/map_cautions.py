@@ -16,17 +16,21 @@ FEW_POSED = 0.5  # of the usable frames
 def advice_after(front_ends: Iterable[str], workspace: Workspace) -> str:
     """What to try with a doubtful map, after these front ends."""
     untried = [other for other in (FIRST, SECOND) if other not in front_ends]
-    lens = "check that the lens is this film's (--camera), " if _named_lens(workspace) else ""
-    return lens + (f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames")
+    return _check_lens(workspace) + (
+        f"compare with --front-end {untried[0]}, or use other frames" if untried else "use other frames"
+    )
 
 
 def advice_unrelated(front_ends: Iterable[str], workspace: Workspace) -> str:
     """What to try where these front ends made no map at all."""
-    lens = "check that the lens is this film's (--camera), " if _named_lens(workspace) else ""
     longer = "give a longer part, or one where the camera moves more (--start, --end)"
-    return f"{lens}{longer}" + (
-        f", or try --front-end {SECOND}" if FIRST in front_ends and SECOND not in front_ends else ""
-    )
+    other = f", or try --front-end {SECOND}" if FIRST in front_ends and SECOND not in front_ends else ""
+    return f"{_check_lens(workspace)}{longer}{other}"
+
+
+def _check_lens(workspace: Workspace) -> str:
+    """Advice that comes before any other, if a user named the lens."""
+    return "check that the lens is this film's (--camera), " if _named_lens(workspace) else ""
 
 
 def few_posed(posed: int, total: int, advice: str) -> list[str]:

@@ -119,8 +119,7 @@ def without_wild_points(submap: Submap) -> Submap:
     if not wild.any():
         return submap
     rest = submap.without_points(wild)
-    rest = rest.without_frames(set(rest.frames[~_sees_enough(rest)].tolist()))
-    return rest.without_points(rest.track_lengths() < 2)
+    return _only(rest, rest.frames[_sees_enough(rest)])
 
 
 def _sees_enough(submap: Submap) -> NDArray[np.bool_]:

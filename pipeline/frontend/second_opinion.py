@@ -61,9 +61,8 @@ def stretches_in_doubt(
     out. doubted_from: the probability that a submap is wrong from which it is not sure."""
     sure = {int(frame) for c in sure_of(candidates, len(frames.index), doubted_from) for frame in c.submap.frames}
     doubtful = np.array([int(frame) not in sure for frame in frames.index])
-    edges = np.flatnonzero(np.diff(doubtful.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     spans: list[tuple[int, int]] = []
-    for begin, end in ((int(b), int(e)) for b, e in edges if e - b >= MIN_STRETCH):
+    for begin, end in runs_of(doubtful, MIN_STRETCH):
         wide = max(0, begin - MARGIN), min(end + MARGIN, len(doubtful))
         if spans and wide[0] <= spans[-1][1]:
             wide = spans.pop()[0], wide[1]
@@ -71,6 +70,12 @@ def stretches_in_doubt(
     spans.sort(key=lambda span: span[1] - span[0])
     rows = [np.arange(*span) for span in spans]
     return [Stretch(frames.at(r), frames.index[r[doubtful[r]]]) for r in rows]
+
+
+def runs_of(mask: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
+    """First place, and the one after the last, of at least so many that are true one after the other."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    return [(int(begin), int(end)) for begin, end in edges if end - begin >= least]
 
 
 def thinned_to(stretches: list[Stretch], most: float) -> tuple[list[Stretch], int]:

@@ -125,9 +125,8 @@ def _solve(
         )
     with single_threaded():
         kept = uncovered(accepted(found))
-        if SECOND in results and mapper in results[SECOND].candidates:
-            first = [one for of in results[FIRST].candidates.values() for one in of] if FIRST in results else []
-            kept = with_rests(kept, first, image_reader(workspace))
+        if FIRST in results and mapper not in results[FIRST].candidates:
+            kept = with_rests(kept, results[FIRST].maps, image_reader(workspace))
         _begin_features(kept, frames, features, settings)
         _keep(kept, workspace)
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)

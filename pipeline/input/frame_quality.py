@@ -52,8 +52,8 @@ class FrameJudge:
         if (brightest >= SATURATED).mean() > MAX_SATURATED:
             return "overexposed"
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        thumbnail = cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
-        if self._last is not None and np.abs(thumbnail - self._last).mean() < MIN_CHANGE:
+        small = thumbnail(grey)
+        if self._last is not None and np.abs(small - self._last).mean() < MIN_CHANGE:
             return "duplicate"
         redness, texture = _redness(rgb, channels, inside), _texture(grey, inside, channels >= GLINT)
         red_out = self._is_red_out(redness, texture)
@@ -67,7 +67,7 @@ class FrameJudge:
         self._sharpness.append(sharpness)
         if sharpness < MIN_RELATIVE_SHARPNESS * float(np.median(self._sharpness)):
             return "blurred"
-        self._last = thumbnail
+        self._last = small
         return "used"
 
     def _is_red_out(self, redness: float, texture: float) -> bool:
@@ -75,6 +75,11 @@ class FrameJudge:
             return False
         usual_redness, usual_texture = np.median(self._usual, axis=0)
         return bool(redness > usual_redness + REDDER and texture < LESS_TEXTURE * usual_texture)
+
+
+def thumbnail(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(64,64) of a grey picture (H,W), by which frames are compared."""
+    return cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
 def _redness(rgb: NDArray[np.uint8], channels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> float:

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.input.frame_quality import Verdict
+from haustra.core.text import first_few
+from pipeline.input.frame_quality import Verdict, thumbnail
 
 OTHER_ZOOM: Verdict = "other zoom"
-THUMBNAIL = (64, 64)
 HISTORY, LEAST_HISTORY = 15, 3  # frames whose changes are the usual one, and how many it takes
 JUMP = 2.5  # times the usual change between thumbnails: by a zoom of 1.2 and more they change by 4 times and more
 MOST_GAP = 2.0  # times the usual step between the numbers of used frames
@@ -58,10 +58,10 @@ class DigitalZoom:
     def remember(self, rgb: NDArray[np.uint8], frame: int) -> None:
         """The next used frame (H,W,3) and its number."""
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        thumbnail = cv2.resize(grey, THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.float32)
+        small = thumbnail(grey)
         if self._last is not None:
-            before, thumbnail_before = self._last
-            change, step = float(np.abs(thumbnail - thumbnail_before).mean()), frame - self._frames[-1]
+            before, small_before = self._last
+            change, step = float(np.abs(small - small_before).mean()), frame - self._frames[-1]
             known = len(self._usual) >= LEAST_HISTORY
             has_jumped = known and change > JUMP * np.median(self._usual)
             if self._pending is not None and not has_jumped:
@@ -73,7 +73,7 @@ class DigitalZoom:
             if not has_jumped:
                 self._usual.append(change)
             self._steps.append(step)
-        self._last = grey, thumbnail
+        self._last = grey, small
         self._frames.append(frame)
 
     def judged(self, looked_at: list[LookedAt], notes: list[str]) -> list[LookedAt]:
@@ -124,10 +124,9 @@ def _told(count: int, first: float, last: float, factors: list[float]) -> str:
 def _doubted(changes: list[tuple[float, float]]) -> str:
     """changes: seconds, and the factor by which the picture grew there."""
     told = [f"{factor:.2g} times as large from {at:.1f} s on" for at, factor in changes]
-    listed = ", ".join([*told[:3], "..."] if len(told) > 3 else told)
     return (
-        f"the picture may be shown at several zooms ({listed}): the lens would be another there, and what is built of "
-        "both wrong; make a run of each part by --start and --end"
+        f"the picture may be shown at several zooms ({first_few(told)}): the lens would be another there, and what is "
+        "built of both wrong; make a run of each part by --start and --end"
     )
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.text import first_few
 from pipeline.input.burned_in_text import BORDER_LEVEL
 from pipeline.input.content_area import ContentArea
 
@@ -93,12 +94,11 @@ class PictureLayout:
             )
         if self._smaller:
             told = [f"{first:.1f} to {last:.1f} s" for first, last, _ in self._smaller]
-            stretches = ", ".join([*told[:3], "..."] if len(told) > 3 else told)
             share = float(np.median([share for _, _, share in self._smaller]))
             found.append(
-                f"the picture may be shown smaller for a while ({stretches}: {100 * share:.0f} % of its place is lit, "
-                "the rest black): there the lens would be another, and what is built of such frames wrong; leave them "
-                "out with --start or --end"
+                f"the picture may be shown smaller for a while ({first_few(told)}: {100 * share:.0f} % of its place is "
+                "lit, the rest black): there the lens would be another, and what is built of such frames wrong; leave "
+                "them out with --start or --end"
             )
         return found
 
