@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from haustra.core.errors import HaustraError
 from haustra.core.se3 import interpolated
 from haustra.core.text import counted
-from pipeline.compare import true_path
+from pipeline.compare import is_colmap_model, true_path
 from pipeline.finished_run import Run, open_run
-from pipeline.input.pose_files.colmap_poses import images_file, read_colmap_poses
+from pipeline.input.pose_files.colmap_poses import read_colmap_poses
 from pipeline.input.pose_files.pairing import paired
 from pipeline.input.pose_files.pose_table import FilmFrames
 from pipeline.truth.film_part import asked_seconds
@@ -56,8 +56,8 @@ class Reference:
 
 
 def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> ClimbErrors:
-    """Errors of a finished run against a path: an RGB-D folder, a TUM file, or the images.txt of a COLMAP model in mm,
-    whose pictures are numbered from 1.
+    """Errors of a finished run against a path: an RGB-D folder, a TUM file, or a COLMAP model in mm (its folder, or its
+    images.txt or images.bin), whose pictures are numbered from 1.
 
     Judged are the poses that `write_submission` writes, interpolated ones with them, as the benchmark's evaluator
     judges every line. The reference is every pose of the path: frames that the run did not look at cost it. Only a part
@@ -88,7 +88,7 @@ def compare_climb(run: Path, reference: Path, min_common: int = MIN_COMMON) -> C
 def read_reference(path: Path, run: Run, film: FilmFrames) -> Reference:
     """The true poses by the film's frames. Each pose of a path with times belongs to the frame that is nearest in time,
     and of several poses of one frame the nearest is taken. HaustraError where the path is of another time."""
-    if path.is_file() and images_file(path) is not None:
+    if is_colmap_model(path):
         numbers, world_from_camera = read_numbered_images(path)
         order = np.argsort(numbers, kind="stable")
         return Reference(numbers[order] - 1, world_from_camera[order], 0 if numbers.min() == 0 else 1)
@@ -151,7 +151,7 @@ def read_numbered_images(path: Path) -> tuple[NDArray[np.int64], Array]:
     table = read_colmap_poses(path)
     numbers = [re.findall(r"\d+", Path(name).stem) for name in (table.names if table else None) or ()]
     if table is None or not all(numbers):
-        raise HaustraError(f"{path}: not an images.txt of COLMAP with numbered pictures")
+        raise HaustraError(f"{path}: no images of a COLMAP model with numbered pictures")
     return np.array([int(found[-1]) for found in numbers]), table.world_from_camera
 
 

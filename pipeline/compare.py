@@ -178,8 +178,18 @@ def _coverage(
     return coverage_errors(coverage.transformed(truth_from_run), wall)
 
 
+def is_colmap_model(path: Path) -> bool:
+    """Whether a path is that of a COLMAP model: its images file, or a folder with one and without trajectory.txt."""
+    return path.exists() and not (path / "trajectory.txt").exists() and images_file(path) is not None
+
+
 def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Seconds (N,) and world_from_camera (N,4,4), mm, of an RGB-D folder, a data set's folder or a TUM file."""
+    if is_colmap_model(truth):
+        raise HaustraError(
+            f"{truth} holds images of a COLMAP model, which have no times: compare it with --protocol climb, or give a "
+            "TUM file or an RGB-D folder"
+        )
     if truth.is_dir() and (known := read_data_set_truth(truth)) is not None:
         seconds = known.seconds
         if seconds is None:  # a pose for each frame: at the time that the run gives it
@@ -193,11 +203,6 @@ def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.fl
         return read_tum(trajectory)
     if not truth.exists():
         raise HaustraError(f"there is no file or folder {truth}")
-    if truth.is_file() and images_file(truth) is not None:
-        raise HaustraError(
-            f"{truth} holds images of a COLMAP model, which have no times: compare it with --protocol climb, or give a "
-            "TUM file or an RGB-D folder"
-        )
     if truth.suffix.lower() in (".tum", ".txt", ".csv", "") and truth.is_file():
         return read_tum(truth)
     if truth.suffix.lower() in MESH_FORMATS and truth.is_file():

@@ -91,7 +91,7 @@ def compare(
     ],
     tau_mm: Annotated[float, typer.Option(help="distance of the F-score, in the truth's unit (mm)")] = 1.0,
     protocol: Annotated[
-        str, typer.Option(help="haustra; or climb: CLiMB's, one Sim(3) a submap; TRUTH may be images.txt of COLMAP")
+        str, typer.Option(help="haustra; or climb: CLiMB's, one Sim(3) a submap; TRUTH may be a COLMAP model")
     ] = "haustra",
     min_common: Annotated[int, typer.Option(min=3, help="climb: frames that a submap must share with TRUTH")] = 100,
     json_file: Annotated[Path | None, typer.Option("--json", help="also write the figures here")] = None,

@@ -84,7 +84,7 @@ def test_a_folder_with_something_else_is_refused(run: TinyRun, tmp_path: Path) -
         write_submission(tmp_path / "run", tmp_path / "full")
 
 
-def test_the_reference_may_be_a_tum_file_or_a_numbered_images_txt(run: TinyRun, tmp_path: Path) -> None:
+def test_the_reference_may_be_a_tum_file_or_a_colmap_model_of_numbered_pictures(run: TinyRun, tmp_path: Path) -> None:
     submap = run.completed[0].submap
     other = np.eye(4)
     other[:3, :3] = Rotation.from_euler("xyz", [0.3, 1, -2]).as_matrix()
@@ -99,7 +99,7 @@ def test_the_reference_may_be_a_tum_file_or_a_numbered_images_txt(run: TinyRun, 
         place = " ".join(map(repr, map(float, (w, x, y, z, *camera_from_world[:3, 3]))))
         lines += [f"{number + 1} {place} 1 {frame + 1:06d}.png", "1.0 2.0 -1"]
     (tmp_path / "images.txt").write_text("# comment\n" + "\n".join(lines) + "\n")
-    for reference in ("truth.tum", "images.txt"):
+    for reference in ("truth.tum", "images.txt", "."):  # the last one: the model's folder
         found = compare_climb(tmp_path / "run", tmp_path / reference, 20)
         assert found.ate_mean_mm == pytest.approx(0, abs=1e-4)
         assert (found.matched, found.reference, found.submaps, found.submaps_left_out) == (90, 90, 1, 1)

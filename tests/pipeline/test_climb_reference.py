@@ -206,11 +206,17 @@ def test_a_colmap_model_is_known_by_what_it_holds(make_run: MakeRun, tmp_path: P
     write_images(tmp_path / "images.txt", np.arange(FRAMES) + 1, true_poses())
     (tmp_path / name).write_text(comment + (tmp_path / "images.txt").read_text())
     assert compare_climb(tmp_path, tmp_path / name, 20).matched == 80
-    for model in (name, "images.txt"):
+    for model in (name, "images.txt", "."):
         with pytest.raises(
             HaustraError, match="of a COLMAP model, which have no times: compare it with --protocol climb"
         ):
             true_path(tmp_path / model, None)
+
+
+def test_a_folder_with_its_own_path_is_no_colmap_model(tmp_path: Path) -> None:
+    write_images(tmp_path / "images.txt", np.arange(FRAMES) + 1, true_poses())
+    write_tum(tmp_path / "trajectory.txt", np.arange(FRAMES, dtype=float), true_poses())
+    assert len(true_path(tmp_path, None)[0]) == FRAMES
 
 
 def test_a_tum_file_is_no_colmap_model(tmp_path: Path) -> None:
