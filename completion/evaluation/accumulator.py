@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from completion.confidence import error_from_confidence
-from completion.evaluation.evaluate import Array, FrameResult, Score
+from completion.evaluation.evaluate import Array, FrameResult, LeftOut, Score
 from completion.evaluation.metrics import SimCol3DDepthErrors, simcol3d_errors
 from completion.evaluation.strata import FrameStratum, Stratum, frame_strata, merged_strata
 from completion.evaluation.uncertainty import DECILES, ErrorCalibration, PixelErrors, calibrate, pixel_errors
@@ -24,7 +24,7 @@ class Accumulator:
 
     def __init__(self, trajectory: bool = False) -> None:
         self.scores: list[Score] = []
-        self.left_out: list[str] = []  # names of frames that have no true depth
+        self.left_out = LeftOut()
         self._pixels: list[PixelErrors] = []
         self._strata: list[dict[str, FrameStratum]] = []
         self._sample_frames: list[FrameResult] = []

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -85,33 +85,46 @@ class FrameResult(Score):
     confidence: Array | None
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """Names of frames that cannot be judged: those without any true depth, and those in which the sampler finds no
+    point with true depth."""
+
+    without_truth: list[str] = field(default_factory=list)
+    without_points: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        counts = (len(self.without_truth), "true depth"), (len(self.without_points), "points")
+        told = ", ".join(f"{count} without {what}" for count, what in counts if count)
+        return told and f"{told} left out"
+
+
 def evaluate_frames(
     frames: Iterable[EvaluationFrame],
     predict: Predictor,
     protocol: Protocol,
     advance: Callable[[int], None] | None = None,
-    left_out: list[str] | None = None,
+    left_out: LeftOut | None = None,
 ) -> Iterable[FrameResult]:
-    """Results frame by frame; CompletionError for a frame in which the sampler finds no point, or whose picture and
-    true depth differ in size.
+    """Results frame by frame; CompletionError for a frame whose picture and true depth differ in size.
 
-    A frame without any true depth cannot be judged: it is left out, and its name added to `left_out`.
+    A frame that cannot be judged is left out, and its name added to `left_out`.
 
     The unknown factor of SfM-like points is divided out of the prediction, before the protocol's scale alignment.
     """
-    sampler = get_sampler(protocol.sampler)
+    sampler, left_out = get_sampler(protocol.sampler), left_out or LeftOut()
     for judged, (place, frame) in enumerate(islice(enumerate(frames), 0, None, protocol.stride), start=1):
         if protocol.depth_step:
             frame = replace(frame, depth=dequantize(frame.depth, protocol.depth_step))
         _check_sizes(frame)
         if not (frame.depth > 0).any():
-            if left_out is not None:
-                left_out.append(frame.name)
+            left_out.without_truth.append(frame.name)
             continue
         rng = np.random.default_rng([protocol.seed, place])
         sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
         if not sparse.points:
-            raise CompletionError(f"frame {frame.name}: the sampler {protocol.sampler!r} finds no point with truth")
+            left_out.without_points.append(frame.name)
+            continue
         depth, confidence = predict(frame.rgb, sparse.depth, frame.intrinsics)
         depth = depth / np.float32(sparse.factor)
         known = sparse.depth / np.float32(sparse.factor)

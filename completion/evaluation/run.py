@@ -150,8 +150,8 @@ def _write_json(path: Path, records: Sequence[dict[str, Any]]) -> None:
 
 def _frames_told(accumulator: Accumulator, protocol: Protocol) -> str:
     """How many frames were judged, how many points they really had where fewer were found, and the protocol."""
-    without, found = len(accumulator.left_out), [score.points for score in accumulator.scores]
-    missing = f" ({without} without true depth left out)" if without else ""
+    left_out, found = str(accumulator.left_out), [score.points for score in accumulator.scores]
+    missing = f" ({left_out})" if left_out else ""
     least, most = min(found), max(found)
     span = str(least) if least == most else f"{least} to {most}"
     had = f" ({span} found in a frame)" if span != str(protocol.points) else ""
@@ -185,9 +185,14 @@ def _run(
     with bar as advance:
         accumulator.add_all(evaluate_frames(frames(), predictor, protocol, advance, accumulator.left_out))
     if not accumulator.scores:
-        layout = kind or recognise(folder)
-        if accumulator.left_out:
-            read = f"{counted(len(accumulator.left_out), 'frame')} of {folder} read as {layout}"
+        layout, left_out = kind or recognise(folder), accumulator.left_out
+        if left_out.without_points:
+            raise CompletionError(
+                f"the sampler {protocol.sampler!r} finds no point with true depth in any of "
+                f"{counted(len(left_out.without_points), 'frame')} of {folder}; try --sampler uniform"
+            )
+        if left_out.without_truth:
+            read = f"{counted(len(left_out.without_truth), 'frame')} of {folder} read as {layout}"
             raise CompletionError(f"{read}, and none has true depth: every pixel has the value that means none")
         raise CompletionError(f"{folder} has no frames, read as {layout}: no picture of that layout lies in it")
     return unit
@@ -225,7 +230,8 @@ def _record(
             "least": min(r.points for r in accumulator.scores),
             "most": max(r.points for r in accumulator.scores),
         },
-        "left_out": accumulator.left_out,
+        "left_out": accumulator.left_out.without_truth,
+        "without_points": accumulator.left_out.without_points,
         "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in accumulator.scores],
     }
 

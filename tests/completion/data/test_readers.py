@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from completion.data.readers import read_evaluation_frames, recognise
-from completion.evaluation.evaluate import Protocol, evaluate_frames
+from completion.evaluation.evaluate import LeftOut, Protocol, evaluate_frames
+from completion.evaluation.outputs import Outputs
 from completion.evaluation.predictors import load_predictor
+from completion.evaluation.run import evaluate
 from haustra.core.errors import CompletionError
+from haustra.core.progress import SilentProgress
 
 OpenEXR = pytest.importorskip("OpenEXR")
 RGB = np.zeros((6, 8, 3), np.uint8)
@@ -215,9 +218,15 @@ def test_a_data_set_with_a_camera_file_is_what_its_frames_say(tmp_path: Path) ->
 
 
 def test_a_frame_without_true_depth_is_left_out_and_counted(tmp_path: Path) -> None:
-    folder, left_out = rgbd_folder(tmp_path / "film", empty=(1, 2)), []
+    folder, left_out = rgbd_folder(tmp_path / "film", empty=(1, 2)), LeftOut()
     protocol = Protocol(points=10)
     frames = read_evaluation_frames(folder)
     results = list(evaluate_frames(frames, load_predictor("nearest"), protocol, left_out=left_out))
     assert [result.name for result in results] == ["00000", "00003"]
-    assert left_out == ["00001", "00002"]
+    assert left_out.without_truth == ["00001", "00002"]
+
+
+def test_frames_of_which_none_has_points_are_refused(tmp_path: Path) -> None:
+    folder, protocol = rgbd_folder(tmp_path / "film", empty=(1,)), Protocol(sampler="sfm")
+    with pytest.raises(CompletionError, match=r"'sfm' finds no point with true depth in any of 3 frames .* uniform"):
+        evaluate([folder], ["nearest"], [protocol], Outputs(), None, SilentProgress())

@@ -16,7 +16,7 @@ from completion.confidence import confidence_from_error, error_from_confidence
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.sampling_benchmark import features, like_sfm, uniform
 from completion.evaluation.accumulator import Accumulator
-from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
+from completion.evaluation.evaluate import LeftOut, Protocol, evaluate_frames, mean_errors
 from completion.evaluation.outputs import Outputs
 from completion.evaluation.plots import KINDS, sweep_plot
 from completion.evaluation.predictors import load_predictor
@@ -94,10 +94,13 @@ def test_linear_is_exact_on_a_plane_and_its_scale_can_be_lost() -> None:
     assert mean_errors([aligned], protocol).abs_rel == pytest.approx(result.errors.abs_rel, abs=2e-3)
 
 
-def test_a_frame_without_points_is_an_error_not_a_gap() -> None:
-    blind = EvaluationFrame("7", np.zeros((32, 32, 3), np.uint8), np.full((32, 32), 9, np.float32), "mm")
-    with pytest.raises(CompletionError, match="frame 7: the sampler 'sfm' finds no point"):
-        list(evaluate_frames([blind], load_predictor("nearest"), Protocol(sampler="sfm")))
+def test_a_frame_without_points_is_left_out_and_counted() -> None:
+    blind = EvaluationFrame("7", np.zeros((64, 64, 3), np.uint8), np.full((64, 64), 9, np.float32), "mm")
+    left_out, protocol = LeftOut(), Protocol(sampler="sfm", points=20)
+    results = evaluate_frames([blind, frame()], load_predictor("nearest"), protocol, left_out=left_out)
+    assert [result.name for result in results] == [frame().name]
+    assert (left_out.without_truth, left_out.without_points) == ([], ["7"])
+    assert str(left_out) == "1 without points left out"
 
 
 @pytest.mark.parametrize("sampler", ["uniform", "sfm"])
