@@ -5,10 +5,10 @@
 
 Odometry alone, or COLMAP alone, maps each film in several ways (`FAMILIES` of `maps.py`: seeds, keyframe motion, wrong
 lenses, parts), as the structure stage has them run; submaps of `MIN_FRAMES` frames count, also those that its lighting
-check drops. Each family of maps has coefficients of its own. Wrong: `pipeline.mapping.map_doubt`. Figures are chosen,
-and weights fitted, on the films for choosing alone, by the loss on paths that had no part in the fit.
-`FOLDER` keeps the submaps: a stopped call goes on
-where it was, and `--made` takes those that are there. `ship` writes the coefficients that the pipeline reads.
+check drops. Each family of maps has coefficients of its own. What a wrong map is, `pipeline.mapping.map_doubt` says.
+Predictors are chosen, and weights fitted, on the films for choosing alone, by the loss on paths that had no part in the
+fit. `FOLDER` keeps the submaps: a stopped call goes on where it was, and `--made` takes those that are there. The
+record has the coefficients; `ship` writes them to where the pipeline reads them.
 """
 
 import argparse
@@ -20,10 +20,10 @@ import numpy as np
 from scipy.special import expit
 
 from benchmarks.common.record import environment
-from benchmarks.map_doubt.fitting import chosen_figures, fitted, log_loss, probabilities_left_out
+from benchmarks.map_doubt.fitting import chosen_predictors, fitted, log_loss, probabilities_left_out
 from benchmarks.map_doubt.maps import FAMILIES, is_made, load_maps, make_maps
-from benchmarks.map_doubt.rows import figures_of, path_of, row_of
-from pipeline.mapping.map_doubt import FIGURES
+from benchmarks.map_doubt.rows import path_of, predictors_of, row_of
+from pipeline.mapping.map_doubt import PREDICTORS, log_odds
 
 MIN_FRAMES = 20  # of a submap that counts, as in `benchmarks.living`
 LIGHT = ("light", "light against it")
@@ -70,24 +70,24 @@ def _rows_of(film: Path, role: str, arguments: argparse.Namespace) -> list[dict[
 
 
 def fit_all(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of films for choosing: `alone`, the left-out loss of each figure and of the light's two together; `chosen`, the
-    figures taken and the loss with each; `coefficients`; `left_out`, a probability for each row."""
+    """Of films for choosing: `alone`, the left-out loss of each predictor and of the light's two together; `chosen`,
+    the predictors taken and the loss with each; `coefficients`; `left_out`, a probability for each row."""
     wrong, group = np.array([row["wrong"] for row in rows]), [path_of(row["film"]) for row in rows]
-    told = [figures_of(row) for row in rows]
-    figures = {name: np.array([one[name] for one in told]) for name in told[0]}
+    of_rows = [predictors_of(row) for row in rows]
+    values = {name: np.array([of_row[name] for of_row in of_rows]) for name in of_rows[0]}
 
     def left_out(names: list[str]) -> np.ndarray:
-        return probabilities_left_out(np.stack([figures[name] for name in names], axis=1), wrong, group)
+        return probabilities_left_out(np.stack([values[name] for name in names], axis=1), wrong, group)
 
-    alone = {name: log_loss(left_out([name]), wrong) for name in figures}
+    alone = {name: log_loss(left_out([name]), wrong) for name in values}
     alone["both of the light"] = log_loss(left_out(list(LIGHT)), wrong)
-    chosen = chosen_figures({name: figures[name] for name in FIGURES}, wrong, group)
+    chosen = chosen_predictors({name: values[name] for name in PREDICTORS}, wrong, group)
     names = [name for name, _ in chosen]
-    offset, weights = fitted(np.stack([figures[name] for name in names], axis=1), wrong)
+    offset, weights = fitted(np.stack([values[name] for name in names], axis=1), wrong)
     coefficients = {
         "offset": offset,
         "weights": dict(zip(names, weights.tolist(), strict=True)),
-        "of_right_maps": {name: float(np.median(figures[name][~wrong])) for name in names},
+        "of_right_maps": {name: float(np.median(values[name][~wrong])) for name in names},
     }
     return {
         "base_rate": float(wrong.mean()),
@@ -100,7 +100,5 @@ def fit_all(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def probability(row: dict[str, Any], coefficients: dict[str, Any]) -> float:
-    """By given coefficients."""
-    told = figures_of(row)
-    z = coefficients["offset"] + sum(weight * told[name] for name, weight in coefficients["weights"].items())
-    return float(expit(z))
+    """That a row's map is wrong, by given coefficients."""
+    return float(expit(log_odds(predictors_of(row), coefficients)))

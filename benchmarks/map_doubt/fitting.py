@@ -1,4 +1,4 @@
-"""Logistic regression whose signs physics demands, and the loss of figures on films that had no part in their fit."""
+"""Logistic regression with weights >= 0, the sign that physics demands, and its loss on films left out of the fit."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,14 @@ from scipy.special import expit
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-PRIOR = 0.3  # pulls the weights of standardised figures to 0: few wrong maps must not make anything certain
-LEAST_GAIN = 0.005  # nats a map, by which another figure must lower the loss
+PRIOR = 0.3  # pulls the weights of standardised predictors to 0: few wrong maps must not make anything certain
+LEAST_GAIN = 0.005  # nats a map, by which another predictor must lower the loss
 
 
-def fitted(figures: Array, wrong: Mask) -> tuple[float, Array]:
-    """Offset, and weights (K,) of figures (N,K) that grow where a map is wrong, (N,): none is negative."""
-    mean, spread = figures.mean(axis=0), figures.std(axis=0) + 1e-9
-    scaled = (figures - mean) / spread
+def fitted(predictors: Array, wrong: Mask) -> tuple[float, Array]:
+    """Offset and weights (K,), none negative. predictors (N,K) grow where a map is wrong; wrong (N,): whether it is."""
+    mean, spread = predictors.mean(axis=0), predictors.std(axis=0) + 1e-9
+    scaled = (predictors - mean) / spread
 
     def loss(x: Array) -> tuple[float, Array]:
         z = x[0] + scaled @ x[1:]
@@ -25,19 +25,19 @@ def fitted(figures: Array, wrong: Mask) -> tuple[float, Array]:
         off = expit(z) - wrong
         return float(value), np.concatenate([[off.sum()], scaled.T @ off + 2 * PRIOR * x[1:]])
 
-    bounds = [(None, None)] + [(0.0, None)] * figures.shape[1]
-    found = minimize(loss, np.zeros(1 + figures.shape[1]), jac=True, bounds=bounds, method="L-BFGS-B").x
+    bounds = [(None, None)] + [(0.0, None)] * predictors.shape[1]
+    found = minimize(loss, np.zeros(1 + predictors.shape[1]), jac=True, bounds=bounds, method="L-BFGS-B").x
     weights = found[1:] / spread
     return float(found[0] - weights @ mean), weights
 
 
-def probabilities_left_out(figures: Array, wrong: Mask, group: Sequence[str]) -> Array:
-    """(N,) of each map, by a fit without the maps of its group."""
+def probabilities_left_out(predictors: Array, wrong: Mask, group: Sequence[str]) -> Array:
+    """Probability (N,) that each map is wrong, by a fit without the maps of its group. predictors (N,K); group: N."""
     groups, found = np.asarray(group), np.full(len(wrong), np.nan)
     for name in np.unique(groups):
         mine = groups == name
-        offset, weights = fitted(figures[~mine], wrong[~mine])
-        found[mine] = expit(offset + figures[mine] @ weights)
+        offset, weights = fitted(predictors[~mine], wrong[~mine])
+        found[mine] = expit(offset + predictors[mine] @ weights)
     return found
 
 
@@ -46,15 +46,15 @@ def log_loss(probability: Array, wrong: Mask) -> float:
     return float(-np.log(np.clip(np.where(wrong, probability, 1 - probability), 1e-6, 1)).mean())
 
 
-def chosen_figures(figures: dict[str, Array], wrong: Mask, group: Sequence[str]) -> list[tuple[str, float]]:
-    """Names in the order in which each lowers the left-out loss most, and the loss with it; those that hardly lower it
-    are left out."""
+def chosen_predictors(predictors: dict[str, Array], wrong: Mask, group: Sequence[str]) -> list[tuple[str, float]]:
+    """Greedy forward selection: names in the order in which each lowers the left-out loss most, and the loss with it.
+    It ends where no other lowers the loss by `LEAST_GAIN`."""
     taken: list[tuple[str, float]] = []
-    while len(taken) < len(figures):
+    while len(taken) < len(predictors):
         names = [name for name, _ in taken]
         losses = {}
-        for name in figures.keys() - set(names):
-            columns = np.stack([figures[one] for one in (*names, name)], axis=1)
+        for name in predictors.keys() - set(names):
+            columns = np.stack([predictors[one] for one in (*names, name)], axis=1)
             losses[name] = log_loss(probabilities_left_out(columns, wrong, group), wrong)
         best = min(losses, key=lambda name: (losses[name], name))
         if taken and losses[best] > taken[-1][1] - LEAST_GAIN:

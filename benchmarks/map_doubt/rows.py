@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from benchmarks.map_doubt.maps import JudgedMap
 from pipeline.input.frames import Frames
-from pipeline.mapping.map_doubt import FIGURES, WRONG_DEG, WRONG_SHARE, MapEvidence, gather_evidence
+from pipeline.mapping.map_doubt import PREDICTORS, WRONG_DEG, WRONG_SHARE, MapEvidence, gather_evidence
 from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.mapping.readjustment import PathDifference, path_difference
 from pipeline.surface.wall_motion import measure_motion
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors
 
 QUARTER_POINTS = 8  # of a quarter of the picture, for a rank correlation
-# Tried beside the figures of `map_doubt`; they need the pictures, or a later stage.
+# Tried beside the predictors of `map_doubt`; they need the pictures, or a later stage.
 ALSO_TRIED: dict[str, Callable[[dict[str, Any]], float]] = {
     "light by quarters": lambda row: row["by_quarters"],
     "explained motion": lambda row: float(np.clip(row["explained"] or 0.0, -0.1, 0.3)),
@@ -43,20 +43,19 @@ def row_of(one: JudgedMap) -> dict[str, Any]:
     }
 
 
-def figures_of(row: dict[str, Any]) -> dict[str, float]:
-    """Every figure that was tried, larger where a map is wrong."""
-    told = evidence_of(row)
-    return {name: figure.of(told) for name, figure in FIGURES.items()} | {
-        name: of(row) for name, of in ALSO_TRIED.items()
-    }
+def predictors_of(row: dict[str, Any]) -> dict[str, float]:
+    """Every predictor that was tried, by name; larger where a map is wrong."""
+    evidence = evidence_of(row)
+    shipped = {name: predictor.of(evidence) for name, predictor in PREDICTORS.items()}
+    return shipped | {name: of(row) for name, of in ALSO_TRIED.items()}
 
 
 def evidence_of(row: dict[str, Any]) -> MapEvidence:
-    """As it was written."""
-    told = dict(row["evidence"])
+    """The evidence that a row of the record holds."""
+    values = dict(row["evidence"])
     for name in ("stretches", "halves"):
-        told[name] = None if told[name] is None else PathDifference(**told[name])
-    return MapEvidence(**told)
+        values[name] = None if values[name] is None else PathDifference(**values[name])
+    return MapEvidence(**values)
 
 
 def light_by_quarters(one: JudgedMap) -> float:

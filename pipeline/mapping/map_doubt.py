@@ -1,15 +1,16 @@
-"""The probability that a submap is wrong, by what it says about itself, and the words that follow it.
+"""The probability that a submap is wrong: a logistic regression on figures of the submap itself, without truth.
 
 Wrong is a map whose camera centres are off by more than 5 % of the path (RMS) or whose cameras by more than 5 degrees
 (median), after the Sim(3) to the truth that fits centres and axes together (`readjustment.path_difference`). The
-coefficients, of odometry's maps and of COLMAP's, are fitted to films with truth: docs/lab/map_doubt.md.
+coefficients, of odometry's maps and of COLMAP's, lie beside this file. They are fitted to films with truth by
+`benchmarks/map_doubt`; docs/lab/map_doubt.md has the calibration, and how to fit them anew.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -50,72 +51,72 @@ class MapEvidence:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A figure that grows where a map is wrong, and how a person is told of it."""
+class Predictor:
+    """An input of the regression. of: its value, which grows where a map is wrong. in_words: the same for a person."""
 
     of: Callable[[MapEvidence], float]
-    told: Callable[[MapEvidence], str]
+    in_words: Callable[[MapEvidence], str]
 
 
-def _share(found: PathDifference | None) -> float:
-    return math.log(max((found or UNKNOWN).share, LEAST_SHARE))
+def _log_share(difference: PathDifference | None) -> float:
+    return math.log(max((difference or UNKNOWN).share, LEAST_SHARE))
 
 
-def _angle(found: PathDifference | None) -> float:
-    return math.log(max((found or UNKNOWN).angle_deg, LEAST_DEG))
+def _log_angle(difference: PathDifference | None) -> float:
+    return math.log(max((difference or UNKNOWN).angle_deg, LEAST_DEG))
 
 
-def _told(found: PathDifference | None, what: str) -> str:
-    if found is None:
+def _difference_in_words(difference: PathDifference | None, what: str) -> str:
+    if difference is None:
         return f"too little of it is seen to compare {what}"
-    return f"{what} differ by {100 * found.share:.1f} % of the path and {found.angle_deg:.1f} degrees"
+    return f"{what} differ by {100 * difference.share:.1f} % of the path and {difference.angle_deg:.1f} degrees"
 
 
-def _stretches(e: MapEvidence) -> str:
-    return _told(e.stretches, "the paths by the whole and by two thirds of its frames")
+def _stretches_in_words(e: MapEvidence) -> str:
+    return _difference_in_words(e.stretches, "the paths by the whole and by two thirds of its frames")
 
 
-def _halves(e: MapEvidence) -> str:
-    return _told(e.halves, "the paths by two halves of the wall")
+def _halves_in_words(e: MapEvidence) -> str:
+    return _difference_in_words(e.halves, "the paths by two halves of the wall")
 
 
-FIGURES: dict[str, Figure] = {
-    "stretches, path": Figure(lambda e: _share(e.stretches), _stretches),
-    "stretches, angle": Figure(lambda e: _angle(e.stretches), _stretches),
-    "halves, path": Figure(lambda e: _share(e.halves), _halves),
-    "halves, angle": Figure(lambda e: _angle(e.halves), _halves),
-    "reprojection": Figure(
+PREDICTORS: dict[str, Predictor] = {
+    "stretches, path": Predictor(lambda e: _log_share(e.stretches), _stretches_in_words),
+    "stretches, angle": Predictor(lambda e: _log_angle(e.stretches), _stretches_in_words),
+    "halves, path": Predictor(lambda e: _log_share(e.halves), _halves_in_words),
+    "halves, angle": Predictor(lambda e: _log_angle(e.halves), _halves_in_words),
+    "reprojection": Predictor(
         lambda e: math.log(max(e.reprojection_px, 0.01)),
         lambda e: f"its points lie {e.reprojection_px:.2f} px beside where they were seen",
     ),
-    "triangulation angle": Figure(
+    "triangulation angle": Predictor(
         lambda e: -math.log(max(e.angle_deg, 0.05)),
         lambda e: f"its points are seen from directions that differ by {e.angle_deg:.1f} degrees",
     ),
-    "track length": Figure(
+    "track length": Predictor(
         lambda e: -math.log(max(e.track_length, 1.0)),
         lambda e: f"its points are followed over {e.track_length:.0f} frames",
     ),
-    "path": Figure(
+    "path": Predictor(
         lambda e: -math.log(max(e.path, 0.01)),
         lambda e: f"its camera moves by {e.path:.1f} times the distance of the wall",
     ),
-    "light": Figure(
+    "light": Predictor(
         lambda e: e.spearman,
         lambda e: (
             f"brightness falls with distance less clearly than in most right maps (rank correlation {e.spearman:.2f}, "
             "-1 at best)"
         ),
     ),
-    "light against it": Figure(
+    "light against it": Predictor(
         lambda e: min(e.inconsistent_share, 0.3),
         lambda e: f"in {100 * e.inconsistent_share:.0f} % of its frames nearer points are darker",
     ),
-    "frames posed": Figure(
+    "frames posed": Predictor(
         lambda e: -e.posed_share,
         lambda e: f"it holds {100 * e.posed_share:.0f} % of the frames",
     ),
-    "submaps": Figure(
+    "submaps": Predictor(
         lambda e: float(min(e.submaps, 5)),
         lambda e: f"the film came apart into {e.submaps} submaps",
     ),
@@ -124,7 +125,7 @@ FIGURES: dict[str, Figure] = {
 
 @dataclass(frozen=True)
 class MapDoubt:
-    """probability: that the map is wrong. heaviest: the figure that speaks most against it, in words."""
+    """probability: that the map is wrong. heaviest: in words, the predictor that raises it most over a right map's."""
 
     probability: float
     heaviest: str
@@ -147,10 +148,10 @@ class MapDoubt:
 
 
 def gather_evidence(
-    submap: Submap, camera: Camera, check: LightingCheck, total: int, submaps: int, *, asked: Iterable[str] = FIGURES
+    submap: Submap, camera: Camera, check: LightingCheck, total: int, submaps: int, *, asked: Iterable[str] = PREDICTORS
 ) -> MapEvidence:
-    """Of one of `submaps` found in `total` working frames; camera: as refined with it. asked: figures by name; parts of
-    the map are adjusted alone only where they are asked for."""
+    """Evidence on one of `submaps` found in `total` working frames; camera: as refined with it. asked: names of the
+    predictors that will be used. Parts of the map are adjusted alone, which takes long, only where one needs that."""
     kinds = {name.split(",")[0] for name in asked}
     depths = submap.depths()
     unit = float(np.median(depths[depths > 0])) if (depths > 0).any() else 1.0
@@ -170,20 +171,23 @@ def gather_evidence(
 
 
 def judge(evidence: MapEvidence, family: str) -> MapDoubt:
-    """By the coefficients that are shipped for a family of maps."""
-    told = coefficients()[family]
-    pull = {
-        name: weight * (FIGURES[name].of(evidence) - told["of_right_maps"][name])
-        for name, weight in told["weights"].items()
-    }
-    heaviest = max(pull, key=lambda name: pull[name])
-    z = told["offset"] + sum(weight * FIGURES[name].of(evidence) for name, weight in told["weights"].items())
-    return MapDoubt(1 / (1 + math.exp(-max(min(z, 30.0), -30.0))), FIGURES[heaviest].told(evidence), evidence)
+    """The probability by the shipped coefficients of a family of maps, and its main reason."""
+    fitted = coefficients()[family]
+    weights, of_right_maps = fitted["weights"], fitted["of_right_maps"]
+    values = {name: PREDICTORS[name].of(evidence) for name in weights}
+    heaviest = max(weights, key=lambda name: weights[name] * (values[name] - of_right_maps[name]))
+    z = max(min(log_odds(values, fitted), 30.0), -30.0)
+    return MapDoubt(1 / (1 + math.exp(-z)), PREDICTORS[heaviest].in_words(evidence), evidence)
+
+
+def log_odds(values: Mapping[str, float], fitted: Mapping[str, Any]) -> float:
+    """Log odds that a map is wrong. values: of the predictors, by name; fitted: one family of `coefficients`."""
+    return float(fitted["offset"] + sum(weight * values[name] for name, weight in fitted["weights"].items()))
 
 
 @cache
 def coefficients() -> dict[str, Any]:
-    """Of each family: `offset`, `weights` and the median `of_right_maps` of the figures by their names; written by
-    `python -m benchmarks.map_doubt fit`."""
+    """Of each family: `offset`, `weights` by the predictors' names, and these predictors' medians `of_right_maps`;
+    fitted by `python -m benchmarks.map_doubt fit`, written by `python -m benchmarks.map_doubt ship`."""
     found: dict[str, Any] = json.loads(COEFFICIENTS.read_text())
     return found

@@ -4,38 +4,38 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from benchmarks.map_doubt.fitting import chosen_figures, fitted, log_loss, probabilities_left_out
+from benchmarks.map_doubt.fitting import chosen_predictors, fitted, log_loss, probabilities_left_out
 from benchmarks.map_doubt.rows import path_of
 
 
 def drawn(count=4000):
     rng = np.random.default_rng(0)
-    figures = rng.normal(size=(count, 2)) * [1.0, 3.0]
-    wrong = rng.random(count) < expit(-1 + 2 * figures[:, 0] - 0.5 * figures[:, 1])
-    return figures, wrong, [str(number % 8) for number in range(count)]
+    predictors = rng.normal(size=(count, 2)) * [1.0, 3.0]
+    wrong = rng.random(count) < expit(-1 + 2 * predictors[:, 0] - 0.5 * predictors[:, 1])
+    return predictors, wrong, [str(number % 8) for number in range(count)]
 
 
 def test_known_weights_are_found_and_none_is_negative():
-    figures, wrong, _ = drawn()
-    offset, weights = fitted(figures * [1, -1], wrong)
+    predictors, wrong, _ = drawn()
+    offset, weights = fitted(predictors * [1, -1], wrong)
     assert offset == pytest.approx(-1, abs=0.15)
     assert weights == pytest.approx([2, 0.5], abs=0.15)
-    assert fitted(figures, wrong)[1][1] == 0
+    assert fitted(predictors, wrong)[1][1] == 0
 
 
-def test_a_figure_that_tells_nothing_is_not_chosen():
-    figures, wrong, group = drawn(800)
+def test_a_predictor_that_tells_nothing_is_not_chosen():
+    predictors, wrong, group = drawn(800)
     noise = np.random.default_rng(1).normal(size=800)
-    chosen = chosen_figures({"told": figures[:, 0], "noise": noise, "also": -figures[:, 1]}, wrong, group)
+    chosen = chosen_predictors({"told": predictors[:, 0], "noise": noise, "also": -predictors[:, 1]}, wrong, group)
     assert [name for name, _ in chosen] == ["told", "also"]
     assert chosen[1][1] < chosen[0][1]
 
 
 def test_a_group_has_no_part_in_its_own_probability():
-    figures, wrong, group = drawn(400)
+    predictors, wrong, group = drawn(400)
     mine = np.array(group) == "3"
     turned = np.where(mine, ~wrong, wrong)
-    one, other = (probabilities_left_out(figures, of, group) for of in (wrong, turned))
+    one, other = (probabilities_left_out(predictors, of, group) for of in (wrong, turned))
     assert np.allclose(one[mine], other[mine])
     assert not np.allclose(one[~mine], other[~mine])
 

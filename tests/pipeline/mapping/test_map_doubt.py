@@ -1,4 +1,4 @@
-"""A map's probability of being wrong grows with each figure against it, and its words follow the probability."""
+"""A map's probability of being wrong grows with each predictor against it, and its words follow the probability."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.mapping.map_doubt import (
     FAMILY,
-    FIGURES,
+    PREDICTORS,
     PROBABLE,
     SURE,
     UNKNOWN,
@@ -34,14 +34,14 @@ def test_a_right_map_is_sure_and_a_wrong_one_is_not():
 def test_nothing_against_a_map_makes_it_surer(name):
     worse = replace(RIGHT, **{name: getattr(WRONG, name)})
     assert judge(worse).probability >= judge(RIGHT).probability
-    assert all(figure.of(worse) >= figure.of(RIGHT) for figure in FIGURES.values())
+    assert all(predictor.of(worse) >= predictor.of(RIGHT) for predictor in PREDICTORS.values())
 
 
 def test_weights_have_the_sign_that_physics_demands():
     assert {"odometry"} <= set(coefficients()) <= set(FAMILY.values())
-    for told in coefficients().values():
-        assert set(told["weights"]) <= set(FIGURES)
-        assert min(told["weights"].values()) >= 0
+    for fitted in coefficients().values():
+        assert set(fitted["weights"]) <= set(PREDICTORS)
+        assert min(fitted["weights"].values()) >= 0
 
 
 def test_a_map_without_parts_has_nothing_to_speak_for_it():
@@ -58,7 +58,7 @@ def test_words_follow_the_probability():
     assert told[0.8].endswith("; use other frames")
 
 
-def test_the_figure_that_weighs_most_is_told():
+def test_the_heaviest_predictor_is_put_into_words():
     dark = judge(replace(RIGHT, spearman=0.4))
     assert "less clearly than in most right maps (rank correlation 0.40, -1 at best)" in dark.heaviest
     torn = judge(replace(RIGHT, stretches=PathDifference(0.2, 40.0)))
