@@ -40,13 +40,13 @@ HEAD = """# Whether a map is wrong
   [COLMAP's](#colmaps-maps) are further down.
 """
 
-FIGURES = """
+PREDICTORS = """
 ## What tells a wrong map
 
 Loss on paths that had no part in the fit (films for choosing, nats a map; always saying {base:.0f} % costs
-{base_loss:.3f}), of each figure alone:
+{base_loss:.3f}), of each predictor alone:
 
-| figure | loss |
+| predictor | loss |
 |---|---|
 {alone}
 
@@ -95,13 +95,13 @@ centres, as a share of the path, and of rotation.
 COLMAP = """
 ## COLMAP's maps
 
-`python -m benchmarks.map_doubt fit --family colmap --choosing FILMS --reported FILMS --maps FOLDER --json
-map_doubt_colmap.json --ship` at {commit} ({processor}, {cores} cores). {choosing} maps of {choosing_films} films for
+`python -m benchmarks.records map_doubt_colmap --work WORK --data DATA` at {commit} ({processor}, {cores} cores).
+{choosing} maps of {choosing_films} films for
 choosing, of which {choosing_wrong} are wrong, and {reported} of {reported_films} others, of which {reported_wrong} are
 wrong: by the global mapper, and the incremental one where the structure stage asks it, on as many frames as COLMAP may
 map in its time, the others posed in its map; with the right lens, an unknown one, focal lengths off by 15 and 20 %, and
 in halves.
-Figures taken, by their loss on paths that had no part in the fit (always saying {base:.0f} % costs {base_loss:.3f}):
+Predictors taken, by their loss on paths that had no part in the fit (always saying {base:.0f} % costs {base_loss:.3f}):
 {chosen}.
 
 | maps | count | wrong | sure | of these wrong | right | of these doubted | of these called probably wrong |
@@ -246,7 +246,7 @@ def page(record: dict[str, Any], of_colmap: dict[str, Any], read: str) -> str:
     """The page, as committed; read: what a person says of it."""
     rows, alone = record["maps"], record["alone"]
     by_centres = max(row["rotation_by_centres_deg"] for row in rows if not row["wrong"])
-    figures = FIGURES.format(
+    predictors = PREDICTORS.format(
         base=100 * record["base_rate"],
         base_loss=record["base_loss"],
         alone="\n".join(f"| {name} | {alone[name]:.3f} |" for name in sorted(alone, key=lambda name: alone[name])),
@@ -260,7 +260,8 @@ def page(record: dict[str, Any], of_colmap: dict[str, Any], read: str) -> str:
         **_tables(of_colmap["maps"]),
     )
     tables = TABLES.format(light=_light(rows), **_tables(rows))
-    return HEAD.format(by_centres=by_centres, **_told(record)) + figures + tables + colmap + read.format(**_aims(rows))
+    head = HEAD.format(by_centres=by_centres, **_told(record))
+    return head + predictors + tables + colmap + read.format(**_aims(rows))
 
 
 READ = """
@@ -276,9 +277,9 @@ READ = """
   had a part in the fit. `uneven_tissue`, a camera that hardly moves, tells nothing here: odometry begins no map on it.
 - **What was looked at**: an earlier fit, to fewer films, had missed both aims on films that are reported here again.
   Films for choosing were added then: more paths with moving walls, those of 10 mm among them, and still films of other
-  suites. Figures on offer, prior and least gain stayed as they were, and no threshold was moved. While maps were still
-  being made, fits to those that were there were looked at on the reported films. Films for choosing share no gut and no
-  recorded path with reported ones; some share a lens.
+  suites. Predictors on offer, prior and least gain stayed as they were, and no threshold was moved. While maps were
+  still being made, fits to those that were there were looked at on the reported films. Films for choosing share no gut
+  and no recorded path with reported ones; some share a lens.
 - **Limits.** {moving} wrong maps are of moving walls; films for choosing have {paths} paths with such. Maps of one film
   are much alike: there are {films} reported films, and one run a way. False starts hardly occur: odometry asks for much
   before it begins. Maps of fewer than 20 frames had no part; how they count is said below. Probabilities are those of
@@ -287,9 +288,18 @@ READ = """
   that the table says how often right maps are doubted, and little of wrong ones. Its films `uneven_a` and `uneven_b`
   have other guts than those above (seeds 501 and 502).
 - **In the product**: below 5 % nothing is said, to 50 % "may be wrong", above it "is probably wrong", each with the
-  figure that weighs most. Of a map of odometry with 20 % or more COLMAP is asked, and maps of both front ends count by
-  the probability that they are right ([front end](../guide/front_end.md)). A map that is too short to be judged counts
-  as probably wrong as those of its film and front end that are judged.
+  predictor that weighs most. Of a map of odometry with 20 % or more COLMAP is asked, and maps of both front ends count
+  by the probability that they are right ([front end](../guide/front_end.md)). A map that is too short to be judged
+  counts as probably wrong as those of its film and front end that are judged.
+
+## To fit it anew
+
+1. Measure both records: `python -m benchmarks.records map_doubt map_doubt_colmap --work WORK --data DATA`. It makes the
+   films and the maps, and fits (`benchmarks/map_doubt/fit.py`). A predictor of your own is a row of `PREDICTORS` in
+   `pipeline/mapping/map_doubt.py`; commit it first, since a record is of one commit.
+2. Give the pipeline the coefficients: `python -m benchmarks.map_doubt ship` writes `pipeline/mapping/map_doubt.json`.
+3. `pytest tests/pages/test_map_doubt_page.py tests/pipeline/mapping/test_map_doubt.py` fails where records, page (which
+   step 1 renders) and coefficients differ.
 """
 
 if __name__ == "__main__":
