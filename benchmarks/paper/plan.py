@@ -10,8 +10,7 @@ STEPS = 1000  # of 10 frames: the budget of every row
 SIZE = 160  # px
 PAPER_SIZE = 320  # px
 POINTS = 100  # uniform, in training and judging
-JUDGED_MESHES = 12  # never trained on, 20 frames of each
-TRAINING_FRAMES, JUDGED_FRAMES = 1500, 240
+TRAINING_FRAMES, JUDGED_FRAMES = 1500, 240  # judged: of 12 meshes never trained on, 20 frames of each
 # Seeds of the frames to train on and of those to judge on, for the stand-in of each of the paper's scenes.
 SCENES = {"colon": (51, 151), "small_intestine": (52, 152), "ccd": (53, 153), "csd": (54, 154)}
 

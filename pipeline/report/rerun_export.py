@@ -17,7 +17,6 @@ from pipeline.input.frames import Frames
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.fusion_stage import Surface
 
-SUFFIX = ".rrd"
 TIMELINE = "video"
 JPEG_QUALITY = 85
 

@@ -74,13 +74,6 @@ class Illumination:
         result = np.where(known[..., None], linear * factor[..., None], linear)
         return np.rint(255 * np.clip(result, 0, 1) ** (1 / self.gamma)).astype(np.uint8)
 
-    def exposure_gain(
-        self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
-    ) -> float | None:
-        """Median shading-corrected log luminance of a frame; None with fewer than MIN_PIXELS usable pixels."""
-        shade, known = self._log_shade(depth, intrinsics)
-        return _median_exposure_gain(_linear(rgb, self.gamma), shade, known & _is_exposed(rgb))
-
     def _log_shade(
         self, depth: NDArray[np.float32], intrinsics: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
