@@ -180,7 +180,7 @@ def _submap_metrics(
         "dropped_area_share": surface.dropped_share,
         "opened_area_share": surface.opened_share,
         "contradicted_keyframes": list(surface.left_out),
-        "lamp": None if surface.lamp is None else asdict(surface.lamp),
+        "lamp": None if surface.illumination is None else asdict(surface.illumination),
         "unit": surface.scale.unit,
         "coverage": coverage.record,
         "scale": surface.scale.origin,

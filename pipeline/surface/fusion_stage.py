@@ -33,7 +33,7 @@ STAGE = "surface"
 TRUNCATION_VOXELS = 5.0
 MIN_COMPONENT = 0.02  # share of the area; smaller pieces float
 VOXEL_SAMPLES = 12  # keyframes from which the voxel size is chosen
-LAMP_SAMPLES = 60  # keyframes to which the lamp's exponents are fitted
+ILLUMINATION_SAMPLES = 60  # keyframes to which the illumination's exponents are fitted
 
 
 @dataclass(frozen=True)
@@ -45,19 +45,19 @@ class Surface:
     voxel_size: float  # output units
     dropped_share: float  # of the area, in pieces too small to keep
     left_out: tuple[int, ...] = ()  # frame numbers of keyframes whose depth the others contradict
-    lamp: Illumination | None = None  # divided out of the colours; None if they are as filmed
+    illumination: Illumination | None = None  # divided out of the colours; None if they are as filmed
     opened_share: float = 0.0  # of the area, in small spots too dark for their depth, left open
 
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """Settings of the stage's parts, the source of its scale, and the lamp with the seed of its fit."""
+    """Settings of the parts of the stage, the source of the scale, and the seed and lamp of the illumination."""
 
     fusion: FusionSettings
     consistency: ConsistencySettings
     scale: ScaleSource
     seed: int
-    lamp: Lamp | None = None  # measured; None: fitted to the film alone
+    lamp: Lamp | None = None  # measured: its fall-off off the axis; None: that is fitted to the film too
 
 
 def fuse_depth(
@@ -100,7 +100,7 @@ def _record(surface: Surface) -> dict[str, Any]:
         "dropped_share": surface.dropped_share,
         "left_out": list(surface.left_out),
         "opened_share": surface.opened_share,
-        "lamp": None if surface.lamp is None else asdict(surface.lamp),
+        "lamp": None if surface.illumination is None else asdict(surface.illumination),
     }
 
 
@@ -116,14 +116,15 @@ def load_surfaces(workspace: Workspace) -> list[Surface]:
             record["voxel_size"],
             record["dropped_share"],
             tuple(record.get("left_out", ())),
-            _recorded_lamp(record["lamp"]) if record.get("lamp") else None,
+            _recorded_illumination(record["lamp"]) if record.get("lamp") else None,
             record.get("opened_share", 0.0),
         )
         for number, record in enumerate(workspace.result(STAGE)["surfaces"])
     ]
 
 
-def _recorded_lamp(values: dict[str, Any]) -> Illumination:
+def _recorded_illumination(values: dict[str, Any]) -> Illumination:
+    """An illumination from its entry `lamp` in run.yaml; that entry's own `lamp` is absent in older runs."""
     measured = values.get("lamp")
     return Illumination(**values | {"lamp": measured and Lamp(**measured | {"axis": tuple(measured["axis"])})})
 
@@ -141,10 +142,11 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
         return Surface(empty, find_scale(settings.scale, completed.submap, empty), 0.0, 0.0)
     fusion, left_out = SurfaceFusion(ranges), []
     check = depth_filter(completed, settings.consistency, settings.fusion, ranges)
-    lamp = _lamp(completed, settings) if settings.fusion.delight else None
+    illumination = _fitted_illumination(completed, settings) if settings.fusion.delight else None
 
     def prepared(place: int) -> CompletedKeyframe | int:
-        return _prepared(completed.keyframe(int(completed.rows[place])), place, check, lamp, completed.camera.matrix)
+        keyframe = completed.keyframe(int(completed.rows[place]))
+        return _prepared(keyframe, place, check, illumination, completed.camera.matrix)
 
     with progress.bar(label, len(completed)) as advance:
         for done, keyframe in enumerate(prefetched(prepared, range(len(completed))), start=1):
@@ -156,39 +158,41 @@ def fuse_submap(completed: CompletedSubmap, settings: SurfaceSettings, label: st
             advance(done)
     whole = fusion.extract()
     del fusion  # its voxels are most of the memory
-    opened = _without_lids(whole, lamp, ranges.voxel_size) if settings.fusion.open_dark_spots else whole
+    opened = _without_lids(whole, illumination, ranges.voxel_size) if settings.fusion.open_dark_spots else whole
     mesh, dropped = drop_small_components(opened, MIN_COMPONENT)
     scale = find_scale(settings.scale, completed.submap, mesh)
     output_from_scene = np.diag([scale.factor] * 3 + [1.0])
     area, remaining = (float(part.face_areas.sum()) for part in (whole, opened))
     dropped_share, opened_share = (part / max(area, 1e-12) for part in (dropped.area, area - remaining))
     moved, voxel_size = mesh.transformed(output_from_scene), ranges.voxel_size * scale.factor
-    return Surface(moved, scale, voxel_size, dropped_share, tuple(left_out), lamp, opened_share)
+    return Surface(moved, scale, voxel_size, dropped_share, tuple(left_out), illumination, opened_share)
 
 
-def _without_lids(mesh: SurfaceMesh, lamp: Illumination | None, voxel_size: float) -> SurfaceMesh:
-    """The mesh without spots too dark for their depth; as it is where the lamp was not divided out or none is found."""
-    if lamp is None:
+def _without_lids(mesh: SurfaceMesh, illumination: Illumination | None, voxel_size: float) -> SurfaceMesh:
+    """The mesh without spots too dark for their depth; as it is where the colours are as filmed or none is found."""
+    if illumination is None:
         return mesh
-    spots = dark_spots(mesh, voxel_size, lamp.gamma)
+    spots = dark_spots(mesh, voxel_size, illumination.gamma)
     return without_vertices(mesh, spots) if spots.any() else mesh
 
 
 def _prepared(
-    keyframe: CompletedKeyframe, place: int, check: DepthFilter, lamp: Illumination | None, intrinsics: Array
+    keyframe: CompletedKeyframe, place: int, check: DepthFilter, illumination: Illumination | None, intrinsics: Array
 ) -> CompletedKeyframe | int:
-    """The keyframe at a place among the submap's, with the confidence that is fused and the lamp divided out; its
-    frame number alone where the other keyframes contradict it."""
+    """The keyframe at a place among the submap's, with the confidence that is fused and the illumination divided out;
+    its frame number alone where the other keyframes contradict it."""
     confidence = check.confidence(place, keyframe.confidence)
     if confidence is None:
         return keyframe.index
-    rgb = lamp.shading_corrected(keyframe.rgb, keyframe.depth, intrinsics) if lamp else keyframe.rgb
+    rgb = keyframe.rgb
+    if illumination is not None:
+        rgb = illumination.shading_corrected(rgb, keyframe.depth, intrinsics)
     return replace(keyframe, rgb=rgb, confidence=confidence)
 
 
-def _lamp(completed: CompletedSubmap, settings: SurfaceSettings) -> Illumination | None:
-    """What the lamp does in this film, from keyframes spread over it."""
-    spread = np.unique(np.linspace(0, len(completed) - 1, min(LAMP_SAMPLES, len(completed))).astype(int))
+def _fitted_illumination(completed: CompletedSubmap, settings: SurfaceSettings) -> Illumination | None:
+    """The submap's illumination, fitted to keyframes spread over it; None where they have too little depth."""
+    spread = np.unique(np.linspace(0, len(completed) - 1, min(ILLUMINATION_SAMPLES, len(completed))).astype(int))
     keyframes = (completed.keyframe(int(completed.rows[place])) for place in spread)
     return fit_illumination(
         ((k.rgb, k.depth) for k in keyframes), completed.camera.matrix, settings.seed, settings.lamp

@@ -1,4 +1,7 @@
-"""A lamp that was measured: how its light falls off its own axis, and how the lens darkens the picture's edge."""
+"""A lamp that was measured: how its light falls off its own axis, and how the lens darkens the picture's edge.
+
+What is fitted to a film, with or without such a lamp, is `photometry.Illumination`.
+"""
 
 from dataclasses import dataclass
 

@@ -8,7 +8,7 @@ import pytest
 from haustra.core.errors import HaustraError
 from pipeline.config import Config, FusionSettings
 from pipeline.run_folder.inputs import inputs_of
-from pipeline.surface.fusion_stage import _recorded_lamp
+from pipeline.surface.fusion_stage import _recorded_illumination
 from pipeline.surface.lamp_file import read_lamp
 from reconstruction.fusion.lamp import Lamp
 
@@ -61,8 +61,8 @@ def test_its_emission_is_that_of_the_spot_light():
 def test_a_run_keeps_the_lamp_that_was_used():
     values = {"distance": -2.0, "slant": 1.0, "axis": 1.0, "level": 0.1, "reference": 9.0, "frames": 4}
     stored = values | {"lamp": {"axis": [0.0, 0.0, 1.0], "spread": 2.0, "vignetting": 0.0, "gamma": 2.2}}
-    assert _recorded_lamp(stored).lamp == Lamp((0.0, 0.0, 1.0), 2.0)
-    assert _recorded_lamp(values).lamp is None  # of a run before lamps were read
+    assert _recorded_illumination(stored).lamp == Lamp((0.0, 0.0, 1.0), 2.0)
+    assert _recorded_illumination(values).lamp is None  # of a run before lamps were read
 
 
 @pytest.mark.parametrize(
