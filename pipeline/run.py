@@ -2,27 +2,25 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import zip_longest
 from pathlib import Path
 
 from completion.weights.shipped_weights import SHIPPED_WEIGHTS, check_whole, resolve_weights, validate_weights
 from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, SaidOnce, SilentProgress
 from pipeline.config import Config
-from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import STAGE as DEPTH_STAGE
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.multiview_stage import refine_depth
 from pipeline.depth.preparation import Preparation
-from pipeline.depth.sensor.sensor_scale import check_frames, sensor_scale
+from pipeline.depth.sensor.sensor_scale import check_frames
 from pipeline.finished_run import Run
 from pipeline.frontend.lens_guess import guess_lens
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
-from pipeline.frontend.structure_stage import scene_unit, scene_units, solve_structure
+from pipeline.frontend.structure_stage import solve_structure
 from pipeline.input.calibration import check_choice
-from pipeline.input.frames import Frames, guessed_by, read_frames
+from pipeline.input.frames import guessed_by, read_frames
 from pipeline.input.pose_files.registry import lens_beside
 from pipeline.input.sensor.sensor_depth import check_sensor, open_sensor
 from pipeline.input.stereo.stereo_source import open_source
@@ -36,17 +34,9 @@ from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.coverage_stage import coverage_stage
 from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
+from pipeline.surface.given_scales import given_scales
 from pipeline.surface.lamp_file import read_lamp
-from pipeline.surface.scale import (
-    Scale,
-    ScaleSource,
-    check_scale_file,
-    check_scale_frames,
-    checked_against,
-    scale_of_poses,
-    scale_of_sensor,
-    without_sensor,
-)
+from pipeline.surface.scale import ScaleSource, check_scale_file, check_scale_frames
 from pipeline.surface.wall_motion import wall_motion_stage
 
 
@@ -100,7 +90,7 @@ def reconstruct(
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)
         del submaps, retriangulated  # of a long film hundreds of megabytes
-        scale = replace(scale, given=_given_scales(config, frames, completed, workspace))
+        scale = replace(scale, given=given_scales(config.poses, frames, completed, workspace))
         surface = SurfaceSettings(config.fusion, config.consistency, scale, config.seed, lamp)
         surfaces = timed("surface", fuse_depth)(completed, surface, workspace, progress)
         with ThreadPoolExecutor(2, "report") as threads:  # while the coverage is measured
@@ -115,22 +105,6 @@ def reconstruct(
         run = Run(workspace)
         progress.log(str(run))
         return run
-
-
-def _given_scales(
-    config: Config, frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace
-) -> tuple[Scale | None, ...]:
-    """Of each submap as it is fused: from a sensor's depth, or from the unit of poses."""
-    by_poses: tuple[Scale | None, ...] = ()
-    if config.poses.file is not None:
-        by_poses = (scale_of_poses(scene_unit(workspace), config.poses.mm_per_unit, submaps[0].submap),)
-    sensor = open_sensor(workspace, frames.camera.width)
-    if sensor is not None:
-        found, units = [sensor_scale(one.submap, sensor) for one in submaps], scene_units(workspace)
-        sensed = [scale_of_sensor(None if one is None else one.in_unit_of(units)) for one in found]
-        known = [checked_against(one, by_poses) if one is not None else None for one in sensed]
-        return tuple(one or without_sensor(of_poses) for one, of_poses in zip_longest(known, by_poses))
-    return by_poses
 
 
 def _with_lens_of_poses(config: Config) -> Config:

@@ -1,4 +1,8 @@
-"""From scene units to millimetres: by the lumen's known width, or by a file."""
+"""The scale of a submap: which of its sources counts, and two of them, a scale file and the lumen's median diameter.
+
+Sources in the order in which they count: a scale file, the lumen's median diameter, a sensor or second eye, the unit
+of given poses (the last two: `given_scales`). One that gives clearly other lengths than the one that counts is a doubt.
+"""
 
 import math
 from collections.abc import Iterable
@@ -12,9 +16,6 @@ from numpy.typing import NDArray
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
 from haustra.core.unique_yaml import load_unique
-from pipeline.depth.sensor.sensor_scale import SensorScale
-from pipeline.input.pose_files.pose_table import POSES_UNIT
-from pipeline.input.sensor.usual_distances import check_view, doubt_of_view
 from pipeline.mapping.submap import Submap
 from reconstruction.coverage.lumen_diameter import measure_lumen
 from reconstruction.mesh.surface_mesh import SurfaceMesh
@@ -27,8 +28,8 @@ def unit_label(unit: str) -> str:
 
 @dataclass(frozen=True)
 class ScaleSource:
-    """What sets millimetres: a file, the lumen's median diameter, or what the poses or a sensor say of each submap
-    (`given`, by their numbers), in this order."""
+    """What sets millimetres, the first that there is: a scale file, the lumen's median diameter, or what a sensor or
+    the poses say of each submap (`given`, by the submaps' numbers)."""
 
     lumen_mm: float | None = None
     file: Path | None = None
@@ -54,38 +55,13 @@ class Scale:
     def __str__(self) -> str:
         return "; ".join(filter(None, [self.origin, self.doubt, self.clock_doubt]))
 
+    def with_doubt(self, why: str) -> "Scale":
+        """The same with one more reason for doubt."""
+        return replace(self, doubt="; ".join(filter(None, [self.doubt, why])))
+
 
 MOST_APART = 1.1  # factor between two sources of one scale that both may be right
 SCENE = Scale(1.0, "scene", "no scale given: 1 scene unit is the median depth of the triangulated points")
-
-
-def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None = None) -> Scale:
-    """Of a submap made from given poses, one scene unit of which is `unit` of theirs; doubted where the wall is then at
-    a distance that few endoscopes see it from, and HaustraError where none does."""
-    if mm_per_unit is None:
-        return Scale(unit, "scene", "the unit of the given poses; give --poses-mm to have mm")
-    factor, doubt = unit * mm_per_unit, ""
-    depths = np.zeros(0) if submap is None else submap.depths()
-    if (depths > 0).any():
-        distance = factor * float(np.median(depths[depths > 0]))
-        check_view(distance, "poses", POSES_UNIT)
-        doubt = doubt_of_view(distance, "poses", POSES_UNIT)
-    return Scale(factor, "mm", f"poses that were given: {mm_per_unit:g} mm per unit", doubt)
-
-
-def scale_of_sensor(found: SensorScale | None) -> Scale | None:
-    """Of a submap whose depth a sensor measured; None where it saw too little."""
-    return None if found is None else Scale(found.mm_per_unit, "mm", str(found), found.doubt, found.clock_doubt)
-
-
-def without_sensor(otherwise: Scale | None) -> Scale:
-    """Of a submap of which a sensor saw too little: what is known otherwise, and that the sensor gave nothing."""
-    scale = SCENE if otherwise is None else otherwise
-    return _doubted(scale, "the sensor saw too few of the map's points: neither its depth nor its millimetres are used")
-
-
-def _doubted(scale: Scale, why: str) -> Scale:
-    return replace(scale, doubt="; ".join(filter(None, [scale.doubt, why])))
 
 
 def checked_against(scale: Scale, others: Iterable[Scale | None]) -> Scale:
@@ -165,15 +141,15 @@ def check_scale_frames(path: Path | None, frames: NDArray[np.int64]) -> None:
 
 
 def _unscaled(without_file: Scale, why: str) -> Scale:
-    """A run of hours is not ended for a scale: it can be given again."""
-    return _doubted(
-        without_file, f"{why}, so that the file gives no scale; correct it, and give the same command with --resume"
+    """The scale without the file, and why; a run of hours is not ended for a scale, which can be given again."""
+    return without_file.with_doubt(
+        f"{why}, so that the file gives no scale; correct it, and give the same command with --resume"
     )
 
 
 def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
-    """`mm_per_unit` is measured in a run without the file and a lumen's width, whose unit `without_file` makes of scene
-    units."""
+    """Scale by a file, of frames by their distance; `mm_per_unit` is per unit of the same run without a file and
+    --lumen-mm, which is scaled by `without_file`. Frames that the submap lacks leave that scale, with a doubt."""
     numbers = check_scale_file(path)
     if "mm_per_unit" in numbers:
         times, unit = numbers["mm_per_unit"], "mm that there are without it" if without_file.unit == "mm" else "unit"

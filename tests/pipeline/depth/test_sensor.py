@@ -24,7 +24,8 @@ from pipeline.input.sensor import sensor_depth
 from pipeline.input.sensor.sensor_depth import SensorDepth, check_sensor, open_sensor
 from pipeline.input.sensor.usual_distances import doubt_of_unit
 from pipeline.run_folder.workspace import Workspace
-from pipeline.surface.scale import ScaleSource, find_scale, scale_of_sensor
+from pipeline.surface.given_scales import scale_of_sensor
+from pipeline.surface.scale import ScaleSource, find_scale
 from tests.helpers.tubes.sensed_tube import (
     BOX,
     CAMERA,

@@ -14,7 +14,7 @@ from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, solve_structure
-from pipeline.surface.scale import scale_of_poses
+from pipeline.surface.given_scales import scale_of_poses
 from reconstruction.evaluation.trajectory_io import write_tum
 from tests.helpers.tubes.textured_tube import RADIUS, camera_at, render, stored
 
