@@ -3,7 +3,7 @@
 Wrong is a map whose camera centres are off by more than 5 % of the path (RMS) or whose cameras by more than 5 degrees
 (median), after the Sim(3) to the truth that fits centres and axes together (`readjustment.path_difference`). The
 coefficients, of odometry's maps and of COLMAP's, lie beside this file. They are fitted to films with truth by
-`benchmarks/map_doubt`; docs/lab/map_doubt.md has the calibration, and how to fit them anew.
+`benchmarks/map_doubt`; docs/lab/map_doubt.md has the calibration and how to fit them anew.
 """
 
 from __future__ import annotations

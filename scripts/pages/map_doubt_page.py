@@ -143,8 +143,8 @@ def _bin(rows: list[dict[str, Any]], low: float, high: float) -> list[str]:
 
 def _film_row(row: dict[str, Any]) -> str:
     error = f"{100 * row['error']['share']:.1f} %, {row['error']['angle_deg']:.1f}°"
-    told = "wrong" if row["wrong"] else "right"
-    return f"| {row['film']} | {row['way']} | {row['frames']} | {error} | {told} | {100 * row['probability']:.0f} |"
+    verdict = "wrong" if row["wrong"] else "right"
+    return f"| {row['film']} | {row['way']} | {row['frames']} | {error} | {verdict} | {100 * row['probability']:.0f} |"
 
 
 def _groups(rows: list[dict[str, Any]]) -> list[str]:
@@ -182,8 +182,8 @@ def _light(rows: list[dict[str, Any]]) -> str:
     right = [row for row in reported if not row["wrong"]]
     against = sum(row["evidence"]["inconsistent_share"] > TODAY for row in right)
     wrong = _of(sum(row["wrong"] for row in silent), silent)
-    heard = f"{len(silent)} of the reported maps, of which {wrong} are wrong"
-    return f"is silent on {heard}, and doubts {against} of the right ones"
+    silent_on = f"is silent on {len(silent)} of the reported maps, of which {wrong} are wrong"
+    return f"{silent_on}, and doubts {against} of the right ones"
 
 
 def _told(record: dict[str, Any]) -> dict[str, Any]:
@@ -291,15 +291,9 @@ READ = """
   predictor that weighs most. Of a map of odometry with 20 % or more COLMAP is asked, and maps of both front ends count
   by the probability that they are right ([front end](../guide/front_end.md)). A map that is too short to be judged
   counts as probably wrong as those of its film and front end that are judged.
-
-## To fit it anew
-
-1. Measure both records: `python -m benchmarks.records map_doubt map_doubt_colmap --work WORK --data DATA`. It makes the
-   films and the maps, and fits (`benchmarks/map_doubt/fit.py`). A predictor of your own is a row of `PREDICTORS` in
-   `pipeline/mapping/map_doubt.py`; commit it first, since a record is of one commit.
-2. Give the pipeline the coefficients: `python -m benchmarks.map_doubt ship` writes `pipeline/mapping/map_doubt.json`.
-3. `pytest tests/pages/test_map_doubt_page.py tests/pipeline/mapping/test_map_doubt.py` fails where records, page (which
-   step 1 renders) and coefficients differ.
+- **To fit it anew**: commit what is changed (a predictor is a row of `PREDICTORS` in `pipeline/mapping/map_doubt.py`);
+  `python -m benchmarks.records map_doubt map_doubt_colmap --work WORK --data DATA` measures, fits and renders the page;
+  `python -m benchmarks.map_doubt ship` writes the coefficients; `tests/pages/test_map_doubt_page.py` compares them all.
 """
 
 if __name__ == "__main__":
