@@ -3,8 +3,9 @@
 A point's depth error follows from its parallax: n rays at angles alpha_i, each off by sigma_pixel / f, fix the depth to
 sigma_z / z = sigma_pixel / (f sqrt(sum (alpha_i - mean)^2)), the slope of a line fitted to them.
 
-That holds where each frame finds a point for itself. A corner that was followed from frame to frame slides, and what it
-is off in one frame it is off in the next: the error does not average out. Points that were found are preferred.
+That holds for features, which each frame detects for itself, so that their pixel errors are independent. A corner that
+KLT tracks from frame to frame drifts ("slides"), and what it is off in one frame it is off in the next: the error does
+not average out. Features are preferred.
 """
 
 from dataclasses import dataclass
@@ -24,9 +25,9 @@ FRAMES_AROUND = 4  # on each side, whose points are projected too
 OUTLIER_RATIO = 0.25  # log-depth difference to the neighbours' median
 NEIGHBOURS = 8  # points whose median log depth a point is compared with
 OCCLUSION_RADIUS = 0.03  # share of the width; a much nearer point this close may hide one behind it
-SLIDE = 0.005  # of the width: how far a followed corner slides along its track; measured, see docs/lab/front_end.md
-REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # better points so near (share of the width) replace a followed one
-KNN = 12  # nearest points among which those are looked for
+SLIDE = 0.005  # of the width: how far a KLT corner slides along its track; measured, see docs/lab/front_end.md
+REPLACED_BY, REPLACED_WITHIN = 3, 0.1  # features so near (share of the width) replace a KLT corner
+KNN = 12  # nearest features among which those are looked for
 SAME_WALL = 0.25  # log depth within which points are taken to lie on one wall
 
 
@@ -55,10 +56,11 @@ class SparseDepth:
 def reliable_points(
     submap: Submap, angles: NDArray[np.float64], focal: float, pixel_noise: float = PIXEL_NOISE
 ) -> tuple[NDArray, NDArray]:
-    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error of each if it was found in each
-    frame for itself.
+    """(P,) boolean mask of points that pass the filters, and (P,) relative depth error (1 sigma) of each point as if it
+    were a feature.
 
-    angles: (P,) the submap's triangulation angles, deg. focal: of the image in which the points were found, px.
+    angles: (P,) the submap's triangulation angles, deg. focal: of the image in which the points were seen, px.
+    pixel_noise: least error of an observation, px.
     """
     lengths = submap.track_lengths()
     good = (submap.error_px <= MAX_REPROJECTION_PX) & (lengths >= MIN_TRACK_LENGTH) & (angles >= MIN_ANGLE_DEG)
@@ -69,8 +71,8 @@ def reliable_points(
 def error_with_slide(
     scatter: NDArray[np.float64], klt: NDArray[np.bool_], angles: NDArray[np.float64], slide: float
 ) -> NDArray[np.float64]:
-    """(P,) relative depth error of all points, of which the followed ones also slid across the angle (deg) that they
-    span. slide: focal lengths.
+    """(P,) relative depth error (1 sigma) of all points: `scatter` (P,), to which KLT corners, `klt` (P,), add their
+    slide. angles: (P,) triangulation angles, deg. slide: px over the focal length.
 
     However many frames saw it on the way, a corner that slid by s px over an angle alpha is off by s / (f alpha).
     """
@@ -97,8 +99,8 @@ class SparseDepthMaker:
         return points[self.good[points]]
 
     def sparse_depth(self, row: int) -> SparseDepth:
-        """Points seen by the frame, then those that only its neighbours saw and that nothing hides here; followed ones
-        only where few others are."""
+        """Points seen by frame row `row`, then those that only its neighbours saw and that nothing hides here; KLT
+        corners only where few features are."""
         own = self.seen_by(row)
         reach = FRAMES_AROUND
         around = range(max(0, row - reach), min(len(self.submap.frames), row + reach + 1))
@@ -137,7 +139,10 @@ def has_better_neighbours(
     klt: NDArray[np.bool_],
     width: int,
 ) -> NDArray[np.bool_]:
-    """(K,) True for followed points near which enough others, that are surer, say what the same wall's depth is."""
+    """(K,) True for KLT corners near which enough features, that are surer, give the depth of the same wall.
+
+    pixels (K,2), depth (K,), relative error (K,), klt (K,) of one frame's points; width: of the image, px.
+    """
     replaced = np.zeros(len(pixels), dtype=bool)
     if not klt.any() or (~klt).sum() < REPLACED_BY:
         return replaced
@@ -150,13 +155,13 @@ def has_better_neighbours(
 
 
 def is_outlier(pixels: NDArray[np.float64], depth: NDArray[np.float64], ratio: float) -> NDArray[np.bool_]:
-    """Points whose log depth is far from all local company: the median of the nearest points' log depth, widened by
-    how much those points themselves differ, so that a fold's edge does not count as an outlier."""
+    """(K,) points whose log depth is farther than `ratio` plus three of its neighbours' robust standard deviations from
+    their median: these differ at a fold's edge, whose points are then no outliers. pixels (K,2), depth (K,)."""
     if len(pixels) <= NEIGHBOURS:
         return np.zeros(len(pixels), dtype=bool)
     _, nearest = cKDTree(pixels).query(pixels, k=NEIGHBOURS + 1)
     log_depth = np.log(depth)
-    company = log_depth[nearest[:, 1:]]
-    middle = np.median(company, axis=1)
-    spread = 1.4826 * np.median(np.abs(company - middle[:, None]), axis=1)
-    return np.abs(log_depth - middle) > ratio + 3 * spread
+    neighbours = log_depth[nearest[:, 1:]]
+    median = np.median(neighbours, axis=1)
+    sigma = 1.4826 * np.median(np.abs(neighbours - median[:, None]), axis=1)
+    return np.abs(log_depth - median) > ratio + 3 * sigma

@@ -13,25 +13,23 @@ MIN_FRAMES = 3  # of a submap that is kept
 
 @dataclass(frozen=True)
 class Submap:
-    """Posed frames and points in one scene frame and unit.
+    """Posed frames and points in one scene frame and unit: what every front end returns.
 
-    frames: (N,) source frame index, ascending. world_from_camera: (N,4,4). points: (P,3). error_px: (P,) mean
-    reprojection error. observations: (M,2) row in `frames` and row in `points`. pixels: (M,2), structure camera's
-    image, COLMAP's convention. camera_params: as refined with it. camera_sigma: standard deviations of
-    the refined ones, focal length first; empty if the camera was given. klt: (P,) points of corners that were
-    tracked from frame to frame, the others were found in each frame for itself; None if none was tracked. depth_error:
-    (P,) relative, 1 sigma, of points that were refined by their patches, NaN of others; None if none was.
+    N frames, P points, M observations. "Row" is a place in `frames`, "frame" the number of a frame in the source.
     """
 
-    frames: NDArray[np.int64]
-    world_from_camera: NDArray[np.float64]
-    points: NDArray[np.float64]
-    error_px: NDArray[np.float64]
-    observations: NDArray[np.int32]
-    pixels: NDArray[np.float64]
-    camera_params: tuple[float, ...]
-    camera_sigma: tuple[float, ...] = ()
+    frames: NDArray[np.int64]  # (N,) numbers in the source, ascending
+    world_from_camera: NDArray[np.float64]  # (N,4,4)
+    points: NDArray[np.float64]  # (P,3)
+    error_px: NDArray[np.float64]  # (P,) mean reprojection error
+    observations: NDArray[np.int32]  # (M,2) row in `frames` and row in `points`
+    pixels: NDArray[np.float64]  # (M,2) in the working frame, as filmed through its lens; COLMAP's convention
+    camera_params: tuple[float, ...]  # of the working frames' camera, as refined with the submap
+    camera_sigma: tuple[float, ...] = ()  # standard deviations of the refined ones, focal length first; empty: given
+    # (P,) corners that KLT tracked from frame to frame; others are features that each frame detected for itself.
+    # None: all are features.
     klt: NDArray[np.bool_] | None = None
+    # (P,) relative, 1 sigma, of points that were refined by their patches, NaN of others. None: no point was.
     depth_error: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
@@ -151,7 +149,7 @@ def refined_camera(camera: Camera, submap: Submap) -> Camera:
 
 
 def read_submap(folder: Path) -> Submap:
-    """A submap from the arrays that the COLMAP worker or `write_model` wrote."""
+    """A submap from the arrays that the COLMAP worker or `write_model` wrote; the file calls `klt` "followed"."""
     sigma = folder / "camera_sigma.txt"
     with np.load(folder / "model.npz", allow_pickle=False) as arrays:
         return Submap(
