@@ -19,7 +19,7 @@ MAX_FOV_DEG = 120.0  # a pinhole image wider than this is mostly stretched borde
 
 @dataclass(frozen=True)
 class Rectifier:
-    """Maps from a structure camera's image to a pinhole camera's. For a pinhole it changes nothing."""
+    """Maps from a working frame, as filmed through its lens, to a pinhole's image. For a pinhole it changes nothing."""
 
     camera: Camera
     map_xy: NDArray[np.float32] | None  # (H,W,2), OpenCV's integer-centre pixels
@@ -39,7 +39,7 @@ class Rectifier:
 
 
 def make_rectifier(camera: Camera, max_fov_deg: float = MAX_FOV_DEG) -> Rectifier:
-    """Rectifier of a structure camera at its working size."""
+    """Rectifier of the working frames' camera. max_fov_deg: of the pinhole, at most."""
     if camera.is_pinhole:
         return Rectifier(_as_pinhole(camera), None, 1.0)
     pinhole = _widest_pinhole(camera, max_fov_deg)

@@ -84,7 +84,7 @@ class SparseDepthMaker:
 
     def __init__(self, submap: Submap, pinhole: Camera) -> None:
         self.submap, self.pinhole = submap, pinhole
-        # The structure image's focal length, first of its parameters: reprojection errors are in its pixels.
+        # The working frames' focal length, first of the parameters: reprojection errors are in their pixels.
         focal, angles = submap.camera_params[0], submap.triangulation_angles()
         self.good, self.scatter = reliable_points(submap, angles, focal)
         expected = error_with_slide(self.scatter, submap.is_klt, angles, SLIDE * pinhole.width / focal)

@@ -39,13 +39,13 @@ SENSED_MM = 0.01  # mm of a step of depth that the source measured
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames that are worth tracking: their indices in the source, times in seconds, camera, content mask."""
+    """The working frames: those that are worth tracking, cropped to the content area and scaled, on disk."""
 
-    index: NDArray[np.int64]
-    seconds: NDArray[np.float64]
-    camera: Camera
-    content: NDArray[np.uint8]
-    verdicts: dict[str, int]
+    index: NDArray[np.int64]  # (N,) numbers in the source, ascending
+    seconds: NDArray[np.float64]  # (N,) from the source's first frame
+    camera: Camera  # of the working frames, with the lens's distortion
+    content: NDArray[np.uint8]  # (H,W) mask of the content area, nonzero inside
+    verdicts: dict[str, int]  # number of the source's frames by verdict, such as used or blurred
 
     def at(self, rows: NDArray[np.int64] | slice) -> "Frames":
         """Some of the frames."""
