@@ -37,7 +37,7 @@ FRAME_STEP = 10  # frames between two of them at most; corners are followed over
 KEYFRAME_STEP = 3  # the same where the frames are keyframes; their features are found again in four, in the median
 MIN_VIEWS = 3  # of a point that takes part; two fit whatever the lens
 ROUNDS = 3
-MOST_ASKED = 3  # maps; smaller ones hardly determine what the larger ones do not
+MOST_TRIED = 3  # maps; smaller ones hardly determine what the larger ones do not
 # Of the width, RMS, by which another lens shifts pixels: above the first the maps are adjusted to their corners again
 # before features are asked; below the second the lens has converged.
 LENS_RESTART, LENS_CONVERGED = 0.01, 0.001
@@ -66,77 +66,125 @@ def refine_intrinsics(
     progress: Progress,
     changed: bool = False,
 ) -> tuple[Camera, tuple[float, ...], list[float | None]]:
-    """All maps adjusted with the lens that the largest determines, or the next of the `MOST_ASKED` largest that does;
-    with the guess if none does. The lens, its sigmas, and what holds the maps, as of `adjust_maps`, which takes
-    `changed`: one film has one lens.
+    """The lens of a film, and all its maps adjusted with it. Returns the lens, its sigmas, and what holds each map, as
+    `adjust_maps` does, which takes `changed`.
 
-    Features of keyframes are asked before followed corners: these slide, and the lens is bent to fit. What the map lost
-    for not fitting the guess would have spoken against it, so the lens is asked again of the map that was adjusted with
-    it, until it stays. The other maps wait for it, and are adjusted once.
+    The largest map that determines a lens gives it for all, since one film has one lens; at most `MOST_TRIED` maps
+    are tried, and the guess stays if none of them does. The lens is then refined again with that map as adjusted to
+    it, until it converges: what the map had lost for not fitting the guess would have spoken against a better one.
+    The other maps wait for it, and are adjusted once.
 
-    A guess with distortion (the mean colonoscope, or an untrusted camera file) gives way only where that map, adjusted
-    with the new lens, is wrong with a probability below `DOUBTED_FROM`; else it stays, no other map is asked, and in
-    the list `maps` the map as it was adjusted with the guess takes its place again.
+    A guess with distortion (the mean colonoscope, or an untrusted camera file) gives way only where that map,
+    adjusted with the new lens, is wrong with a probability below `DOUBTED_FROM`. Else the guess stays, no other map
+    is tried, and in the list `maps` the map as it was adjusted with the guess takes its place again.
     """
-    asked = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))[:MOST_ASKED]
-    camera = guess
-    sigma: tuple[float, ...] = ()
-    held: dict[int, float | None] = {}
-    wrong, by_guess = 0.0, None
-    for _ in range(ROUNDS):
-        lenses: list[Lens] = []
-        for number in asked:
-            if number not in held:
-                held |= _adjusted(maps, [number], find, progress, changed)
-            lenses.append(_lens_of(maps[number], camera, seed, workspace, progress))
-            if lenses[-1].determined:
+    search = _LensSearch(maps, guess, seed, find, workspace, progress, changed)
+    by_size = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))
+    search.refine(by_size[:MOST_TRIED])
+    search.adjust_others()
+    return search.camera, search.sigma, [search.held[number] for number in range(len(maps))]
+
+
+class _LensSearch:
+    """Steps of `refine_intrinsics`, and what they have come to: the lens, and the maps that are adjusted with it.
+
+    held: of maps that are adjusted, by number, what holds them. source: number of the map that gives the lens.
+    by_guess: that map as adjusted with the guess, and what held it, while the guess may have to come back.
+    """
+
+    def __init__(
+        self,
+        maps: list[LocalMap],
+        guess: Camera,
+        seed: int,
+        find: FindFeatures,
+        workspace: Workspace,
+        progress: Progress,
+        changed: bool,
+    ) -> None:
+        self.maps, self.guess, self.seed, self.find = maps, guess, seed, find
+        self.workspace, self.progress, self.changed = workspace, progress, changed
+        self.camera = guess
+        self.sigma: tuple[float, ...] = ()
+        self.held: dict[int, float | None] = {}
+        self.source = 0
+        self.by_guess: tuple[LocalMap, float | None] | None = None
+
+    def refine(self, numbers: list[int]) -> None:
+        """The lens of the first of these maps that determines one, refined with that map until it converges."""
+        wrong = 0.0  # probability, of the map as adjusted with the new lens
+        for _ in range(ROUNDS):
+            self.source, lens = self._first_determined(numbers)
+            if not lens.determined:
+                self.sigma = self.sigma or lens.sigma  # an earlier round's answer stands
                 break
-        lens = lenses[-1]
-        if not lens.determined:
-            sigma = sigma or lenses[0].sigma  # an earlier round's answer stands
-            break
-        asked, shift, sigma = [asked[len(lenses) - 1]], lens_shift(camera, lens.camera), lens.sigma
-        if shift < LENS_CONVERGED:
-            break
-        camera = lens.camera
-        if any(guess.distortion) and by_guess is None:
-            by_guess = maps[asked[0]].copied(), held[asked[0]]
-        held |= _with_lens(maps, asked, camera, shift > LENS_RESTART, find, progress)
-        if by_guess and (wrong := _doubt_of(maps[asked[0]], camera, workspace)) >= PROBABLE:
-            break
-    if by_guess and wrong >= DOUBTED_FROM:
-        progress.log(
+            numbers, self.sigma = [self.source], lens.sigma
+            shift = lens_shift(self.camera, lens.camera)
+            if shift < LENS_CONVERGED:
+                break
+            self.camera = lens.camera
+            if any(self.guess.distortion) and self.by_guess is None:
+                self.by_guess = self.maps[self.source].copied(), self.held[self.source]
+            self._use_lens(numbers, shift)
+            if self.by_guess:
+                wrong = _doubt_of(self.maps[self.source], self.camera, self.workspace)
+                if wrong >= PROBABLE:
+                    break
+        if self.by_guess and wrong >= DOUBTED_FROM:
+            self._back_to_guess(self.by_guess)
+        self.by_guess = None  # a long film's copy is large, and the other maps are still to be adjusted
+
+    def adjust_others(self) -> None:
+        """Adjust the maps that gave no lens, with the lens that was found or with the guess."""
+        numbers = range(len(self.maps))
+        if self.camera == self.guess:
+            rest = [n for n in numbers if n not in self.held]
+            self.held |= _adjusted(self.maps, rest, self.find, self.progress, self.changed)
+        else:
+            self._use_lens([n for n in numbers if n != self.source], lens_shift(self.guess, self.camera))
+
+    def _first_determined(self, numbers: list[int]) -> tuple[int, Lens]:
+        """The first of these maps that determines a lens, and that lens; the very first and its own where none does."""
+        lenses: list[Lens] = []
+        for number in numbers:
+            if number not in self.held:
+                self.held |= _adjusted(self.maps, [number], self.find, self.progress, self.changed)
+            lenses.append(_lens_of(self.maps[number], self.camera, self.seed, self.workspace, self.progress))
+            if lenses[-1].determined:
+                return number, lenses[-1]
+        return numbers[0], lenses[0]
+
+    def _use_lens(self, numbers: list[int], shift: float) -> None:
+        """Adjust these maps with the lens as it is now, which lies `shift` (`lens_shift`) from the one they had."""
+        far = shift > LENS_RESTART
+        self.held |= _with_lens(self.maps, numbers, self.camera, far, self.find, self.progress)
+
+    def _back_to_guess(self, by_guess: tuple[LocalMap, float | None]) -> None:
+        self.progress.log(
             "the lens stays as guessed: the map that determines another is in doubt, or too short to be judged"
         )
-        maps[asked[0]], held[asked[0]] = by_guess
-        camera, sigma = guess, (float("nan"),)
-    by_guess = None  # a long film's copy is large, and the other maps are still to be adjusted
-    if camera == guess:
-        held |= _adjusted(maps, [n for n in range(len(maps)) if n not in held], find, progress, changed)
-    else:
-        others = [n for n in range(len(maps)) if n != asked[0]]
-        held |= _with_lens(maps, others, camera, lens_shift(guess, camera) > LENS_RESTART, find, progress)
-    return camera, sigma, [held[number] for number in range(len(maps))]
+        self.maps[self.source], self.held[self.source] = by_guess
+        self.camera, self.sigma = self.guess, (float("nan"),)
 
 
 def _doubt_of(local_map: LocalMap, camera: Camera, workspace: Workspace) -> float:
-    """Probability that one map, adjusted with this lens, is wrong; that of others, if it is too short to be judged."""
+    """Probability that a map, adjusted with this lens, is wrong; `WRONG_OF_UNKNOWN` if it is too short to be judged."""
     submaps = submaps_of([local_map], camera.params)
     if not submaps:
         return WRONG_OF_UNKNOWN
     one = Candidate(submaps[0], check_lighting(submaps[0], image_reader(workspace)), Path(), "odometry")
-    # How much of the film it holds, and in how many submaps, is not among the figures that are asked.
+    # How much of the film it holds, and in how many submaps, is no predictor of odometry's family.
     return with_doubt(one, camera, len(one.submap.frames), 1).wrong
 
 
 def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:
     """The lens that one map determines, by its features, or by its corners where it has none."""
     by_features = submaps_of([local_map], camera.params, kind=TrackKind.FEATURE)
-    asked = by_features or submaps_of([local_map], camera.params)
-    if not asked:
+    submaps = by_features or submaps_of([local_map], camera.params)
+    if not submaps:
         return Lens(camera, (), False)
     step = KEYFRAME_STEP if by_features else FRAME_STEP
-    return refine_lens(asked[0], camera, seed, workspace.log, progress, step)
+    return refine_lens(submaps[0], camera, seed, workspace.log, progress, step)
 
 
 def lens_shift(old: Camera, new: Camera) -> float:
