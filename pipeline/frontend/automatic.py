@@ -170,7 +170,7 @@ def _why(candidates: list[Candidate], total: int) -> str:
     light = f"in {failed:.0f} of {checked} checked frames brightness grows with distance"
     if checked == 0:
         light = "no frame has enough points for the lighting check"
-    wrong = sum(c.check.frames for c in candidates if c.doubt is not None and c.wrong >= DOUBTED_FROM)
+    wrong = sum(c.check.frames for c in candidates if c.doubt is not None and c.wrong_probability >= DOUBTED_FROM)
     least = f"with a probability of {100 * DOUBTED_FROM:.0f} % or more"
     doubt = f", {wrong} of them in submaps that are wrong {least}" if wrong else ""
     return f"{FIRST} posed {posed} of {total} frames in {counted(len(candidates), 'submap')}{doubt}, and {light}"

@@ -57,7 +57,8 @@ def with_rests(
     claimed = {int(frame) for one in kept for frame in one.submap.frames}
     lenses, found = {one.submap.camera_params for one in kept}, list(kept)
     for one in sorted(first, key=lambda one: -one.check.frames):
-        if any(one is other for other in kept) or one.wrong >= PROBABLE or not lenses <= {one.submap.camera_params}:
+        is_kept, has_their_lens = any(one is other for other in kept), lenses <= {one.submap.camera_params}
+        if is_kept or not has_their_lens or one.wrong_probability >= PROBABLE:
             continue
         part = part_of(one, _unclaimed(one.submap.frames, claimed), image_of)
         if part is not None and part.check.inconsistent_share <= MAX_INCONSISTENT:
@@ -112,7 +113,7 @@ def _poses_rightly(maps: list[Candidate], frames: NDArray[np.int64]) -> float:
     """How many of these frames they are expected to pose rightly; a map that the light contradicts, and of which no
     probability was computed, none."""
     dark = [one.doubt is None and one.check.inconsistent_share > MAX_INCONSISTENT for one in maps]
-    right = [0.0 if is_dark else 1 - one.wrong for one, is_dark in zip(maps, dark, strict=True)]
+    right = [0.0 if is_dark else 1 - one.wrong_probability for one, is_dark in zip(maps, dark, strict=True)]
     return float(np.dot(right, _inside(maps, frames)))
 
 

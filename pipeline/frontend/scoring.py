@@ -46,19 +46,19 @@ class Candidate:
     """A submap that a mapper found, its lighting check, the folder of its model, and how far it is to be doubted.
 
     doubt: None of a mapper of which the probability is not known, or of a map too short for it (`with_doubts`).
-    wrong_unjudged: the probability that it is wrong where it has no doubt of its own."""
+    unjudged_probability: the probability that it is wrong where it has no doubt of its own: as of the film's others."""
 
     submap: Submap
     check: LightingCheck
     folder: Path
     mapper: str
     doubt: MapDoubt | None = None
-    wrong_unjudged: float = WRONG_OF_UNKNOWN
+    unjudged_probability: float = WRONG_OF_UNKNOWN
 
     @property
-    def wrong(self) -> float:
-        """Probability that it is wrong."""
-        return self.wrong_unjudged if self.doubt is None else self.doubt.probability
+    def wrong_probability(self) -> float:
+        """Probability that the submap is wrong."""
+        return self.unjudged_probability if self.doubt is None else self.doubt.probability
 
 
 def candidates_of(mapper: str, found: list[FoundSubmap], workspace: Workspace) -> list[Candidate]:
@@ -130,7 +130,7 @@ def _sees_enough(submap: Submap) -> NDArray[np.bool_]:
 def needs_second_opinion(candidates: list[Candidate], total: int) -> bool:
     """Whether submaps that are hardly in doubt pose few of the `total` frames, or most of them in pieces; no frame has
     enough points for the lighting check, or too many frames fail it."""
-    likely = [c for c in candidates if c.doubt is None or c.wrong < DOUBTED_FROM]
+    likely = [c for c in candidates if c.doubt is None or c.wrong_probability < DOUBTED_FROM]
     if max((c.check.frames for c in likely), default=0) < MIN_LARGEST * total:
         return True
     unchecked = not any(c.check.n_checked for c in candidates)
@@ -145,7 +145,7 @@ def sure_of(candidates: list[Candidate], total: int, doubted_from: float = DOUBT
         c
         for c in candidates
         if c.check.frames >= MIN_SURE * total
-        and (c.doubt is None or c.wrong < doubted_from)
+        and (c.doubt is None or c.wrong_probability < doubted_from)
         and c.check.n_checked
         and c.check.inconsistent_share <= MAX_INCONSISTENT
     ]
@@ -162,13 +162,13 @@ def accepted(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def uncovered(kept: list[Candidate]) -> list[Candidate]:
-    """Those with frames that none before them has: a frame belongs to the first."""
+    """Submaps that have `MIN_FRAMES` frames or more which none before them has: a frame belongs to the first."""
     parts = disjoint(one.submap for one in kept)
     return [one for one, part in zip(kept, parts, strict=True) if len(part.frames) >= MIN_FRAMES]
 
 
 def frames_posed(candidates: list[Candidate]) -> int:
-    """By any of them."""
+    """Number of frames that any of the submaps poses."""
     return len({int(frame) for one in candidates for frame in one.submap.frames})
 
 
@@ -180,14 +180,14 @@ def with_doubts(found: list[Candidate], frames: Frames, of_others: float | None 
     unjudged = of_others if mean is None else mean
     if unjudged is None:
         return judged
-    return [one if one.doubt is not None else replace(one, wrong_unjudged=unjudged) for one in judged]
+    return [one if one.doubt is not None else replace(one, unjudged_probability=unjudged) for one in judged]
 
 
 def mean_doubt(candidates: list[Candidate]) -> float | None:
     """Probability that a frame of the submaps that could be judged lies in a wrong one; None where there is none."""
     judged = [one for one in candidates if one.doubt is not None]
     frames = sum(one.check.frames for one in judged)
-    return sum(one.wrong * one.check.frames for one in judged) / frames if frames else None
+    return sum(one.wrong_probability * one.check.frames for one in judged) / frames if frames else None
 
 
 def with_doubt(one: Candidate, camera: Camera, total: int, submaps: int) -> Candidate:
@@ -217,7 +217,7 @@ def score(candidates: list[Candidate], total: int) -> float:
     if not candidates:
         return -np.inf
     first = candidates[0].check
-    whole = sum((1 - c.wrong) * (c.check.frames / total) ** 2 for c in candidates)
+    whole = sum((1 - c.wrong_probability) * (c.check.frames / total) ** 2 for c in candidates)
     return whole - 5 * inconsistent_share(candidates) - 0.2 * (1 + first.spearman) - 0.02 * first.reprojection_px
 
 

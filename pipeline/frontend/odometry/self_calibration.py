@@ -174,7 +174,7 @@ def _doubt_of(local_map: LocalMap, camera: Camera, workspace: Workspace) -> floa
         return WRONG_OF_UNKNOWN
     one = Candidate(submaps[0], check_lighting(submaps[0], image_reader(workspace)), Path(), "odometry")
     # How much of the film it holds, and in how many submaps, is no predictor of odometry's family.
-    return with_doubt(one, camera, len(one.submap.frames), 1).wrong
+    return with_doubt(one, camera, len(one.submap.frames), 1).wrong_probability
 
 
 def _lens_of(local_map: LocalMap, camera: Camera, seed: int, workspace: Workspace, progress: Progress) -> Lens:

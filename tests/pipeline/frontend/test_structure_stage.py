@@ -185,11 +185,11 @@ def test_a_map_that_cannot_be_judged_is_as_probably_wrong_as_those_of_its_film_t
 
     monkeypatch.setattr(scoring, "with_doubt", judged)
     maps, frames = [map_of(range(60)), map_of(range(60, 80)), map_of(range(80, 90))], many_frames(100)
-    assert [one.wrong for one in scoring.with_doubts(maps, frames)] == pytest.approx([0.9, 0.1, 0.7])
+    assert [one.wrong_probability for one in scoring.with_doubts(maps, frames)] == pytest.approx([0.9, 0.1, 0.7])
     assert scoring.mean_doubt(scoring.with_doubts(maps, frames)) == pytest.approx(0.7)
     alone = maps[2:]
-    assert [one.wrong for one in scoring.with_doubts(alone, frames, 0.6)] == [0.6]
-    assert [one.wrong for one in scoring.with_doubts(alone, frames)] == [scoring.WRONG_OF_UNKNOWN]
+    assert [one.wrong_probability for one in scoring.with_doubts(alone, frames, 0.6)] == [0.6]
+    assert [one.wrong_probability for one in scoring.with_doubts(alone, frames)] == [scoring.WRONG_OF_UNKNOWN]
 
 
 def test_choices_that_cannot_work_are_refused_at_once():
