@@ -206,7 +206,7 @@ class Odometry:
         self.rng = np.random.default_rng(seed)
         self.maps: list[LocalMap] = []  # closed ones
         self.tracker: Tracker | None = None
-        self.start: Initializer | None = None
+        self.initializer: Initializer | None = None
         self.lost_frames = 0  # frames since the tracker last knew
         self.refused_map: LocalMap | None = None  # the latest map that the light contradicted
 
@@ -237,20 +237,20 @@ class Odometry:
             steps = max(1, round((frame - self.tracker.frame) / self.stride))
             outcome = "lost" if steps > MAX_JUMP else self.tracker.process(frame, steps, view, rgb)
             if outcome != "lost":
-                self.lost_frames, self.start = 0, None
+                self.lost_frames, self.initializer = 0, None
                 if outcome == "keyframe" and self._fails_lighting_check():
                     self.refused_map, self.tracker = self.tracker.map, None
                 return self.state
             self.lost_frames += 1
             if self.lost_frames > MAX_LOST_FRAMES or steps > MAX_JUMP:
                 self._close()
-        self.start = self.start or Initializer(self.rays, self.rng)
-        new_map = self.start.process(frame, view, rgb)
+        self.initializer = self.initializer or Initializer(self.rays, self.rng)
+        new_map = self.initializer.process(frame, view, rgb)
         if new_map is not None:
             self._close()
-            tracks, motion = self.start.tracks, self.keyframe_motion
+            tracks, motion = self.initializer.tracks, self.keyframe_motion
             self.tracker = Tracker(new_map, tracks, view, frame, self.rng, motion, self.stride)
-            self.start, self.lost_frames = None, 0
+            self.initializer, self.lost_frames = None, 0
         return self.state
 
     def finish(self) -> list[LocalMap]:

@@ -34,7 +34,7 @@ def test_no_track_lies_where_the_lens_has_no_ray():
     mask = np.full((320, 320), 255, np.uint8)
     odometry = Odometry(RayTable(fisheye), 0)
     odometry.process(0, image, odometry.view(image, mask))
-    angle = np.degrees(np.linalg.norm(odometry.start.tracks.now - 160, axis=1) / 100)
+    angle = np.degrees(np.linalg.norm(odometry.initializer.tracks.now - 160, axis=1) / 100)
     assert len(angle) > 100
     assert angle.max() < 78
     assert angle.max() > 70  # and the limit costs no more than that
