@@ -14,7 +14,7 @@ from haustra.core.progress import Progress
 from haustra.core.text import counted
 from haustra.core.threads import single_threaded
 from pipeline.config import FrontEndSettings
-from pipeline.frontend.automatic import FrontEndJob, run_front_ends
+from pipeline.frontend.automatic import FrontEndJob, Result, run_front_ends
 from pipeline.frontend.base import disjoint, is_determined
 from pipeline.frontend.joined_maps import with_rests
 from pipeline.frontend.map_cautions import (
@@ -117,12 +117,8 @@ def _solve(
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
     found = by_mapper.get(mapper, [])
     if not found:
-        tried = [*results, *([] if failure is None else [SECOND])]
-        raise HaustraError(
-            f"no two frames could be related: too few features that they share, or too little motion of the camera "
-            f"({total} frames tried by {', '.join(results)}); {advice_unrelated(tried, workspace)}"
-            + ("" if failure is None else f"; {SECOND} failed as well: {failure}")
-        )
+        raise HaustraError(_why_nothing(results, failure, total, workspace))
+    name = next(name for name, result in results.items() if mapper in result.candidates)
     with single_threaded():
         kept = uncovered(accepted(found))
         if FIRST in results and mapper not in results[FIRST].candidates:
@@ -131,18 +127,10 @@ def _solve(
         _keep(kept, workspace)
         warnings = doubt_of_named_lens(kept[0].submap, frames.camera, settings, workspace)
     _keep_lens(frames.camera, refined_camera(frames.camera, kept[0].submap), workspace)
-    advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
-    each = "" if settings.poses.file is None else f"check that {settings.poses.file} has a pose for each frame, "
-    warnings += few_posed(frames_posed(kept), total, each + advice)
-    warnings += doubts_of_submaps(kept, advice)
-    name = next(name for name, result in results.items() if mapper in result.candidates)
-    warnings += carried_by_depth(results[name].stats.get("bridged", 0))
-    warnings += [sentence for result in results.values() for sentence in result.warnings]
-    if results[name].in_parts:  # loops between the submaps of two front ends are still open
-        name = FIRST
+    warnings += _warnings(kept, results, name, total, settings, workspace)
     workspace.finish(
         STAGE,
-        front_end=name,
+        front_end=FIRST if results[name].in_parts else name,  # in parts: loops between two front ends' maps are open
         mapper=mapper,
         evidence={of: [c.check.to_dict() for c in found] for of, found in (by_mapper | {mapper: kept}).items()},
         doubts=[None if one.doubt is None else one.doubt.to_dict() for one in kept],
@@ -154,6 +142,35 @@ def _solve(
         progress.log(sentence)
     if not frames.camera.trusted:
         progress.log(camera_trust(frames.camera, kept[0].submap, settings.poses.file is not None))
+
+
+def _why_nothing(results: dict[str, Result], failure: str | None, total: int, workspace: Workspace) -> str:
+    """One sentence on a film of which no front end made a submap. failure: why the second one failed, if it did."""
+    tried = [*results, *([] if failure is None else [SECOND])]
+    why = (
+        f"no two frames could be related: too few features that they share, or too little motion of the camera "
+        f"({total} frames tried by {', '.join(results)}); {advice_unrelated(tried, workspace)}"
+    )
+    return why if failure is None else f"{why}; {SECOND} failed as well: {failure}"
+
+
+def _warnings(
+    kept: list[Candidate],
+    results: dict[str, Result],
+    name: str,
+    total: int,
+    settings: FrontEndSettings,
+    workspace: Workspace,
+) -> list[str]:
+    """Sentences on submaps that are kept, of the front end `name`, and those of all front ends that were run."""
+    advice = advice_after([of for of, result in results.items() if not result.in_parts], workspace)
+    each = "" if settings.poses.file is None else f"check that {settings.poses.file} has a pose for each frame, "
+    return [
+        *few_posed(frames_posed(kept), total, each + advice),
+        *doubts_of_submaps(kept, advice),
+        *carried_by_depth(results[name].stats.get("bridged", 0)),
+        *(sentence for result in results.values() for sentence in result.warnings),
+    ]
 
 
 def _begin_features(
