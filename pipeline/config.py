@@ -55,7 +55,7 @@ class OdometrySettings(Settings):
 
 
 class FrontEndSettings(Settings):
-    """What a front end is told: the settings of all of them, and the seed."""
+    """What every front end gets: the settings of all of them, and the seed."""
 
     seed: int
     stride: int  # of the working frames in the source

@@ -75,13 +75,14 @@ def reconstruct(
         frames = timed("frames", read_frames)(video, config.camera, config.frames, workspace, progress)
         check_frames(open_sensor(workspace, frames.camera.width), frames.index)
         check_scale_frames(scale.file, frames.index)
-        told = config.front_end_settings
+        settings = config.front_end_settings
         if guessed_by(workspace) is not None:
-            frames = timed("lens", guess_lens)(frames, told, workspace, progress)
+            frames = timed("lens", guess_lens)(frames, settings, workspace, progress)
         with frame_features(workspace) as features:  # forgotten before depth is completed
-            submaps = timed("structure", solve_structure)(frames, features, config.front_end, told, workspace, progress)
+            solve = timed("structure", solve_structure)
+            submaps = solve(frames, features, config.front_end, settings, workspace, progress)
             retriangulated = timed("points", find_points)(
-                frames, features, submaps, told.odometry.keyframe_motion, workspace, progress
+                frames, features, submaps, settings.odometry.keyframe_motion, workspace, progress
             )
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
         completed = complete(frames, retriangulated, later.completer, config.depth, workspace, progress)
