@@ -1,5 +1,8 @@
-"""What of a keyframe's depth is fused: neighbouring keyframes lower its confidence, or leave it out wholly, and depth
-whose expected error would blur the surface stays out."""
+"""Which depth of a keyframe is fused, and with what confidence.
+
+Keyframes around it vote on its pixels: contradictions lower the confidence, and too many leave the whole keyframe out.
+Depth whose expected error would blur the surface stays out, too. `depth_frame.prepare_frame` weighs by what is left.
+"""
 
 from functools import lru_cache, partial
 
@@ -11,17 +14,17 @@ from pipeline.config import ConsistencySettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from reconstruction.fusion.depth_consistency import Agreement, DepthView, agreement
 
-SEVERITY = 6.0  # one contradiction against none divides the confidence by 1 + this
+SEVERITY = 6.0  # one contradiction without any support divides the confidence by 1 + this
 MAX_CONTRADICTED = 0.5  # share of pixels beyond which a keyframe is left out
 LEAST_CONFIDENCE = 1e-6  # whose error is 30 times the depth: finite, and never fused
 CACHED = 64  # depth maps kept while the check moves along the keyframes; more than its reach on both sides
 
 
 class DepthFilter:
-    """Agreement of each keyframe of a submap with keyframes before and after it, and what that leaves to be fused.
+    """Agreement of each keyframe of a submap with keyframes before and after it, and the confidence that this leaves.
 
-    max_error: scene units, greatest expected error of a depth that is fused. It takes the place of a greatest
-    depth: far wall enters where it is sure.
+    min_confidence: of depth that is fused, and that has a vote. max_error: scene units, greatest expected error of a
+    depth that is fused. It takes the place of a greatest depth: far wall enters where it is sure.
     """
 
     def __init__(
@@ -33,20 +36,20 @@ class DepthFilter:
     ) -> None:
         self.completed, self.settings, self.min_confidence = completed, settings, min_confidence
         self.max_error = max_error
-        # Of no method, which would hold this object, and it the views, until Python looks for cycles.
+        # A cached method would hold this object, and it the cache with its depth maps, until garbage collection.
         self._view = lru_cache(CACHED)(partial(_view_of, completed, min_confidence))
 
     def __call__(self, number: int) -> Agreement:
-        """Of keyframe `number` among the submap's rows.
+        """Votes on keyframe `number`, a place in `completed.rows`.
 
-        Neighbours at growing distances: next to each other frames share points, network and errors.
+        Its neighbours stand at growing distances (`steps`), since adjacent keyframes share points and so errors.
         """
         neighbours = [number + sign * step for step in self.settings.steps for sign in (-1, 1)]
         others = [self._view(other) for other in neighbours if 0 <= other < len(self.completed)]
         return agreement(self._view(number), others, self.settings.tolerance)
 
     def confidence(self, number: int, confidence: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """What is left of the keyframe's confidence (H,W), as `admitted_confidence` has it."""
+        """Confidence (H,W) with which the keyframe's depth is fused, as of `admitted_confidence`."""
         depth, limits = self._view(number).depth, (self.min_confidence, self.max_error)
         return admitted_confidence(confidence, depth, self(number), *limits)
 
@@ -58,21 +61,20 @@ def admitted_confidence(
     min_confidence: float,
     max_error: float,
 ) -> NDArray[np.float32] | None:
-    """Confidence (H,W) of a frame's depth (H,W) times what the votes leave of it; 0 where either alone is below the
-    least that is fused, or the error that the product stands for is over the greatest, in the depth's unit; None where
-    the frame as a whole is contradicted.
+    """Confidence (H,W) times the votes' factor on it (H,W); None where the votes contradict the frame as a whole.
 
-    The least confidence is no limit of the product: wall that a frame is half sure of would go for one contradiction of
-    many votes.
+    It is 0 where confidence or factor is below `min_confidence`, or where the expected error of the product, relative
+    error times depth (H,W), is over `max_error`, in the depth's unit. `min_confidence` is no limit of the product: wall
+    that a frame is half sure of would go for one contradiction among many votes.
     """
     if votes.is_outvoted(MAX_CONTRADICTED):
         return None
-    left = votes.weight(SEVERITY)
-    kept = (confidence >= min_confidence) & (left >= min_confidence)
-    remaining = np.where(kept, confidence * left, np.float32(0))
+    factor = votes.confidence_factor(SEVERITY)
+    kept = (confidence >= min_confidence) & (factor >= min_confidence)
+    admitted = np.where(kept, confidence * factor, np.float32(0))
     if np.isfinite(max_error):
-        remaining[error_from_confidence(remaining, LEAST_CONFIDENCE) * depth > max_error] = 0
-    return remaining
+        admitted[error_from_confidence(admitted, LEAST_CONFIDENCE) * depth > max_error] = 0
+    return admitted
 
 
 def _view_of(completed: CompletedSubmap, min_confidence: float, number: int) -> DepthView:

@@ -69,8 +69,8 @@ class Agreement:
         """
         return self.voters >= MIN_VOTERS and self.contradicted_share > share
 
-    def weight(self, severity: float = 2.0) -> Depth:
-        """Factor (H,W) on the confidence in (0,1]: 1 without contradiction, 1 / (1 + severity) for one against none."""
+    def confidence_factor(self, severity: float) -> Depth:
+        """(H,W) in (0,1]: 1 without contradiction, 1 / (1 + severity) for one contradiction without any support."""
         supported = 1 + self.supports.astype(np.float32)
         return (supported / (supported + np.float32(severity) * self.contradictions)).astype(np.float32)
 

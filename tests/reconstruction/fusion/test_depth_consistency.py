@@ -61,7 +61,7 @@ def test_frames_of_one_scene_support_each_other_also_where_a_fold_hides_the_wall
     votes = agreement(first, others, tolerance=0.03, stride=1)
     assert votes.judged.mean() > 0.8
     assert votes.contradicted_share < 0.005
-    assert (votes.weight()[~votes.judged] == 1).all()
+    assert (votes.confidence_factor(severity=2.0)[~votes.judged] == 1).all()
     assert votes.supports.max() == 5
 
 
@@ -71,7 +71,7 @@ def test_a_wrong_frame_and_a_wrong_patch_are_contradicted_and_nothing_else() -> 
         wrong = DepthView(np.float32(factor) * first.depth, INTRINSICS, first.world_from_camera)
         votes = agreement(wrong, others, tolerance=0.05)
         assert votes.contradicted_share > 0.95
-        assert votes.weight()[votes.judged].mean() < 0.3
+        assert votes.confidence_factor(severity=2.0)[votes.judged].mean() < 0.3
     patched = first.depth.copy()
     patched[30:50, 30:50] *= 1.3
     votes = agreement(DepthView(patched, INTRINSICS, first.world_from_camera), others, tolerance=0.05, stride=1)
