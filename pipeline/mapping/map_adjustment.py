@@ -1,6 +1,6 @@
 """Bundle adjustment of a map: of its latest keyframes while it grows, of all of them when it is finished."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,36 +35,27 @@ LOSS_SCHEDULE = ((5.0, 12.0), (2.0, 5.0))  # loss and largest error, pixels
 Mask = NDArray[np.bool_]
 
 
-def adjust_window(
-    local_map: LocalMap,
-    window: int = WINDOW,
-    iterations: int = WINDOW_ITERATIONS,
-    end: int | None = None,
-    loss_px: float = LOSS_PX,
-    max_error_px: float = MAX_ERROR_PX,
-    most_fixed: int = MOST_FIXED,
-    tolerance: float = TOLERANCE,
-    damping: float = DAMPING,
-    among: Mask | None = None,
-) -> None:
-    """Adjust the `window` keyframes before number `end` (the latest ones) and their points; forget what does not fit.
+@dataclass(frozen=True)
+class Solver:
+    """How a bundle is adjusted, and which observations stay. loss_px: of the Cauchy loss; tolerance: see `adjust`."""
 
-    At most `most_fixed` older keyframes, those that share most points with them, are held fixed; without any, the first
-    of the window is. among (T,): tracks that take part; None: all.
-    """
-    keyframes = local_map.keyframes
-    end = len(keyframes) if end is None else end
-    first = max(0, end - window)
-    free = keyframes[first:end]
-    fixed_keyframes = sharing(local_map, free, keyframes[:first], most_fixed, among)
-    bundle, tracks = _bundle(local_map, fixed_keyframes, free, among)
-    if len(tracks) == 0:
-        return
-    result = adjust(bundle, iterations, loss_px, tolerance, damping)
-    for number, keyframe in enumerate(free, start=len(fixed_keyframes)):
-        keyframe.camera_from_world = compose(result.rotation[number], result.translation[number])
-    local_map.tracks.points[tracks] = result.points
-    _cull(local_map, result, tracks, fixed_keyframes + free, max_error_px)
+    iterations: int = WINDOW_ITERATIONS
+    loss_px: float = LOSS_PX
+    max_error_px: float = MAX_ERROR_PX  # of an observation that is kept
+    tolerance: float = TOLERANCE
+    damping: float = DAMPING
+
+
+FINAL = Solver(FINAL_ITERATIONS, tolerance=FINAL_TOLERANCE, damping=FINAL_DAMPING)
+
+
+def adjust_window(
+    local_map: LocalMap, window: int = WINDOW, iterations: int = WINDOW_ITERATIONS, end: int | None = None
+) -> None:
+    """Adjust the `window` keyframes before number `end` (None: the latest ones) and their points; forget what does not
+    fit."""
+    end = len(local_map.keyframes) if end is None else end
+    _adjust(local_map, max(0, end - window), end, MOST_FIXED, Solver(iterations))
 
 
 def adjust_all(
@@ -81,7 +72,7 @@ def adjust_all(
     passes = LOSS_SCHEDULE * changed + 2 * ((LOSS_PX, MAX_ERROR_PX),)
     for number, (loss_px, max_error_px) in enumerate(passes):
         advance(number, len(passes), "adjusting all keyframes")
-        _final(local_map, count, count, loss_px, max_error_px, 0, among)
+        _adjust(local_map, 0, count, 0, replace(FINAL, loss_px=loss_px, max_error_px=max_error_px), among)
     advance(len(passes), len(passes), "adjusted")
 
 
@@ -115,27 +106,25 @@ def sharing(
     return [others[k] for k in np.sort(best[shared[best] >= MIN_SHARED])]
 
 
-def _final(
-    local_map: LocalMap,
-    window: int,
-    end: int,
-    loss_px: float,
-    max_error_px: float,
-    most_fixed: int,
-    among: Mask | None,
+def _adjust(
+    local_map: LocalMap, first: int, end: int, most_fixed: int, solver: Solver, among: Mask | None = None
 ) -> None:
-    adjust_window(
-        local_map,
-        window,
-        FINAL_ITERATIONS,
-        end,
-        loss_px,
-        max_error_px,
-        most_fixed,
-        FINAL_TOLERANCE,
-        FINAL_DAMPING,
-        among,
-    )
+    """Adjust the keyframes from number `first` to before `end`, and their points; forget what does not fit.
+
+    At most `most_fixed` older keyframes, those that share most points with them, are held fixed; without any, keyframe
+    `first` is. among (T,): tracks that take part; None: all.
+    """
+    keyframes = local_map.keyframes
+    free = keyframes[first:end]
+    fixed_keyframes = sharing(local_map, free, keyframes[:first], most_fixed, among)
+    bundle, tracks = _bundle(local_map, fixed_keyframes, free, among)
+    if len(tracks) == 0:
+        return
+    result = adjust(bundle, solver.iterations, solver.loss_px, solver.tolerance, solver.damping)
+    for number, keyframe in enumerate(free, start=len(fixed_keyframes)):
+        keyframe.camera_from_world = compose(result.rotation[number], result.translation[number])
+    local_map.tracks.points[tracks] = result.points
+    _cull(local_map, result, tracks, fixed_keyframes + free, solver.max_error_px)
 
 
 def _adjust_progressively(local_map: LocalMap, advance: ProgressCallback, among: Mask | None) -> None:
@@ -151,7 +140,8 @@ def _adjust_progressively(local_map: LocalMap, advance: ProgressCallback, among:
         cameras_from_world = [local_map.keyframes[number].camera_from_world for number in piece]
         before = local_map.tracks.points.copy()
         for loss_px, _ in LOSS_SCHEDULE:
-            _final(local_map, PIECE, end, loss_px, np.inf, FIXED_KEYFRAMES, among)
+            solver = replace(FINAL, loss_px=loss_px, max_error_px=np.inf)
+            _adjust(local_map, max(0, end - PIECE), end, FIXED_KEYFRAMES, solver, among)
         grown = [
             _growth_of(local_map, number, camera_from_world, before, among)
             for number, camera_from_world in zip(piece, cameras_from_world, strict=True)
