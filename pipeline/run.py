@@ -66,12 +66,12 @@ def reconstruct(
     _check(config, video, scale)
     lamp = None if config.lamp_file is None else read_lamp(config.lamp_file)
     timed = StageClock()
-    later = Preparation(config.model, config.device, config.depth.iterations)
+    preparation = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.
-    with later, _workspace(video, Path(output), config, resume, overwrite) as workspace:
+    with preparation, _workspace(video, Path(output), config, resume, overwrite) as workspace:
         if workspace.made_anew:
             progress.log(f"the surface and what follows it are made anew: {workspace.made_anew}")
-        later.begin(with_network=not workspace.is_done(DEPTH_STAGE))
+        preparation.begin(with_network=not workspace.is_done(DEPTH_STAGE))
         frames = timed("frames", read_frames)(video, config.camera, config.frames, workspace, progress)
         check_frames(open_sensor(workspace, frames.camera.width), frames.index)
         check_scale_frames(scale.file, frames.index)
@@ -85,9 +85,9 @@ def reconstruct(
                 frames, features, submaps, settings.odometry.keyframe_motion, workspace, progress
             )
         complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
-        completed = complete(frames, retriangulated, later.completer, config.depth, workspace, progress)
-        completed = refine_depth(frames, completed, later.completer, config.depth, workspace, progress)
-        later.forget()
+        completed = complete(frames, retriangulated, preparation.completer, config.depth, workspace, progress)
+        completed = refine_depth(frames, completed, preparation.completer, config.depth, workspace, progress)
+        preparation.forget()
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)
         del submaps, retriangulated  # of a long film hundreds of megabytes

@@ -143,9 +143,9 @@ class DepthCompleter:
         error = error_from_confidence(confidence, least=1e-6)
         known = np.where(depth > 0, depth, np.median(sparse[sparse > 0])).astype(np.float32)
         last = cv2.resize(known, size), np.clip(cv2.resize(error, size), LEAST_ERROR, GREATEST_ERROR)
-        found, doubt = self._predict(image[None], points[None], weights[None], (last[0][None], last[1][None]))
-        refined, new_error = restore_resolution(found[0], doubt[0], (sparse.shape[1], sparse.shape[0]))
-        return refined, confidence_from_error(new_error)
+        small = self._predict(image[None], points[None], weights[None], (last[0][None], last[1][None]))
+        refined, refined_error = restore_resolution(small[0][0], small[1][0], (sparse.shape[1], sparse.shape[0]))
+        return refined, confidence_from_error(refined_error)
 
     def batch(
         self,
@@ -166,6 +166,7 @@ class DepthCompleter:
         return depth * known, confidence_from_error(error) * known
 
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
+        """By which an image of a shape (H,W) with so many sparse points is resized before it is completed."""
         if self.resolution is not None:
             return self.resolution / max(shape)
         return resolution_factor(max(shape), points, self.iterations)

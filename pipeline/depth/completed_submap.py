@@ -14,27 +14,31 @@ from pipeline.mapping.submap import Submap
 
 @dataclass(frozen=True)
 class CompletedKeyframe:
-    """A completed frame as fusion takes it: pinhole image, z-depth in scene units (0 = none), confidence, pose."""
+    """A completed frame as fusion takes it, rectified to a pinhole; lengths in scene units."""
 
-    index: int
-    rgb: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    world_from_camera: NDArray[np.float64]
+    index: int  # number of the frame in the source
+    rgb: NDArray[np.uint8]  # (H,W,3)
+    depth: NDArray[np.float32]  # (H,W) z-depth, 0 = none
+    confidence: NDArray[np.float32]  # (H,W) in [0,1]
+    world_from_camera: NDArray[np.float64]  # (4,4)
 
 
 @dataclass(frozen=True)
 class CompletedSubmap:
-    """The keyframes of one submap, read from disk one at a time."""
+    """A submap, and which of its frames are keyframes with completed depth; these are read from disk one at a time.
+
+    Keyframe number n of N is frame row `rows[n]` of `submap`; the methods take the frame row.
+    """
 
     submap: Submap
     rectifier: Rectifier
-    rows: NDArray[np.int64]  # of the keyframes in the submap
+    rows: NDArray[np.int64]  # (N,) of the keyframes among the submap's frames
     store: KeyframeStore
-    depth_scale: NDArray[np.float64] | None = None  # (N,) for every frame of the submap: factor on its stored depth
+    depth_scale: NDArray[np.float64] | None = None  # of each frame of the submap: factor on its stored depth
 
     @property
     def camera(self) -> Camera:
+        """The pinhole of the rectified pictures and of the depth."""
         return self.rectifier.camera
 
     def __len__(self) -> int:
@@ -56,7 +60,7 @@ class CompletedSubmap:
         return self.rectifier.mask(self.store.mask(int(self.submap.frames[row])))
 
     def depth(self, row: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-        """Depth, confidence and pose of a keyframe, without its image."""
+        """Depth (H,W), confidence (H,W) and world_from_camera (4,4) of a keyframe, without its image."""
         index = int(self.submap.frames[row])
         depth = self.store.depth(index)
         if self.depth_scale is not None:
