@@ -1,9 +1,9 @@
 """Matching of two submaps: verified keyframe matches that agree on one similarity and on the surface.
 
-A pair of keyframes that looks alike is matched for itself; such matches must agree on one similarity of the two
-worlds. It is then asked of the keyframes around them as it stands, and it must hold from different views. Every match
-must also lay the two maps' surfaces on each other: what was matched may be one thing that occurs twice, the wall
-around it is not.
+Keyframes that look alike are matched pair by pair, and each match gives a similarity of the two worlds. The largest
+consensus set of matches gives one for all, of which pairs of keyframes around them must be inliers, from views that are
+apart. Every match must also lay the two maps' surfaces on each other: what was matched may be one thing that occurs
+twice, the wall around it is not.
 """
 
 from dataclasses import dataclass
@@ -41,14 +41,14 @@ PER_KEYFRAME = 3  # look-alikes tried
 MIN_BASELINE = 0.1  # of the median depth, between two matches on both sides: neighbours see one and the same picture
 SAME_SHARE = 0.7  # of one match's inliers that another match's similarity must explain
 MAX_SAME_PX = 8.0
-AROUND = 4  # compared keyframes on each side of a matched one that are asked for support
+AROUND = 4  # compared keyframes on each side of a matched one that may support its similarity
 # Of the features of one map that fall on the other's surface: as far as it, in log depth. Of true matches 0.67 and more
 # are, of tubes laid into each other at random under 0.4 in the median (docs/lab/front_end.md).
 SAME_SURFACE, MAX_DEPTH_RATIO = 0.5, 0.2
-# Pairs that must bear out a match that no other agrees with: look-alikes are found by words, which miss some. True
-# joins of films of benchmarks/coverage_films.yaml have 20 to 69.
+# Pairs that must support a match that no other agrees with. Place recognition misses some look-alikes, so that a true
+# join may have one match alone; those of films of benchmarks/coverage_films.yaml have 20 to 69 pairs.
 LONE_SUPPORT = 5
-EXPANDED = 5  # matches, those with most inliers, around which keyframes are asked
+EXPANDED = 5  # matches, those with most inliers, around which pairs of keyframes are tested
 
 
 def features_of_map(local_map: LocalMap, find: FindFeatures) -> list[KeyframeFeatures]:
@@ -73,7 +73,7 @@ class MapFeatures:
         return self.map.keyframes[self.features[number].keyframe].camera_from_world
 
     def correspondences(self, number: int, rows: NDArray[np.int64]) -> Correspondences:
-        """Some of the features in the map's world."""
+        """Features at `rows` of compared keyframe `number`, with their points in the map's world."""
         return correspondences(self.features[number], rows, self.map.rays, self.camera_from_world(number))
 
 
@@ -90,21 +90,21 @@ def find_matches(maps: Maps, rng: np.random.Generator, words: VisualWords, first
 
 
 def consistent_matches(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
-    """What bears out the similarity on which most matches agree: the pairs of keyframes around them that it explains.
+    """Support of the similarity on which most matches agree: pairs of keyframes around these that are inliers of it.
 
-    Empty unless two matches agree or `LONE_SUPPORT` pairs bear a single one out, and unless two of the pairs come from
-    different views on both sides: neighbours see one and the same picture. Pairs that do not bear it out are not
-    counted against it, since they may see other wall.
+    Empty unless two matches agree or `LONE_SUPPORT` pairs support a single one, and unless two of the pairs come from
+    different views on both sides: neighbours see one and the same picture. Pairs that do not support it are not counted
+    against it, since they may see other wall.
     """
     agreeing = _agreeing(matches, maps)
     if not agreeing:
         return []
-    asked = _pairs_around(agreeing, maps)
-    found = _support(joint_similarity(agreeing, maps), asked, maps)
-    found = _support(joint_similarity(found, maps), asked, maps) if found else []
-    if len(agreeing) == 1 and len(found) < LONE_SUPPORT:
+    candidates = _pairs_around(agreeing, maps)
+    support = _support(joint_similarity(agreeing, maps), candidates, maps)
+    support = _support(joint_similarity(support, maps), candidates, maps) if support else []
+    if len(agreeing) == 1 and len(support) < LONE_SUPPORT:
         return []
-    return found if any(_are_apart(one, other, maps) for one, other in combinations(found, 2)) else []
+    return support if any(_are_apart(one, other, maps) for one, other in combinations(support, 2)) else []
 
 
 def joint_similarity(matches: list[Sim3Match], maps: Maps) -> Array:
@@ -121,7 +121,7 @@ def second_from_first(match: Sim3Match, maps: Maps) -> Array:
 
 
 def best_matches(matches: list[Sim3Match]) -> list[Sim3Match]:
-    """Those with most inliers, each keyframe in one of them at most: what holds the maps, without saying it twice."""
+    """Those with most inliers, each keyframe in one of them at most, so that no constraint counts twice."""
     kept: list[Sim3Match] = []
     for match in sorted(matches, key=lambda match: -match.inliers):
         if not any(match.first == other.first or match.second == other.second for other in kept):
@@ -143,7 +143,7 @@ def _sides(match: Sim3Match, maps: Maps) -> tuple[Correspondences, Correspondenc
 
 
 def _agreeing(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
-    """The largest set of matches that the similarity of one of them explains."""
+    """The largest consensus set: all matches that are inliers of the similarity of one of them."""
     if not matches:
         return []
     explained = _explained(matches, maps)
@@ -151,7 +151,7 @@ def _agreeing(matches: list[Sim3Match], maps: Maps) -> list[Sim3Match]:
 
 
 def _explained(matches: list[Sim3Match], maps: Maps) -> NDArray[np.bool_]:
-    """(L,L) whether the similarity of the one (row) explains the other (column)."""
+    """(L,L) whether match `column` is an inlier of the similarity of match `row`: most of its points are, in pixels."""
     sides = [_sides(match, maps) for match in matches]
     first, second = (StackedCorrespondences.of([pair[k] for pair in sides]) for k in (0, 1))
     counts = np.diff([*first.starts, len(first.points)])
@@ -167,7 +167,7 @@ def _explained(matches: list[Sim3Match], maps: Maps) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Two keyframes with the features (K,2) that look alike, and these in either world."""
+    """Two keyframes, rows (K,2) of their features that look alike, and the points of these in either world."""
 
     first: int
     second: int
@@ -190,10 +190,10 @@ def _candidate(i: int, j: int, maps: Maps) -> _Candidate:
     return _Candidate(i, j, rows, (maps[0].correspondences(i, rows[:, 0]), maps[1].correspondences(j, rows[:, 1])))
 
 
-def _support(similarity: Array, asked: list[_Candidate], maps: Maps) -> list[Sim3Match]:
-    """The pairs whose matches and surfaces `similarity` (of the worlds) explains as it stands."""
+def _support(similarity: Array, candidates: list[_Candidate], maps: Maps) -> list[Sim3Match]:
+    """The pairs whose features and surfaces are inliers of `similarity` (of the worlds), which is not refined."""
     width, found = maps[0].map.rays.camera.width, []
-    for pair in asked:
+    for pair in candidates:
         inlier = similarity_errors(similarity, *pair.sides) < MAX_ERROR_PX
         features = maps[0].features[pair.first], maps[1].features[pair.second]
         pixels = features[0].pixels[pair.rows[:, 0]], features[1].pixels[pair.rows[:, 1]]
