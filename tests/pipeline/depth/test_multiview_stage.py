@@ -92,6 +92,7 @@ def test_the_points_are_those_of_the_first_depth_a_sensors_too(completed, monkey
     monkeypatch.setattr("pipeline.depth.multiview_stage.points_of", lambda *_: lambda _: sensed)
     recorder = Recorder()
     refined(submap, workspace, recorder)
+    assert len(recorder.calls) == len(submap)
     for call in recorder.calls:
         assert (call["sparse"][20, 10], call["sparse"][12, 30]) == (1.25, 0.75)
         assert call["error"][[20, 12], [10, 30]] == pytest.approx([0.01, 0.02])

@@ -46,7 +46,9 @@ def test_keyframes_settle_by_later_ones_or_by_time_and_come_once():
 def test_a_keyframe_comes_with_its_own_picture_and_pose():
     tracker = make_tracker()
     waiting(tracker, came=0.0)
-    for one in tracker.finish():
+    released = tracker.finish()
+    assert len(released) == KEYFRAMES
+    for one in released:
         assert one.around.frames[one.row] == one.frame
         assert int(one.rgb[0, 0, 0]) == 10 * one.frame
         camera_from_world = tracker._map.keyframes[one.frame].camera_from_world

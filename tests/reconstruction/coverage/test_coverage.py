@@ -71,6 +71,7 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
 def test_a_region_lies_within_the_stretch_that_is_judged(start):
     """Holes over both ends of it: their faces reach out, what is said of them does not."""
     coverage = measure_coverage(tube(straight, lambda s, a: patch(start, start + 12, 60, 120)(s, a)), cameras(straight))
+    assert bool(coverage.regions) == (start > 12)  # the first hole ends before the stretch begins
     for region in coverage.regions:
         assert 0 <= region.arc_range[0] <= region.arc <= region.arc_range[1] <= coverage.length + 1e-9
 

@@ -111,6 +111,7 @@ def test_one_end_can_stay_open() -> None:
 def test_heads_overhang(stalked: Colon) -> None:
     """From inside the head's edge outwards: through its underside, over a gap, and only then into the wall."""
     mesh = mesh_of(stalked)
+    assert stalked.polyps
     for polyp in stalked.polyps:
         assert polyp.kind == "pedunculated"
         near = np.linalg.norm(stalked.vertices - polyp.apex, axis=1) < 2.2 * polyp.radius_mm
@@ -172,6 +173,7 @@ def test_a_head_has_vertices_enough() -> None:
 def test_flat_polyps_are_wide_and_low() -> None:
     plain, raised = (build_colon(replace(SMOOTH, flat=flat), 5) for flat in (0, 2))
     caster = RayCaster(plain.vertices, plain.triangles, threads=1)
+    assert len(raised.polyps) == 2
     for polyp in raised.polyps:
         assert polyp.kind == "flat"
         assert 1.5 <= polyp.radius_mm / SMOOTH.polyp_radius_mm <= 2.5
@@ -263,7 +265,8 @@ def test_a_seed_fixes_everything(stalked: Colon) -> None:
 def test_new_lesions_leave_the_old_ones_where_they_were() -> None:
     plain = build_colon(replace(COARSE, polyps=2), 8)
     fuller = build_colon(replace(COARSE, polyps=2, pedunculated=1, flat=1), 8)
-    for before, after in zip(plain.polyps, fuller.polyps):
+    assert (len(plain.polyps), len(fuller.polyps)) == (2, 4)
+    for before, after in zip(plain.polyps, fuller.polyps[:2], strict=True):
         assert (before.arc_mm, before.angle_rad, before.height_mm) == (after.arc_mm, after.angle_rad, after.height_mm)
         assert np.linalg.norm(np.subtract(before.apex, after.apex)) < 2 * COARSE.edge_mm
 

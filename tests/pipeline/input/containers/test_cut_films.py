@@ -124,8 +124,10 @@ def test_a_film_whose_beginning_is_cut_within_a_frame_has_all_its_frames(tmp_pat
 
 @pytest.mark.parametrize("folder", ["realclips", "cases"])
 def test_whole_films_of_the_world_are_not_called_cut(folder: str) -> None:
-    for path in sorted(shared(folder).glob("**/*")):
-        if path.suffix in (".mp4", ".ts", ".mkv") and path.name not in ("late_change.ts", "reschange.ts"):
-            source = Source(path)
-            assert len(list(source)) > 10
-            assert not [note for note in source.notes if "ends early" in note or "gaps" in note], path
+    films = [path for path in sorted(shared(folder).glob("**/*")) if path.suffix in (".mp4", ".ts", ".mkv")]
+    whole = [path for path in films if path.name not in ("late_change.ts", "reschange.ts")]
+    assert whole
+    for path in whole:
+        source = Source(path)
+        assert len(list(source)) > 10
+        assert not [note for note in source.notes if "ends early" in note or "gaps" in note], path

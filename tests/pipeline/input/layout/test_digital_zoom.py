@@ -141,7 +141,9 @@ def test_a_run_leaves_frames_at_another_zoom_out(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("stride", [1, 4])
 def test_real_films_have_one_zoom(stride):
-    for path in sorted(shared("realclips").glob("*.mp4")):
+    films = sorted(shared("realclips").glob("*.mp4"))
+    assert films
+    for path in films:
         frames = [frame.rgb for frame in Source(path)]
         content, judge, notes = find_content(frames[::24]).mask, FrameJudge(), []
         zoom, looked_at = DigitalZoom(content), []

@@ -116,7 +116,9 @@ def test_a_run_leaves_the_other_layout_out_and_says_so(tmp_path):
 
 
 def test_real_films_have_one_layout():
-    for path in sorted(shared("realclips").glob("*.mp4")):
+    films = sorted(shared("realclips").glob("*.mp4"))
+    assert films
+    for path in films:
         frames = [frame.rgb for frame in Source(path)]
         area = find_content(frames[: 24 * 25 : 25] if len(frames) > 600 else frames[::3])
         assert (area.mask == 0).mean() > 0.05, path.name  # there is a border

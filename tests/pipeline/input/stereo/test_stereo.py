@@ -85,7 +85,9 @@ def tube_depth(source, world_from_camera, shape):
 def test_depth_is_that_of_the_tube(tmp_path, eyes, layout):
     source = source_of(tmp_path, eyes, layout)
     source.check()
+    seen = 0
     for k, frame in enumerate(source):
+        seen += 1
         depth = source.depth_mm()
         assert frame.rgb.shape == (SIZE, SIZE, 3)
         true = tube_depth(source, camera_at(5 * k), depth.shape)
@@ -96,6 +98,7 @@ def test_depth_is_that_of_the_tube(tmp_path, eyes, layout):
         sigma = source.depth_error_per_mm * true[known]  # relative
         assert np.median(np.abs(off)) < 2 * np.median(sigma)
         assert np.mean(np.abs(off) < 0.15) > 0.9
+    assert seen == COUNT
 
 
 def test_lines_of_two_eyes_are_parted(eyes):
