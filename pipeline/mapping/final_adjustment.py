@@ -22,53 +22,53 @@ from pipeline.matching.sift import FindFeatures
 # A wide feature's place changes while the camera withdraws, and bends the scale: 5 px were best on lossless pictures,
 # more on compressed ones, where fine texture moves with its blocks (docs/lab/front_end.md).
 WIDEST, WIDEST_SHARE = 8.0, 8 / 320  # px and share of the width, the larger of the two
-MIN_SEEN = 20  # features of a keyframe that is held by them; another one follows its neighbour
+MIN_SEEN = 20  # features of a keyframe that is adjusted to them; another one follows its neighbour
 MIN_TYPICAL_FEATURES = 100  # features of the median keyframe: fewer are no better than the corners
-MIN_COMMON = 12  # features that hold two keyframes together
-MAX_FOLLOWING = 0.1  # share of keyframes that may follow: those that see too few, or do not hang together with most
+MIN_COVISIBLE = 12  # features that two keyframes both see if they are neighbours in the covisibility graph
+MAX_FOLLOWING = 0.1  # share of keyframes that may follow: those that see too few, or are not connected to most
 
 
 def adjust_maps(
     maps: list[LocalMap], find: FindFeatures, progress: Progress, changed: bool = False
 ) -> list[float | None]:
     """The last adjustment of each map: to its features (`adjust_maps_to_features`, which says what is returned); where
-    these do not hold it, to its corners, `changed` or not (see `adjust_all`)."""
-    held = adjust_maps_to_features(maps, find, progress)
-    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+    these constrain it too little, to its corners, `changed` or not (see `adjust_all`)."""
+    widths = adjust_maps_to_features(maps, find, progress)
+    for local_map in (m for m, width in zip(maps, widths, strict=True) if width is None):
         with progress.bar("adjusting to corners", None) as advance:
             adjust_all(local_map, changed, advance)
-    return held
+    return widths
 
 
 def adjust_maps_to_features(
-    maps: list[LocalMap], find: FindFeatures, progress: Progress, may_part: bool = True
+    maps: list[LocalMap], find: FindFeatures, progress: Progress, allow_disconnected: bool = True
 ) -> list[float | None]:
-    """Every map moved to where its own features have it; of each, how wide the features were at most, pixels. Maps that
-    they do not hold (None) stay as they are, and a sentence says so. may_part: see `adjust_to_features`."""
+    """Adjust each map to its own features, and return how wide these were at most, in pixels. A map that they constrain
+    too little (None) stays as it is, and a sentence says so. allow_disconnected: see `adjust_to_features`."""
     if not maps:
         return []
-    held = []
+    widths = []
     for local_map in maps:
         with progress.bar("adjusting to features", None) as advance:
-            held.append(adjust_to_features(local_map, find, advance, may_part))
-    for local_map in (m for m, by in zip(maps, held, strict=True) if by is None):
+            widths.append(adjust_to_features(local_map, find, advance, allow_disconnected))
+    for local_map in (m for m, width in zip(maps, widths, strict=True) if width is None):
         first, last = local_map.keyframes[0].frame, local_map.keyframes[-1].frame
         progress.log(
             f"frames {first} to {last}: too few features to adjust the map by; its scale may bend along the path"
         )
-    return held
+    return widths
 
 
 def adjust_to_features(
-    local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress, may_part: bool = True
+    local_map: LocalMap, find: FindFeatures, advance: ProgressCallback = no_progress, allow_disconnected: bool = True
 ) -> float | None:
-    """Move the map to where its own features have it. Returns how wide, in pixels, those that moved it were at most;
-    None if too few do, which leaves poses and KLT points as they were.
+    """Adjust the map to its own features. Returns how wide these were at most, in pixels; None where they are too few,
+    which leaves poses and KLT points as they were.
 
-    Narrow features are asked first, and all of them where those are too few: wide ones slide, but less than corners.
-    may_part: where neither hold all keyframes together, a few may hang together alone; they then follow the others. Not
-    for a map that was joined of two: there it would hide that the join is wrong. The features of an earlier call are
-    forgotten first.
+    Narrow features are tried first, then all, since wide ones slide, but less than corners. allow_disconnected: where
+    neither connect all keyframes, a few that are connected among themselves alone may follow the others. Not for a map
+    that was joined of two: there it would hide that the join is wrong. The features of an earlier call are forgotten
+    first.
     """
     local_map.forget_features()
     views = [local_map.sparse_view(keyframe) for keyframe in local_map.keyframes]
@@ -79,8 +79,8 @@ def adjust_to_features(
         for f, camera_from_world in zip(matched.features, cameras_from_world, strict=True)
     ]
     widths = widest_narrow(local_map.rays.camera.width), float(np.inf)
-    for parted, widest in product((False, True) if may_part else (False,), widths):
-        if _adjusted(local_map, matched, world, widest, parted, advance):
+    for disconnected, widest in product((False, True) if allow_disconnected else (False,), widths):
+        if _adjusted(local_map, matched, world, widest, disconnected, advance):
             return widest
         local_map.forget_features()
         for keyframe, camera_from_world in zip(local_map.keyframes, cameras_from_world, strict=True):
@@ -98,66 +98,67 @@ def _adjusted(
     matched: MatchedFeatures,
     world: list[Array],
     widest: float,
-    parted: bool,
+    disconnected: bool,
     advance: ProgressCallback,
 ) -> bool:
-    """Whether features of at most `widest` pixels hold the map, which is then adjusted to them; what they left behind,
-    if they do not, is for the caller to undo. parted: a few keyframes may hang together alone."""
+    """Whether features of at most `widest` pixels constrain the map, which is then adjusted to them; where they do not,
+    the caller undoes what was changed. disconnected: a few keyframes need not be connected to the others."""
     local_map.insert_features(matched.tracks(world, True, widest), matched.pixels, TrackKind.WIDE_FEATURE)
     narrow = matched.tracks(world, False, widest)
     ids = local_map.insert_features(narrow, matched.pixels)
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
-    held = _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES, parted)
-    if held is None:
+    constrained = _constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES, disconnected)
+    if constrained is None:
         return False
-    _forget_unheld(local_map, moving, held)  # so that they move nothing else
+    _forget_unconstrained(local_map, moving, constrained)  # so that they move nothing else
     old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
-    held = _held_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2, parted)
-    if held is None:
+    constrained = _constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2, disconnected)
+    if constrained is None:
         return False
     sure = moving.copy()
     sure[ids[matched.extrapolated(narrow)]] = False  # guesses say nothing of how the map grew
     scale = _scales(local_map, old, before, sure)
-    scale[~held] = np.nan
-    _forget_unheld(local_map, moving, held)
+    scale[~constrained] = np.nan
+    _forget_unconstrained(local_map, moving, constrained)
     _propagate(local_map, old, scale, moving)
     fit_points(local_map)
     return True
 
 
-def _held_keyframes(
-    local_map: LocalMap, among: NDArray[np.bool_], typical: float, parted: bool
+def _constrained_keyframes(
+    local_map: LocalMap, among: NDArray[np.bool_], typical: float, disconnected: bool
 ) -> NDArray[np.bool_] | None:
-    """(K,) the keyframes that see enough of the tracks `among` (T,) and hang together by them: the most that do. None
-    where these are too few, where the median keyframe sees fewer than `typical`, and, unless `parted`, where others
-    that see enough hang together alone."""
+    """(K,) mask of the largest connected component of the covisibility graph of the keyframes that see enough of the
+    tracks `among` (T,). None where it is too small, where the median keyframe sees fewer than `typical` of them, and,
+    unless `disconnected`, where there is another component."""
     if len(local_map.keyframes) < 2:
         return None
     seen = local_map.incidence(among)
     count = np.diff(seen.indptr)
-    fixed = np.flatnonzero(count >= MIN_SEEN)
-    if len(fixed) == 0 or np.median(count) < typical:
+    numbers = np.flatnonzero(count >= MIN_SEEN)
+    if len(numbers) == 0 or np.median(count) < typical:
         return None
-    together = (seen[fixed] @ seen[fixed].T) >= MIN_COMMON
-    parts, part = connected_components(together, directed=False)
-    if parts > 1 and not parted:
+    covisible = (seen[numbers] @ seen[numbers].T) >= MIN_COVISIBLE
+    components, component = connected_components(covisible, directed=False)
+    if components > 1 and not disconnected:
         return None
-    held = np.zeros(len(count), dtype=bool)
-    held[fixed[part == np.bincount(part).argmax()]] = True
-    return held if held.sum() >= (1 - MAX_FOLLOWING) * len(count) else None
+    constrained = np.zeros(len(count), dtype=bool)
+    constrained[numbers[component == np.bincount(component).argmax()]] = True
+    return constrained if constrained.sum() >= (1 - MAX_FOLLOWING) * len(count) else None
 
 
-def _forget_unheld(local_map: LocalMap, moving: NDArray[np.bool_], held: NDArray[np.bool_]) -> None:
-    """Points of tracks `moving` (T,) that no keyframe of `held` (K,) sees: their own world is not the map's."""
-    seen = np.asarray(local_map.incidence(moving)[np.flatnonzero(held)].sum(axis=0)).ravel() > 0
+def _forget_unconstrained(local_map: LocalMap, moving: NDArray[np.bool_], constrained: NDArray[np.bool_]) -> None:
+    """Forget points of tracks `moving` (T,) that no constrained keyframe, (K,), sees: nothing ties them to the map."""
+    seen = np.asarray(local_map.incidence(moving)[np.flatnonzero(constrained)].sum(axis=0)).ravel() > 0
     local_map.tracks.has_point[moving & ~seen] = False
 
 
 def _scales(local_map: LocalMap, old: list[Array], before: Array, sure: NDArray[np.bool_]) -> Array:
-    """(K,) by how much each keyframe's features moved away from it, in the median; NaN where too few fix it.
+    """(K,) by how much each keyframe's features moved away from it, in the median; NaN where they are too few.
 
-    old: the keyframes' poses before the adjustment; before (T,3): the points then; sure (T,): features to ask.
+    old: the keyframes' camera_from_world (4,4) before the adjustment; before (T,3): the points then; sure (T,): mask of
+    the features that count.
     """
     scale = np.full(len(old), np.nan)
     for number, (keyframe, camera_from_world) in enumerate(zip(local_map.keyframes, old, strict=True)):
@@ -169,8 +170,8 @@ def _scales(local_map: LocalMap, old: list[Array], before: Array, sure: NDArray[
 
 
 def _propagate(local_map: LocalMap, old: list[Array], scale: Array, moving: NDArray[np.bool_]) -> None:
-    """Bring what did not take part to the adjusted keyframes: keyframes that features do not fix, to their neighbours;
-    all other points, to the first keyframe that saw them; frames between keyframes, to the unit there.
+    """Carry along what did not take part in the adjustment: unconstrained keyframes with the nearest constrained one;
+    other points with the first keyframe that saw them; frames between keyframes by the scale there.
 
     scale (K,): growth of each keyframe's surroundings, NaN where unknown; moving (T,): tracks that took part.
     """

@@ -1,8 +1,8 @@
 """Merging of submaps that saw the same place; strict, since a false merge is far worse than a missed one.
 
-Strong means: pairs of keyframes that look alike, each with many matched features that one similarity explains in both
-pictures, one and the same similarity for two or more of them, and borne out by pairs from different views on both
-sides; a single pair is enough where many around it bear it out.
+Two submaps are merged on pairs of keyframes that look alike, each with many matched features that are inliers of one
+similarity in both pictures. Two or more pairs must agree on one and the same similarity, and pairs from different views
+on both sides must support it; a single pair is enough where many around it support it.
 """
 
 from dataclasses import dataclass, replace
@@ -45,10 +45,10 @@ class Merged:
 
 
 def merge_and_adjust(
-    maps: list[LocalMap], held: list[float | None], find: FindFeatures, seed: int, progress: Progress
+    maps: list[LocalMap], widths: list[float | None], find: FindFeatures, seed: int, progress: Progress
 ) -> tuple[list[LocalMap], int]:
-    """Maps that saw the same places made one, and how many joins there were. held: of each map how wide the features
-    are that it was adjusted to, as `adjust_maps` gives it.
+    """Maps that saw the same places made one, and how many joins there were. widths: of each map, of the features that
+    it was adjusted to, as `adjust_maps` gives them.
 
     Each map must have been adjusted: where its scale bends, it is another at its end than elsewhere. A merged map is
     adjusted to the features of the whole. Where these are too few, though the parts had enough, the parts are given
@@ -64,12 +64,12 @@ def merge_and_adjust(
         if len(whole.members) == 1:
             result.append(whole.map)
             continue
-        (by,) = adjust_maps_to_features([whole.map], find, progress, may_part=False)
-        before = [width for width in (held[number] for number in whole.members) if width is not None]
+        (width,) = adjust_maps_to_features([whole.map], find, progress, allow_disconnected=False)
+        before = [one for one in (widths[number] for number in whole.members) if one is not None]
         if len(before) < len(whole.members):  # one of them never was
-            if by is None:
+            if width is None:
                 adjust_all(whole.map, changed=True)
-        elif by is None or by > max(before):
+        elif width is None or width > max(before):
             progress.log(f"{len(before)} submaps stay separate: they match, but too few features agree after merging")
             result += [apart[number] for number in whole.members]
             continue

@@ -112,11 +112,13 @@ def track_frames(
         camera, changed = frames.camera, stitching is not None
         sigma: tuple[float, ...] = ()
         if maps and not camera.trusted:
-            camera, sigma, held = refine_intrinsics(maps, camera, settings.seed, features, workspace, progress, changed)
+            camera, sigma, widths = refine_intrinsics(
+                maps, camera, settings.seed, features, workspace, progress, changed
+            )
         else:
-            held = adjust_maps(maps, features, progress, changed)
+            widths = adjust_maps(maps, features, progress, changed)
         give_back_freed_memory()
-        merged, joins = merge_and_adjust(maps, held, features, settings.seed, progress)
+        merged, joins = merge_and_adjust(maps, widths, features, settings.seed, progress)
         bridged = 0
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)

@@ -50,7 +50,7 @@ SIGMAS = 4.0  # by which the focal lengths must differ
 @dataclass(frozen=True)
 class Lens:
     """camera: refined, or the guess where `determined` is False. sigma: of its refined parameters for one pixel of
-    noise, focal length first; NaN where nothing holds them."""
+    noise, focal length first; NaN where nothing determines them."""
 
     camera: Camera
     sigma: tuple[float, ...]
@@ -66,7 +66,7 @@ def refine_intrinsics(
     progress: Progress,
     changed: bool = False,
 ) -> tuple[Camera, tuple[float, ...], list[float | None]]:
-    """The lens of a film, and all its maps adjusted with it. Returns the lens, its sigmas, and what holds each map, as
+    """The lens of a film, and all its maps adjusted with it. Returns the lens, its sigmas, and each map's width, as
     `adjust_maps` does, which takes `changed`.
 
     The largest map that determines a lens gives it for all, since one film has one lens; at most `MOST_TRIED` maps
@@ -82,14 +82,14 @@ def refine_intrinsics(
     by_size = sorted(range(len(maps)), key=lambda n: -len(maps[n].tracked_frames) - len(maps[n].keyframes))
     search.refine(by_size[:MOST_TRIED])
     search.adjust_others()
-    return search.camera, search.sigma, [search.held[number] for number in range(len(maps))]
+    return search.camera, search.sigma, [search.widths[number] for number in range(len(maps))]
 
 
 class _LensSearch:
     """Steps of `refine_intrinsics`, and what they have come to: the lens, and the maps that are adjusted with it.
 
-    held: of maps that are adjusted, by number, what holds them. source: number of the map that gives the lens.
-    by_guess: that map as adjusted with the guess, and what held it, while the guess may have to come back.
+    widths: of the maps that are adjusted, by number, as of `adjust_maps`. source: number of the map with the lens.
+    by_guess: that map as adjusted with the guess, and its width, while the guess may have to come back.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class _LensSearch:
         self.workspace, self.progress, self.changed = workspace, progress, changed
         self.camera = guess
         self.sigma: tuple[float, ...] = ()
-        self.held: dict[int, float | None] = {}
+        self.widths: dict[int, float | None] = {}
         self.source = 0
         self.by_guess: tuple[LocalMap, float | None] | None = None
 
@@ -124,7 +124,7 @@ class _LensSearch:
                 break
             self.camera = lens.camera
             if any(self.guess.distortion) and self.by_guess is None:
-                self.by_guess = self.maps[self.source].copied(), self.held[self.source]
+                self.by_guess = self.maps[self.source].copied(), self.widths[self.source]
             self._use_lens(numbers, shift)
             if self.by_guess:
                 wrong = _doubt_of(self.maps[self.source], self.camera, self.workspace)
@@ -138,8 +138,8 @@ class _LensSearch:
         """Adjust the maps that gave no lens, with the lens that was found or with the guess."""
         numbers = range(len(self.maps))
         if self.camera == self.guess:
-            rest = [n for n in numbers if n not in self.held]
-            self.held |= _adjusted(self.maps, rest, self.find, self.progress, self.changed)
+            rest = [n for n in numbers if n not in self.widths]
+            self.widths |= _adjusted(self.maps, rest, self.find, self.progress, self.changed)
         else:
             self._use_lens([n for n in numbers if n != self.source], lens_shift(self.guess, self.camera))
 
@@ -147,8 +147,8 @@ class _LensSearch:
         """The first of these maps that determines a lens, and that lens; the very first and its own where none does."""
         lenses: list[Lens] = []
         for number in numbers:
-            if number not in self.held:
-                self.held |= _adjusted(self.maps, [number], self.find, self.progress, self.changed)
+            if number not in self.widths:
+                self.widths |= _adjusted(self.maps, [number], self.find, self.progress, self.changed)
             lenses.append(_lens_of(self.maps[number], self.camera, self.seed, self.workspace, self.progress))
             if lenses[-1].determined:
                 return number, lenses[-1]
@@ -157,13 +157,13 @@ class _LensSearch:
     def _use_lens(self, numbers: list[int], shift: float) -> None:
         """Adjust these maps with the lens as it is now, which lies `shift` (`lens_shift`) from the one they had."""
         far = shift > LENS_RESTART
-        self.held |= _with_lens(self.maps, numbers, self.camera, far, self.find, self.progress)
+        self.widths |= _with_lens(self.maps, numbers, self.camera, far, self.find, self.progress)
 
     def _back_to_guess(self, by_guess: tuple[LocalMap, float | None]) -> None:
         self.progress.log(
             "the lens stays as guessed: the map that determines another is in doubt, or too short to be judged"
         )
-        self.maps[self.source], self.held[self.source] = by_guess
+        self.maps[self.source], self.widths[self.source] = by_guess
         self.camera, self.sigma = self.guess, (float("nan"),)
 
 
@@ -203,9 +203,9 @@ def lens_shift(old: Camera, new: Camera) -> float:
 def _adjusted(
     maps: list[LocalMap], numbers: list[int], find: FindFeatures, progress: Progress, changed: bool
 ) -> dict[int, float | None]:
-    """Some of the maps after their last adjustment: what holds each, by its number."""
-    held = adjust_maps([maps[number] for number in numbers], find, progress, changed)
-    return dict(zip(numbers, held, strict=True))
+    """The last adjustment of some of the maps, by their numbers; of each the width, as of `adjust_maps`."""
+    widths = adjust_maps([maps[number] for number in numbers], find, progress, changed)
+    return dict(zip(numbers, widths, strict=True))
 
 
 def _with_lens(

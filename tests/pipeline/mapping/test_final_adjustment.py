@@ -247,7 +247,7 @@ def test_a_few_that_hang_together_alone_are_too_many_in_a_map_that_was_joined(fi
     local_map = copy.deepcopy(finished)
     before = poses_of(local_map)
     alone = set(frames_of(local_map)[: max(2, int(final_adjustment.MAX_FOLLOWING * len(before)))])
-    assert adjust_to_features(local_map, other_wall(alone), may_part=False) is None
+    assert adjust_to_features(local_map, other_wall(alone), allow_disconnected=False) is None
     np.testing.assert_array_equal(poses_of(local_map), before)
 
 

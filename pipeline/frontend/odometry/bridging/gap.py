@@ -44,9 +44,9 @@ def bridge_maps(
             continue
         between = min(local_map.frames) - max(before.frames) - 1
         whole = _joined(before.copied(), local_map.copied(), moved)
-        by = adjust_to_features(whole, find, may_part=False)
-        first, held = min(local_map.frames), "" if by is not None else "; too few features agree to adjust it"
-        progress.log(f"submap from frame {first} on joined to the one before over {between} frames by depth{held}")
+        width = adjust_to_features(whole, find, allow_disconnected=False)
+        first, doubt = min(local_map.frames), "" if width is not None else "; too few features agree to adjust it"
+        progress.log(f"submap from frame {first} on joined to the one before over {between} frames by depth{doubt}")
         result[-1], count = whole, count + 1
     return result, count
 
