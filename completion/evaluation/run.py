@@ -202,8 +202,8 @@ def _write_summaries(outputs: Outputs, records: Sequence[dict[str, Any]]) -> Non
     """Write the plots that cover all records: sweep and calibration."""
     if outputs.sweep:
         judged = {record["folder"]: counted(len(record["frames"]), "frame") for record in records}
-        told = "; ".join(f"{folder}: {number}" for folder, number in judged.items())
-        sweep_plot(outputs.sweep, _curves(records), f"{told}; {Protocol(**records[0]['protocol']).conditions}")
+        counts = "; ".join(f"{folder}: {number}" for folder, number in judged.items())
+        sweep_plot(outputs.sweep, _curves(records), f"{counts}; {Protocol(**records[0]['protocol']).conditions}")
     if outputs.calibration:
         found = {_label(r): ErrorCalibration(**r["calibration"]) for r in records if r["calibration"]}
         if not found:

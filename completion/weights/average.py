@@ -28,8 +28,10 @@ def average_weights(first: Path, second: Path, share: float, out: Path) -> Path:
         name: tensor.lerp(theirs[name], share) if tensor.is_floating_point() else theirs[name]
         for name, tensor in one.state_dict().items()
     }
-    told = read_metadata(second)
-    about: dict[str, Any] = {name: told[name] for name in ("steps", "seed", "unit_mm", "training") if name in told}
+    metadata = read_metadata(second)
+    about: dict[str, Any] = {
+        name: metadata[name] for name in ("steps", "seed", "unit_mm", "training") if name in metadata
+    }
     about["averaged"] = {"with_sha256": hashlib.sha256(first.read_bytes()).hexdigest(), "share": share}
     save_network(out, other, mixed, about)
     return out

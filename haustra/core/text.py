@@ -37,9 +37,9 @@ def check_name(path: Path) -> None:
         raise HaustraError(f"the name {shown} has bytes that are no UTF-8; give it another name") from None
 
 
-def first_few(told: Sequence[str]) -> str:
+def first_few(items: Sequence[str]) -> str:
     """Three of a list for a person, and dots for the rest."""
-    return ", ".join([*told[:3], "..."] if len(told) > 3 else told)
+    return ", ".join([*items[:3], "..."] if len(items) > 3 else items)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -219,9 +219,9 @@ def _minutes_since(begin: float) -> float:
 def _failure_reason(code: int, log: Path) -> str:
     """One sentence on a failure: the reconstruction's own, or how its process ended."""
     lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    told = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
-    if told:
-        return told[-1]
+    errors = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    if errors:
+        return errors[-1]
     if code < 0:
         hint = "; out of memory?" if -code == signal.SIGKILL else ""
         return f"its process was ended by {signal.Signals(-code).name}{hint}"

@@ -37,8 +37,8 @@ def refuse_shadowed_names() -> None:
     found = shadowing_distributions()
     if not found:
         return
-    told = " and ".join(f"'{name}' is also the import name of {other}" for name, other in found.items())
-    raise HaustraError(f"{told}: install haustra in an environment of its own, or remove the other")
+    shadowed = " and ".join(f"'{name}' is also the import name of {other}" for name, other in found.items())
+    raise HaustraError(f"{shadowed}: install haustra in an environment of its own, or remove the other")
 
 
 def _other_owners() -> dict[str, str]:

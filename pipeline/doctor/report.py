@@ -34,15 +34,15 @@ def examine(folder: Path, with_test: bool = True) -> list[Finding]:
 def told_of(run: Path) -> str:
     """Settings, finished stages, counts and warnings of a run as YAML, without paths and names of files."""
     record = _read(run / "run.yaml")
-    told: dict[str, Any] = {name: record.get(name) for name in ("versions", "config")}
-    told["refused"] = record.get("refused")
-    told["stages"] = {name: _counts(stage) for name, stage in (record.get("stages") or {}).items()}
+    facts: dict[str, Any] = {name: record.get(name) for name in ("versions", "config")}
+    facts["refused"] = record.get("refused")
+    facts["stages"] = {name: _counts(stage) for name, stage in (record.get("stages") or {}).items()}
     if (run / "metrics.json").exists():
         metrics = _read(run / "metrics.json")
-        told["metrics"] = {name: metrics.get(name) for name in ("frames", "warnings")}
+        facts["metrics"] = {name: metrics.get(name) for name in ("frames", "warnings")}
     given = [str(record.get("source", {}).get("path", "")), str(run.resolve()), *_strings(record.get("config"))]
     names = {name for text in given for name in _names(text)}
-    shown = _without({name: value for name, value in told.items() if value}, names)
+    shown = _without({name: value for name, value in facts.items() if value}, names)
     return yaml.safe_dump(shown, sort_keys=False, allow_unicode=True)
 
 

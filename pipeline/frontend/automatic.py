@@ -141,12 +141,12 @@ def _second_opinion(
         + " (Ctrl-C goes on without it)"
     )
     deadline = None if budget is None else time.monotonic() + budget
-    told = replace(job, settings=job.settings.model_copy(update={"deadline": deadline}))
+    timed_job = replace(job, settings=job.settings.model_copy(update={"deadline": deadline}))
 
     def ask(some: Frames) -> ByMapper:
         if len(stretches) > 1 or every > 1 or camera != frames.camera:  # features of other frames or by another lens
             job.workspace.forget_features()
-        result = told.run(SECOND, replace(some, camera=camera), every)
+        result = timed_job.run(SECOND, replace(some, camera=camera), every)
         by_mapper = _doubted(result, frames, mean_doubt(found)).candidates
         return {mapper: with_sigma(of, sigma) if sigma else of for mapper, of in by_mapper.items()}
 

@@ -48,7 +48,7 @@ def guess_lens(frames: Frames, settings: FrontEndSettings, workspace: Workspace,
 
 def _choose(frames: Frames, settings: FrontEndSettings, workspace: Workspace, progress: Progress) -> None:
     scores = scores_of_guesses(frames, settings, workspace, progress)
-    told: dict[str, Any] = {"scores": scores}
+    result: dict[str, Any] = {"scores": scores}
     first, *others = scores
     # Of two that are close the first: endoscopes are more like the mean of those that were measured.
     best = next((name for name in others if scores[name] > CLOSE * scores[first]), first)
@@ -57,10 +57,10 @@ def _choose(frames: Frames, settings: FrontEndSettings, workspace: Workspace, pr
         kept = f"the maps of the first frames keep {scores[best]:.0f} observations, weighted by their fit"
         close = min(scores.values()) * CLOSE >= max(scores.values())
         doubt = "; that is close, and does not tell the lens" if close else ""
-        told["origin"] = f"guessed: {best}, with which {kept}; {beaten}{doubt}"
-        told["camera"] = GUESSES[best](*_size_and_content(frames)).to_dict()
-    progress.log(f"camera: {told.get('origin', guessed_by(workspace))}")
-    workspace.finish(LENS_STAGE, **told)
+        result["origin"] = f"guessed: {best}, with which {kept}; {beaten}{doubt}"
+        result["camera"] = GUESSES[best](*_size_and_content(frames)).to_dict()
+    progress.log(f"camera: {result.get('origin', guessed_by(workspace))}")
+    workspace.finish(LENS_STAGE, **result)
 
 
 def _size_and_content(frames: Frames) -> tuple[int, int, tuple[int, int, int, int]]:

@@ -268,8 +268,8 @@ def _listed(verdicts: Counter[str]) -> str:
 
 def guessed_by(workspace: Workspace) -> str | None:
     """How the lens of finished frames was guessed, one sentence; None where it was given."""
-    told = workspace.result(STAGE)
-    return told["camera_origin"] if told.get("lens_is_guessed") else None
+    record = workspace.result(STAGE)
+    return record["camera_origin"] if record.get("lens_is_guessed") else None
 
 
 def camera_origin(workspace: Workspace) -> str:

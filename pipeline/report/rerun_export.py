@@ -56,8 +56,8 @@ def export_rerun(run: Path, target: Path) -> Path:
 def recording_id(workspace: Workspace) -> str:
     """The same for each export of a run, and another for every other run: Rerun shows recordings of one id as one."""
     source = workspace.record["source"]
-    told = "\n".join((str(workspace.root.resolve()), str(source["path"]), source["sha256"]["source"]))
-    return hashlib.sha256(told.encode()).hexdigest()[:32]
+    identity = "\n".join((str(workspace.root.resolve()), str(source["path"]), source["sha256"]["source"]))
+    return hashlib.sha256(identity.encode()).hexdigest()[:32]
 
 
 def _log_submap(

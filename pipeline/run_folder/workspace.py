@@ -82,14 +82,14 @@ class Workspace:
         """Bring back the run that was to be replaced, with the logs of the new one beside it if the reason names one;
         or, where there was none, keep the reason."""
         if is_kept(self.root):
-            log, told = self.root / REFUSED_LOG, str(error)
+            log, reason = self.root / REFUSED_LOG, str(error)
             self.record_path.unlink()  # nothing is written: a full disk may be the reason
             shutil.rmtree(log, ignore_errors=True)
-            if str(self.log) in told:
+            if str(self.log) in reason:
                 os.replace(self.log, log)
             remove_files(self)
             bring_back(self.root)
-            error.args = (f"{told.replace(str(self.log), str(log))}; the earlier run in {self.root} stays as it was",)
+            error.args = (f"{reason.replace(str(self.log), str(log))}; the earlier run in {self.root} stays as it was",)
             return
         self.record[REFUSED] = str(error)
         self.save()

@@ -96,10 +96,10 @@ def _chosen_scale(source: ScaleSource, submap: Submap, mesh: SurfaceMesh) -> Sca
     if width is None:
         none = "the surface nowhere surrounds the camera's path, so --lumen-mm has no meaning here"
         return replace(given, origin=none if given.origin == SCENE.origin else f"{given.origin}; {none}")
-    told = (
+    origin = (
         f"median lumen diameter set to {source.lumen_mm:g} mm, measured at {width.stations} of {width.tried} stations"
     )
-    return checked_against(Scale(source.lumen_mm / width.diameter, "mm", told), source.given)
+    return checked_against(Scale(source.lumen_mm / width.diameter, "mm", origin), source.given)
 
 
 def check_scale_file(path: Path) -> dict[str, float]:
@@ -153,8 +153,8 @@ def _scale_from_file(path: Path, submap: Submap, without_file: Scale) -> Scale:
     numbers = check_scale_file(path)
     if "mm_per_unit" in numbers:
         times, unit = numbers["mm_per_unit"], "mm that there are without it" if without_file.unit == "mm" else "unit"
-        told = f"scale file {path.name}: {times:g} mm per {unit}"
-        return Scale(times * without_file.factor, "mm", told, without_file.doubt)
+        origin = f"scale file {path.name}: {times:g} mm per {unit}"
+        return Scale(times * without_file.factor, "mm", origin, without_file.doubt)
     centres = []
     for name in ("frame_a", "frame_b"):
         row = np.flatnonzero(submap.frames == int(numbers[name]))

@@ -49,7 +49,7 @@ def read_coverage_mesh(path: Path) -> TrueWall | None:
         raise HaustraError(f"{path} is no coverage mesh of C3VD: a vertex or a face is not of numbers") from error
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise HaustraError(f"{path} is no coverage mesh of C3VD: it has {len(vertices)} vertices, and faces of others")
-    told = np.array([[corner[1] for corner in face] for face in corners])
-    if not np.isin(told, ["1", "2"]).all():
+    texture_index = np.array([[corner[1] for corner in face] for face in corners])
+    if not np.isin(texture_index, ["1", "2"]).all():
         raise HaustraError(f"{path} is no coverage mesh of C3VD: its texture coordinates are not 1 (seen) and 2")
-    return TrueWall(SurfaceMesh.from_triangles(vertices, faces), (told == "1").all(axis=1))
+    return TrueWall(SurfaceMesh.from_triangles(vertices, faces), (texture_index == "1").all(axis=1))

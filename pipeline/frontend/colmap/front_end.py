@@ -66,11 +66,11 @@ def _say_what_was_matched(path: Path, progress: Progress) -> None:
     """Where the time ended matching before the last pair; path: of what the worker counted."""
     if not path.exists():
         return
-    told = json.loads(path.read_text())
-    if told["matched"] < told["pairs"]:
+    counts = json.loads(path.read_text())
+    if counts["matched"] < counts["pairs"]:
         progress.log(
-            f"of {told['pairs']} pairs of frames {told['matched']} were matched in the time, neighbours first; these "
-            "are mapped"
+            f"of {counts['pairs']} pairs of frames {counts['matched']} were matched in the time, neighbours first; "
+            "these are mapped"
         )
 
 

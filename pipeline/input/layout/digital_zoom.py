@@ -123,9 +123,9 @@ def _told(count: int, first: float, last: float, factors: list[float]) -> str:
 
 def _doubted(changes: list[tuple[float, float]]) -> str:
     """changes: seconds, and the factor by which the picture grew there."""
-    told = [f"{factor:.2g} times as large from {at:.1f} s on" for at, factor in changes]
+    zooms = [f"{factor:.2g} times as large from {at:.1f} s on" for at, factor in changes]
     return (
-        f"the picture may be shown at several zooms ({first_few(told)}): the lens would be another there, and what is "
+        f"the picture may be shown at several zooms ({first_few(zooms)}): the lens would be another there, and what is "
         "built of both wrong; make a run of each part by --start and --end"
     )
 

@@ -93,12 +93,12 @@ class PictureLayout:
                 "--start and --end make a run of their own of such a part"
             )
         if self._smaller:
-            told = [f"{first:.1f} to {last:.1f} s" for first, last, _ in self._smaller]
+            spans = [f"{first:.1f} to {last:.1f} s" for first, last, _ in self._smaller]
             share = float(np.median([share for _, _, share in self._smaller]))
             found.append(
-                f"the picture may be shown smaller for a while ({first_few(told)}: {100 * share:.0f} % of its place is "
-                "lit, the rest black): there the lens would be another, and what is built of such frames wrong; leave "
-                "them out with --start or --end"
+                f"the picture may be shown smaller for a while ({first_few(spans)}: {100 * share:.0f} % of its place "
+                "is lit, the rest black): there the lens would be another, and what is built of such frames wrong; "
+                "leave them out with --start or --end"
             )
         return found
 

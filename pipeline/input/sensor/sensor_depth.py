@@ -228,8 +228,10 @@ def check_sensor(source: Path, settings: SensorSettings, announced: int) -> str:
     if share == 0:
         return ""
     percent = f"{100 * share:.0f}" if share >= 0.01 else "less than 1"
-    told = f"{percent} % of the values in {len(looked_at)} of the sensor's depth images are {NO_RETURN}, the largest of"
-    return f"{told} 16 bits: taken for no depth, as 0 is"
+    values = (
+        f"{percent} % of the values in {len(looked_at)} of the sensor's depth images are {NO_RETURN}, the largest of"
+    )
+    return f"{values} 16 bits: taken for no depth, as 0 is"
 
 
 def _known(path: Path, raw: NDArray[np.uint16]) -> Array:
@@ -247,9 +249,9 @@ def open_sensor(workspace: Workspace, width: int) -> SensorDepth | None:
         folder, settings = workspace.sensor, _stereo_settings(workspace)
     if folder is None:
         return None
-    told = workspace.result("frames")
-    x, y, *box = told["content_box"]
-    size, stereo = (told["source_size"][0], told["source_size"][1]), folder == workspace.sensor
+    record = workspace.result("frames")
+    x, y, *box = record["content_box"]
+    size, stereo = (record["source_size"][0], record["source_size"][1]), folder == workspace.sensor
     files = _by_frame(source, folder, not stereo)
     unit_mm = _unit(source, folder, settings)
     return SensorDepth(files, settings, unit_mm, (x, y, box[0], box[1]), width / box[0], size, stereo)

@@ -33,6 +33,6 @@ def doubt_of_view(median_mm: float, who: str, what: str) -> str:
     near, far = USUAL_MM
     if near <= median_mm <= far:
         return ""
-    told = f"by the {who} the wall is {median_mm:.3g} mm away in the median"
+    found = f"by the {who} the wall is {median_mm:.3g} mm away in the median"
     usual = f"most colonoscopes look from {near:g} to {far:g} mm"
-    return f"do not trust the millimetres before you have checked the {what}: {told}, and {usual}"
+    return f"do not trust the millimetres before you have checked the {what}: {found}, and {usual}"

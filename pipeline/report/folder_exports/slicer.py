@@ -42,8 +42,8 @@ def export_slicer(run: Run, target: Path) -> Path:
     regions = run.coverage[0].get("missed_regions", [])
     if regions:
         centres = np.array([region["centre"] for region in regions], float)
-        told = [f"missed: {r['area']:.0f} mm^2, {clock_words(r)}, {r['seconds']:.1f} s" for r in regions]
-        points = _points(centres, [f"missed {region['number']}" for region in regions], told)
+        descriptions = [f"missed: {r['area']:.0f} mm^2, {clock_words(r)}, {r['seconds']:.1f} s" for r in regions]
+        points = _points(centres, [f"missed {region['number']}" for region in regions], descriptions)
         write_json(folder / "missed_regions.mrk.json", _markups("Fiducial", "missed regions", points))
     return folder
 

@@ -162,8 +162,8 @@ def _doubt_rows(doubt: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Of submaps of odometry that are long enough."""
     if doubt is None:
         return []
-    told = f"{100 * doubt['probability']:.0f} %; what speaks most against it: {doubt['heaviest']}"
-    return [("probability that this map is wrong", told)]
+    sentence = f"{100 * doubt['probability']:.0f} %; what speaks most against it: {doubt['heaviest']}"
+    return [("probability that this map is wrong", sentence)]
 
 
 def _opened_rows(share: float) -> list[tuple[str, str]]:
@@ -246,10 +246,10 @@ def _meanings(record: dict[str, Any]) -> str:
         "Hidden: how likely it is that at least half of the region is in no frame, by how far it reaches from the "
         "measured surface; fitted on rendered films, on regions over 5 mm. "
     )
-    told = error if "covered_error_points" in record else ""
-    told += hidden if any("probability" in region for region in record["missed_regions"]) else ""
+    text = error if "covered_error_points" in record else ""
+    text += hidden if any("probability" in region for region in record["missed_regions"]) else ""
     tested = "docs/lab/coverage.md of the project says how that was tested; on real colons nobody has measured it. "
-    return told + tested if told else ""
+    return text + tested if text else ""
 
 
 def _shown_in(region: int, link: Link | None) -> str:

@@ -38,18 +38,18 @@ def depth_scales(folder: Path) -> tuple[DepthScale, ...]:
 @lru_cache(maxsize=64)
 def _scales(folder: Path, _: int) -> tuple[DepthScale, ...]:
     workspace = open_workspace(folder)
-    return tuple(_of_submap(workspace, told) for told in workspace.record.get("submaps", []) if told["keyframes"])
+    return tuple(_of_submap(workspace, record) for record in workspace.record.get("submaps", []) if record["keyframes"])
 
 
-def _of_submap(workspace: Workspace, told: dict[str, Any]) -> DepthScale:
+def _of_submap(workspace: Workspace, record: dict[str, Any]) -> DepthScale:
     """By the keyframes whose depth is still there."""
-    keyframes, factor = tuple(told["keyframes"]), told["depth_png_step"] / DEPTH_STEP
-    factors = tuple(factor * scale for scale in told.get("depth_scale") or [1.0] * len(keyframes))
+    keyframes, factor = tuple(record["keyframes"]), record["depth_png_step"] / DEPTH_STEP
+    factors = tuple(factor * scale for scale in record.get("depth_scale") or [1.0] * len(keyframes))
     step = max(1, len(keyframes) // RANGE_SAMPLES)
     sampled = [(workspace.depth_path(k), f) for k, f in list(zip(keyframes, factors, strict=True))[::step]]
     depths = (read_depth(path) * np.float32(f) for path, f in sampled if path.is_file())
     low, high = colour_range(depths, 1.0)
-    return DepthScale(low, high, unit_label(told["unit"]), keyframes, factors)
+    return DepthScale(low, high, unit_label(record["unit"]), keyframes, factors)
 
 
 def painted_depth(folder: Path, keyframe: int) -> NDArray[np.uint8]:

@@ -66,7 +66,7 @@ def _without_run(batch: Path, folder: Path) -> list[RunRow]:
     """Films that the batch's table says have failed; none where there is no table, or one too damaged to say."""
     table = batch / BATCH_TABLE
     try:
-        changed, told = table.stat().st_mtime, json.loads(table.read_text())
+        changed, batch_rows = table.stat().st_mtime, json.loads(table.read_text())
         return [
             RunRow(
                 (batch / Path(one["folder"]).name).relative_to(folder).as_posix(),
@@ -74,7 +74,7 @@ def _without_run(batch: Path, folder: Path) -> list[RunRow]:
                 (str(one["message"]),),
                 changed=changed,
             )
-            for one in told
+            for one in batch_rows
             if one["status"] == "failed"
         ]
     except (OSError, ValueError, KeyError, TypeError):

@@ -46,7 +46,7 @@ def write_vtp(mesh: SurfaceMesh, path: Path) -> None:
 
 def _array(name: str, values: NDArray) -> str:
     data = np.ascontiguousarray(values).tobytes()
-    told = base64.b64encode(np.uint64(len(data)).tobytes() + data).decode("ascii")
+    encoded = base64.b64encode(np.uint64(len(data)).tobytes() + data).decode("ascii")
     components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
     kind = VTK_NAMES[values.dtype.newbyteorder("<").str if values.dtype.itemsize > 1 else values.dtype.str]
-    return f'<DataArray type="{kind}" Name="{name}"{components} format="binary">{told}</DataArray>'
+    return f'<DataArray type="{kind}" Name="{name}"{components} format="binary">{encoded}</DataArray>'
