@@ -21,7 +21,7 @@ from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.frontend.points_stage import load_points
 from pipeline.frontend.structure_stage import load_structure
 from pipeline.input.frames import Frames, load_frames
-from pipeline.loop_closing.close_loops import load_refined
+from pipeline.loop_closing.close_loops import load_loops_closed
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace, open_workspace, report_corruption
 from pipeline.surface.coverage_stage import measure_submap, share_seen
@@ -94,7 +94,7 @@ class Run:
 
     @cached_property
     def completed_submaps(self) -> list[CompletedSubmap]:
-        return load_refined(self.submaps_before_loops, self.workspace)
+        return load_loops_closed(self.submaps_before_loops, self.workspace)
 
     @cached_property
     def submaps_of_front_end(self) -> list[Submap]:

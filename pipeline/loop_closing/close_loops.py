@@ -34,21 +34,21 @@ from pipeline.mapping.submap import read_submap, refined_camera
 from pipeline.matching.place_recognition import VisualWords
 from pipeline.run_folder.workspace import Workspace, report_corruption
 
-STAGE = "refinement"  # its name in run.yaml since version 0.1
+STAGE = "refinement"  # the stage's name in run.yaml since version 0.1; nothing but loop closing is meant
 FAILURES = (np.linalg.LinAlgError, QhullError, ReconstructionError)  # of geometry, not of files
 NOT_ADJUSTED = "too few features hold its keyframes together, or the adjusted map meets its loops no better"
 
 
 @dataclass
 class _Piece:
-    """A submap on its way: what it was made of, and what became of its loops."""
+    """A submap while submaps are merged and its loops are closed."""
 
     completed: CompletedSubmap
-    members: list[int]
+    members: list[int]  # numbers of the depth stage's submaps that it was merged from
     seen: SubmapFeatures
-    candidates: int = 0
-    consistent: int = 0
-    loops: list[tuple[int, int]] = field(default_factory=list)
+    candidates: int = 0  # loops that were verified geometrically
+    consistent: int = 0  # of these, those that another loop confirms
+    loops: list[tuple[int, int]] = field(default_factory=list)  # accepted; frame numbers
 
 
 def close_loops_stage(
@@ -66,11 +66,11 @@ def close_loops_stage(
     """
     done = workspace.is_done(STAGE) or workspace.is_done("surface")
     if not done and settings.enabled and not closes_loops(workspace):
-        _refine(frames, submaps, settings, seed, workspace, progress)
-    return load_refined(submaps, workspace)
+        _merge_and_close(frames, submaps, settings, seed, workspace, progress)
+    return load_loops_closed(submaps, workspace)
 
 
-def _refine(
+def _merge_and_close(
     frames: Frames,
     submaps: list[CompletedSubmap],
     settings: LoopClosingSettings,
@@ -94,13 +94,13 @@ def _refine(
     for piece in pieces:
         _close(piece, words, seed, warnings)
     records = [_record(number, piece, frames, workspace) for number, piece in enumerate(pieces)]
-    deform = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
-    for sentence in (*map(_sentence, deform), *warnings):
+    moved = [piece for piece, record in zip(pieces, records, strict=True) if record["moved"]]
+    for sentence in (*map(_sentence, moved), *warnings):
         progress.log(sentence)
     workspace.finish(STAGE, submaps=records, warnings=warnings)
 
 
-def load_refined(submaps: list[CompletedSubmap], workspace: Workspace) -> list[CompletedSubmap]:
+def load_loops_closed(submaps: list[CompletedSubmap], workspace: Workspace) -> list[CompletedSubmap]:
     """What a finished stage made of the depth stage's submaps; those themselves where it did not run."""
     if not workspace.is_done(STAGE):
         return submaps
@@ -109,14 +109,14 @@ def load_refined(submaps: list[CompletedSubmap], workspace: Workspace) -> list[C
 
 
 def first_parts(workspace: Workspace, count: int) -> list[int]:
-    """Of each of `count` submaps as refined, the number that its first part had before."""
+    """Of each of `count` submaps after this stage, the number that its first member had before."""
     if not workspace.is_done(STAGE):
         return list(range(count))
     return [record["members"][0] for record in workspace.result(STAGE)["submaps"]]
 
 
 def model_sources(workspace: Workspace) -> list[tuple[Path, float]]:
-    """For each submap as refined: the folder of its model, and one scene unit in the model's unit."""
+    """For each submap after this stage: the folder of its model, and one scene unit in the model's unit."""
     before = [(workspace.models / str(k), unit) for k, unit in enumerate(workspace.result("structure")["units"])]
     if workspace.is_done(POINTS):
         before = [(points_folder(workspace) / str(number), 1.0) for number in range(len(before))]
@@ -184,12 +184,12 @@ def _close(piece: _Piece, words: VisualWords, seed: int, warnings: list[str]) ->
 
 def _record(number: int, piece: _Piece, frames: Frames, workspace: Workspace) -> dict[str, Any]:
     """Write a piece that moved, and say what it is; `loops` are pairs of frame numbers."""
-    completed, deform = piece.completed, piece.completed.depth_scale is not None
-    if deform:
+    completed, moved = piece.completed, piece.completed.depth_scale is not None
+    if moved:
         folder = _folder(workspace, number)
         write_model(completed.submap, refined_camera(frames.camera, completed.submap), folder)
         np.savez(folder / "depth_scale.npz", rows=completed.rows, depth_scale=np.asarray(completed.depth_scale))
-    return _entry(piece.members, deform, piece.candidates, piece.consistent, piece.loops)
+    return _entry(piece.members, moved, piece.candidates, piece.consistent, piece.loops)
 
 
 def _entry(

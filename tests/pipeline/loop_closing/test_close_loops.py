@@ -11,7 +11,7 @@ from pipeline.config import LoopClosingSettings
 from pipeline.frontend.points_stage import points_folder
 from pipeline.input.frames import Frames
 from pipeline.loop_closing import close_loops as stage
-from pipeline.loop_closing.close_loops import close_loops_stage, load_refined, model_sources
+from pipeline.loop_closing.close_loops import close_loops_stage, load_loops_closed, model_sources
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.drifting_loop import (
     CAMERA,
@@ -69,7 +69,7 @@ def test_the_stage_writes_what_it_did_and_resumes_from_it(workspace, frames, see
     record = workspace.result("refinement")
     assert record["submaps"][0]["loops"] == [[0, 46], [4, 42], [2, 44]]
     assert gap(refined[0].submap) < gap(completed.submap) / 5
-    again = load_refined([completed], workspace)
+    again = load_loops_closed([completed], workspace)
     np.testing.assert_array_equal(again[0].submap.world_from_camera, refined[0].submap.world_from_camera)
     np.testing.assert_array_equal(again[0].depth(46)[0], refined[0].depth(46)[0])
     folder, unit = model_sources(workspace)[0]
@@ -143,7 +143,7 @@ def test_the_stage_joins_submaps_and_resumes_from_it(workspace, frames, monkeypa
     refined = close_loops_stage(frames, parts, CONFIG.loop_closing, CONFIG.seed, workspace, SilentProgress())
     assert len(refined) == 1
     assert workspace.result("refinement")["submaps"][0]["members"] == [0, 1]
-    again = load_refined(parts, workspace)
+    again = load_loops_closed(parts, workspace)
     np.testing.assert_array_equal(again[0].submap.frames, refined[0].submap.frames)
     np.testing.assert_array_equal(again[0].rows, refined[0].rows)
     np.testing.assert_allclose(again[0].submap.centres[again[0].submap.frames >= 28], whole.centres[28:], atol=0.01)
@@ -169,7 +169,7 @@ def test_submaps_that_became_the_largest_by_joining_come_first(workspace, frames
     assert [record["members"] for record in workspace.result("refinement")["submaps"]] == [[1, 2], [0]]
     assert [len(one.submap.frames) for one in refined] == [56, 35]
     assert stage.first_parts(workspace, 2) == [1, 0]
-    assert [len(one.submap.frames) for one in load_refined(parts, workspace)] == [56, 35]
+    assert [len(one.submap.frames) for one in load_loops_closed(parts, workspace)] == [56, 35]
     assert model_sources(workspace)[1] == (workspace.models / "0", 1.0)
 
 
