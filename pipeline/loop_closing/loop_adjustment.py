@@ -38,7 +38,7 @@ MIN_SHARED = 12  # features that hold consecutive keyframes of the bundle togeth
 MAX_GAP = 5  # keyframes in a row that may follow
 
 Array = NDArray[np.float64]
-Same = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]
+Matches = tuple[list[tuple[int, int]], list[NDArray[np.int64]]]  # pairs of keyframes, and rows (K,2) of each
 
 
 def adjust_loops(seen: SubmapFeatures, closed: LoopClosingResult) -> CompletedSubmap | None:
@@ -110,34 +110,36 @@ def _constraining_tracks(
 ) -> tuple[FeatureTracks, NDArray[np.int64]] | None:
     """Tracks of narrow features, since wide ones slide and bend the scale (docs/lab/front_end.md); of all where those
     are too few; None if these are, too. And numbers of the keyframes that they constrain."""
-    same = match_keyframes(completed, keyframes, loops)
+    matches = match_keyframes(completed, keyframes, loops)
     for widest in (widest_narrow(completed.camera.width), np.inf):
-        tracks = feature_tracks(keyframes, same, world_from_node, widest)
+        tracks = feature_tracks(keyframes, matches, world_from_node, widest)
         number = well_constrained(tracks, len(keyframes))
         if len(number) >= 2 and is_held(tracks, number, len(keyframes)):
             return tracks, number
     return None
 
 
-def match_keyframes(completed: CompletedSubmap, keyframes: list[KeyframeFeatures], loops: Sequence[Sim3Match]) -> Same:
+def match_keyframes(
+    completed: CompletedSubmap, keyframes: list[KeyframeFeatures], loops: Sequence[Sim3Match]
+) -> Matches:
     """Pairs of keyframes, and of each the features (K,2) that look alike and lie where the map has them, or that a loop
     matched."""
-    pairs, same = [(k.first, k.second) for k in loops], [k.rows for k in loops]
+    pairs, matches = [(k.first, k.second) for k in loops], [k.rows for k in loops]
     for one in range(len(keyframes)):
         for other in range(one + 1, min(len(keyframes), one + AHEAD + 1)):
             pairs.append((one, other))
-            same.append(_match_near(completed, keyframes[one], keyframes[other]))
-    return pairs, same
+            matches.append(_match_near(completed, keyframes[one], keyframes[other]))
+    return pairs, matches
 
 
 def feature_tracks(
-    keyframes: list[KeyframeFeatures], same: Same, world_from_node: Array, widest: float = np.inf
+    keyframes: list[KeyframeFeatures], matches: Matches, world_from_node: Array, widest: float = np.inf
 ) -> FeatureTracks:
-    """Features of at most `widest` pixels across that are the same are one point."""
-    narrow = both_narrow([keyframe.sizes for keyframe in keyframes], *same, widest)
-    chosen = [rows[good] for rows, good in zip(same[1], narrow, strict=True)]
+    """Tracks of matched features of at most `widest` pixels across: each track is one point."""
+    narrow = both_narrow([keyframe.sizes for keyframe in keyframes], *matches, widest)
+    chosen = [rows[good] for rows, good in zip(matches[1], narrow, strict=True)]
     world = [p.points @ node[:3, :3].T + node[:3, 3] for p, node in zip(keyframes, world_from_node, strict=True)]
-    return join_features(world, same[0], chosen)
+    return join_features(world, matches[0], chosen)
 
 
 def well_constrained(tracks: FeatureTracks, count: int) -> NDArray[np.int64]:

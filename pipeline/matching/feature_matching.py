@@ -39,11 +39,11 @@ RootSift = Callable[[int], NDArray[np.float32]]  # number of a keyframe -> its f
 
 @dataclass(frozen=True)
 class MatchedFeatures:
-    """Features of all keyframes; of pairs of keyframes, (K,2) rows of those that are the same."""
+    """Features of all keyframes, and matches of pairs of keyframes: (K,2) rows of the features in either."""
 
     features: list[KeyframeFeatures]
     pairs: list[tuple[int, int]]
-    same: list[NDArray[np.int32]]
+    matches: list[NDArray[np.int32]]
 
     @property
     def pixels(self) -> list[Array]:
@@ -55,8 +55,8 @@ class MatchedFeatures:
 
         points: of each keyframe, its features' points (N,3) in the world.
         """
-        narrow = both_narrow([features.sizes for features in self.features], self.pairs, self.same, widest)
-        chosen = [rows[good != wide] for rows, good in zip(self.same, narrow, strict=True)]
+        narrow = both_narrow([features.sizes for features in self.features], self.pairs, self.matches, widest)
+        chosen = [rows[good != wide] for rows, good in zip(self.matches, narrow, strict=True)]
         return join_features(points, self.pairs, chosen)
 
     def extrapolated(self, tracks: FeatureTracks) -> NDArray[np.int64]:
@@ -94,8 +94,8 @@ def match_features(
         match = partial(_match_with, views, rays, features, elsewhere, roots)
         partners = {one: [other for _, other in of] for one, of in groupby(pairs, key=itemgetter(0))}
         matched = threads.map(match, partners.keys(), partners.values())
-        same = list(_counted(chain.from_iterable(matched), len(pairs), "matching pairs of keyframes", advance))
-    return MatchedFeatures(features, pairs, same)
+        matches = list(_counted(chain.from_iterable(matched), len(pairs), "matching pairs of keyframes", advance))
+    return MatchedFeatures(features, pairs, matches)
 
 
 def covisible_pairs(seen: csr_array) -> list[tuple[int, int]]:

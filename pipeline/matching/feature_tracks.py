@@ -24,23 +24,28 @@ class FeatureTracks:
 
 
 def both_narrow(
-    sizes: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.integer[Any]]], widest: float
+    sizes: Sequence[Array], pairs: Sequence[tuple[int, int]], matches: Sequence[NDArray[np.integer[Any]]], widest: float
 ) -> list[NDArray[np.bool_]]:
-    """For each pair of pictures, (K,) whether both features that are the same are at most `widest` pixels across."""
+    """For each pair of pictures, (K,) whether both features of a match are at most `widest` pixels across.
+
+    sizes: (N,) px, of each picture's features. matches: of each pair, (K,2) numbers of the features in either picture.
+    """
     narrow = [of <= widest for of in sizes]
-    return [narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]] for (one, other), rows in zip(pairs, same, strict=True)]
+    return [
+        narrow[one][rows[:, 0]] & narrow[other][rows[:, 1]] for (one, other), rows in zip(pairs, matches, strict=True)
+    ]
 
 
 def join_features(
-    points: Sequence[Array], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.integer[Any]]]
+    points: Sequence[Array], pairs: Sequence[tuple[int, int]], matches: Sequence[NDArray[np.integer[Any]]]
 ) -> FeatureTracks:
     """Tracks of two pictures and more, each at the mean of its features' points.
 
-    points: (N,3) in the world of each picture's features. same: for each pair of pictures, (K,2) numbers of features
-    that are the same. What would be two features of one picture is left out there.
+    points: (N,3) in the world of each picture's features. matches: of each pair of pictures, (K,2) numbers of matched
+    features. Where a track would have two features of one picture, it has none there.
     """
     starts = np.concatenate([[0], np.cumsum([len(p) for p in points])]).astype(np.int64)
-    label = connected_components(_ties(starts, pairs, same), directed=False)[1]
+    label = connected_components(_match_graph(starts, pairs, matches), directed=False)[1]
     place = np.repeat(np.arange(len(points)), np.diff(starts))
     in_picture = label.astype(np.int64) * len(points) + place  # of one track and one picture
     _, group, times = np.unique(in_picture, return_inverse=True, return_counts=True)
@@ -54,14 +59,14 @@ def join_features(
     return FeatureTracks(mean, track, place[chosen], chosen - starts[place[chosen]])
 
 
-def _ties(
-    starts: NDArray[np.int64], pairs: Sequence[tuple[int, int]], same: Sequence[NDArray[np.integer[Any]]]
+def _match_graph(
+    starts: NDArray[np.int64], pairs: Sequence[tuple[int, int]], matches: Sequence[NDArray[np.integer[Any]]]
 ) -> coo_array:
-    """(N,N) ones between features that are the same, of all pictures' features together; `starts`: each picture's."""
+    """(N,N) ones between matched features, numbered through all pictures; starts: number of each picture's first."""
     # Of a long film there are tens of millions: each is held once, in as few bytes as do.
-    ends = np.empty((2, sum(map(len, same))), np.int32 if starts[-1] < 2**31 else np.int64)
+    ends = np.empty((2, sum(map(len, matches))), np.int32 if starts[-1] < 2**31 else np.int64)
     filled = 0
-    for (one, other), rows in zip(pairs, same, strict=True):
+    for (one, other), rows in zip(pairs, matches, strict=True):
         ends[0, filled : filled + len(rows)] = rows[:, 0] + starts[one]
         ends[1, filled : filled + len(rows)] = rows[:, 1] + starts[other]
         filled += len(rows)

@@ -49,7 +49,7 @@ def _neighbour_tracks(
     found = [find(frame) for frame in frames]
     looks = [rootsift(features.descriptors) for features in found]
     unit = [unit_rays(rays, features.pixels) for features in found]
-    pairs, same = [], []
+    pairs, matches = [], []
     for one in range(len(frames)):
         advance(one + 1, len(frames), "matching neighbours")
         for other in range(one + 1, min(one + NEIGHBOURS + 1, len(frames))):
@@ -57,6 +57,6 @@ def _neighbour_tracks(
             way = np.linalg.norm(found[one].pixels[rows[:, 0]] - found[other].pixels[rows[:, 1]], axis=1)
             pair = MatchedPair((one, other), unit[one][rows[:, 0]], unit[other][rows[:, 1]], way)
             pairs.append((one, other))
-            same.append(rows[inliers(pair, world_from_camera, rays.focal_px)[0]])
+            matches.append(rows[inliers(pair, world_from_camera, rays.focal_px)[0]])
     nowhere = [np.zeros((len(features.pixels), 3)) for features in found]
-    return join_features(nowhere, pairs, same), [features.pixels for features in found]
+    return join_features(nowhere, pairs, matches), [features.pixels for features in found]
