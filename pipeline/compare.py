@@ -146,7 +146,8 @@ def _knows_wall_by_frames(truth: Path, known: DataSetTruth | None) -> bool:
 
 
 def spacing_of(tau: float) -> float:
-    """Of the truth's points, mm: wider than half the distance of the F-score, they would cost a perfect surface it."""
+    """Spacing of the truth's points, mm: wider than half the distance of the F-score, they would cost a perfect surface
+    it."""
     return min(SPACING_MM, tau / 2)
 
 

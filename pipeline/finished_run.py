@@ -89,7 +89,7 @@ class Run:
 
     @cached_property
     def submaps_before_loops(self) -> list[CompletedSubmap]:
-        """As the depth stage left them: not merged, and with their loops open."""
+        """Submaps as the depth stage left them: not merged, and with their loops open."""
         return load_completed(self.frames, load_points(self.submaps_of_front_end, self.workspace), self.workspace)
 
     @cached_property
@@ -98,7 +98,7 @@ class Run:
 
     @cached_property
     def submaps_of_front_end(self) -> list[Submap]:
-        """As the front end left them, with its own points."""
+        """Submaps as the front end left them, with its own points."""
         return load_structure(self.workspace)
 
     @property

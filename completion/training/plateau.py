@@ -31,5 +31,5 @@ class Plateau:
 
     @property
     def steps(self) -> int:
-        """Of the whole run, as far as is known."""
+        """Number of steps of the whole run, as far as it is known."""
         return min(self.most_steps, round(self.cooled_at * (1 + COOLING))) if self.cooled_at else self.most_steps

@@ -80,7 +80,7 @@ class SfmTask:
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From 100 SfM-like points, in as many iterations as it will be used with."""
+        """Depth from 100 SfM-like points, in as many iterations as it will be used with."""
         assert isinstance(network, DepthNetwork)
         pattern = SfmPattern(min_points=100, max_points=100, hole_share=0.0)
         sparse, trust = sample_like_sfm(rgb, depth, pattern, generator)
@@ -147,7 +147,7 @@ class PaperTask:
     def predict(
         self, network: nn.Module, rgb: Tensor, depth: Tensor, lens: Tensor | None, generator: torch.Generator
     ) -> Tensor:
-        """From as many points of the same sampler as in training."""
+        """Depth from as many points of the same sampler as in training."""
         valid = (depth > 0) & (depth < self.config.max_depth_mm)
         sparse = self._sample(rgb, depth * valid, generator)
         return self._depth(network, rgb, sparse, lens) * self.config.unit_mm

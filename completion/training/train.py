@@ -87,7 +87,7 @@ class TrainingState:
 
     @property
     def steps(self) -> int:
-        """Of the whole run, as far as is known."""
+        """Number of steps of the whole run, as far as it is known."""
         return self.plateau.steps if self.plateau else self.config.steps
 
     @property

@@ -148,7 +148,7 @@ def _source_of(folder: Path) -> Path | None:
 
 
 def unfinished_outcome(job: Job) -> Outcome:
-    """Of a video that waits, or that an interrupt stopped."""
+    """Outcome of a video that waits, or that an interrupt stopped."""
     return Outcome(str(job.video), str(job.folder), "stopped" if has_run(job) else "not started")
 
 
@@ -182,7 +182,7 @@ def resume_hint(videos: list[Path], output: Path, config: Config, failed: int) -
 
 
 def kept_outcome(job: Job, config: Config) -> Outcome | None:
-    """Of a run that is whole; None where there is none of this video with these settings, and so there is work."""
+    """Outcome of a run that is whole; None where this video has none with these settings, and so there is work."""
     if not is_same(job, config) or not open_workspace(job.folder).is_done("report"):
         return None
     outcome = finished_outcome(job.video, job.folder)

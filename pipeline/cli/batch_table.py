@@ -36,7 +36,7 @@ class Outcome:
 
     @property
     def name(self) -> str:
-        """Of the video, in letters that any file takes: names on disk are bytes."""
+        """Name of the video, in letters that any file takes: names on disk are bytes."""
         return _printable(Path(self.video).name)
 
 

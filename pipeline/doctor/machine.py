@@ -74,7 +74,7 @@ def processor(text: str | None = None) -> list[Finding]:
 
 
 def memory() -> Finding:
-    """Of the machine, or of the container where that has less."""
+    """Memory of the machine, or of the container where that has less."""
     path = Path("/proc/meminfo")
     if not path.exists():
         return Finding("memory", "unknown", "note", "not Linux")
@@ -144,7 +144,7 @@ def gpu() -> Finding:
 
 
 def versions() -> list[Finding]:
-    """Of the project, Python and the system."""
+    """Versions of the project, Python and the system."""
     try:
         version = importlib.metadata.version("haustra")
     except importlib.metadata.PackageNotFoundError:

@@ -55,7 +55,7 @@ class Result:
 
     @property
     def maps(self) -> list[Candidate]:
-        """Of all its mappers."""
+        """The submaps of all its mappers."""
         return [one for of in self.candidates.values() for one in of]
 
 

@@ -34,12 +34,12 @@ def _check_lens(workspace: Workspace) -> str:
 
 
 def few_posed(posed: int, total: int, advice: str) -> list[str]:
-    """Of a film most of which is in no map, whatever the rest is worth."""
+    """A sentence on a film most of which is in no map, whatever the rest is worth."""
     return [] if posed >= FEW_POSED * total else [f"only {posed} of {total} usable frames have a pose; {advice}"]
 
 
 def carried_by_depth(bridged: float) -> list[str]:
-    """Of maps that a sensor's depth alone joined, over stretches whose pictures show nothing."""
+    """A sentence on maps that a sensor's depth alone joined, over stretches whose pictures show nothing."""
     if not bridged:
         return []
     places = "one stretch" if bridged == 1 else f"each of {bridged:.0f} stretches"
@@ -66,7 +66,7 @@ def doubts_of_submaps(candidates: list[Candidate], advice: str) -> list[str]:
 
 
 def doubt_of_named_lens(submap: Submap, camera: Camera, settings: FrontEndSettings, workspace: Workspace) -> list[str]:
-    """Of a lens that a user named by --camera."""
+    """A sentence on a lens that a user named by --camera, where the film determines another."""
     if not (camera.trusted and camera.lens.in_colmap and _named_lens(workspace)):
         return []
     advice = "without --camera the lens is found from the film"

@@ -112,5 +112,5 @@ def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> 
 
 
 def points_folder(workspace: Workspace) -> Path:
-    """Of the submaps' models, by their numbers, in scene units."""
+    """Folder of the submaps' models, by their numbers, in scene units."""
     return workspace.log / STAGE

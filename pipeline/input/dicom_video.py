@@ -32,7 +32,7 @@ class DicomVideo:
 
 
 def is_dicom(path: Path) -> bool:
-    """By its first bytes."""
+    """Whether a file is DICOM, by its first bytes."""
     with path.open("rb") as file:
         return file.read(PREAMBLE + len(MAGIC))[PREAMBLE:] == MAGIC
 

@@ -84,12 +84,12 @@ class Source:
 
     @property
     def camera(self) -> Camera | None:
-        """Of the frames, where the source knows it; a stereo source does once a frame was read."""
+        """Camera of the frames, where the source knows it; a stereo source does once a frame was read."""
         return None
 
     @property
     def depth_error_per_mm(self) -> float:
-        """Of `depth_mm`: standard deviation over the depth's square, 1/mm."""
+        """Error of `depth_mm`: standard deviation over the depth's square, 1/mm."""
         return 0.0
 
     def check(self) -> None:

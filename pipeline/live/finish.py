@@ -69,7 +69,7 @@ def write_record(folder: Path, record: LiveRecord) -> None:
 
 
 def forget_record(folder: Path) -> None:
-    """Of a session that saw nothing, or that is replaced."""
+    """Remove the record of a session that saw nothing, or that is replaced."""
     (folder / LIVE_RECORD).unlink(missing_ok=True)
     shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
 

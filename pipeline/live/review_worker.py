@@ -213,7 +213,7 @@ def _scale(completed: CompletedSubmap, row: int) -> float:
 
 
 def inverse_sim3(similarity: Array) -> Array:
-    """Of a similarity (4,4)."""
+    """Inverse of a similarity (4,4)."""
     return np.asarray(np.linalg.inv(similarity))
 
 

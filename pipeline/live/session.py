@@ -62,7 +62,8 @@ class LiveSession:
         self._began: float | None = None  # and the first that was tracked
 
     def run(self) -> None:
-        """Until the end. HaustraError where the source showed nothing; what was lost later is in the state."""
+        """Follow the source until its end. HaustraError where the source showed nothing; what was lost later is in the
+        state."""
         with (
             single_threaded(),
             Worker("depth", DenseWorker, self._setup, WAITING_KEYFRAMES, DENSE_NICENESS) as dense,

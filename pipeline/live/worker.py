@@ -92,14 +92,14 @@ class Worker(Generic[Setup, Job, Result]):
             yield found
 
     def wait_until_ready(self, timeout: float) -> None:
-        """Until the first job can begin, or the seconds are over. HaustraError where the process cannot work."""
+        """Wait until the first job can begin, or the seconds are over. HaustraError where the process cannot work."""
         with self._lock:
             self._lock.wait_for(lambda: self._ready or self.failure, timeout)
             if self.failure:
                 raise HaustraError(self.failure)
 
     def wait_until_idle(self, timeout: float) -> bool:
-        """Until all jobs are done; False where that takes longer, or the process failed."""
+        """Wait until all jobs are done; False where that takes longer, or the process failed."""
         with self._lock:
             done = self._lock.wait_for(
                 lambda: self.failure or not (self._first or self._waiting or self._working), timeout

@@ -234,7 +234,7 @@ class LocalMap:
         return csr_array((np.ones(len(columns)), columns, starts), shape=(len(ids), len(usable)))
 
     def median_depth(self, keyframe: Keyframe) -> float:
-        """Of the keyframe's points; 1 if it has none."""
+        """Median z-depth of the keyframe's points; 1 if it has none."""
         points, _ = self.visible_points(keyframe)
         return float(np.median(in_camera(keyframe.camera_from_world, points)[:, 2])) if len(points) else 1.0
 

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 
 def rank_correlation(first: NDArray[np.floating], second: NDArray[np.floating]) -> float:
-    """Of two arrays (N,) of finite values, from -1 to 1; equal values share the mean of their ranks. NaN where one of
-    them is constant."""
+    """Rank correlation of two arrays (N,) of finite values, from -1 to 1; equal values share the mean of their ranks.
+    NaN where one of them is constant."""
     one, other = _centred_ranks(first), _centred_ranks(second)
     with np.errstate(invalid="ignore"):
         return float(np.divide(one @ other, np.sqrt((one @ one) * (other @ other))))

@@ -40,7 +40,7 @@ class PathDifference:
 
 
 def path_difference(poses: Array, others: Array) -> PathDifference:
-    """Of `world_from_camera` (N,4,4) and (N,4,4), whose length counts.
+    """Difference of two paths, world_from_camera (N,4,4) each; it is a share of the length of `others`.
 
     The axes have a say (`align_poses`), since the centres of a short and nearly straight path leave the rotation about
     it open: by them alone a map that is right to 1 % of its path can be turned by 20 degrees.

@@ -52,7 +52,7 @@ EXPANDED = 5  # matches, those with most inliers, around which pairs of keyframe
 
 
 def features_of_map(local_map: LocalMap, find: FindFeatures) -> list[KeyframeFeatures]:
-    """Of evenly spaced keyframes, those with enough features to be compared."""
+    """Features of evenly spaced keyframes, of those with enough features to be compared."""
     step = max(1, -(-len(local_map.keyframes) // MOST_KEYFRAMES))
     found = [
         features_of_view(number, local_map.sparse_view(local_map.keyframes[number]), local_map.rays, find)

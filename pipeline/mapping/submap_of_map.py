@@ -18,7 +18,7 @@ CHUNK = 500  # frames refined at once
 def submaps_of(
     maps: list[LocalMap], params: tuple[float, ...], sigma: tuple[float, ...] = (), kind: TrackKind | None = None
 ) -> list[Submap]:
-    """Of the maps that are long enough, most frames first; kind: see `to_submap`."""
+    """Submaps of the maps that are long enough, most frames first; kind: see `to_submap`."""
     found = [to_submap(local_map, params, sigma, kind) for local_map in maps]
     kept = [submap for submap in found if submap is not None and len(submap.frames) >= MIN_FRAMES]
     return sorted(kept, key=lambda submap: -len(submap.frames))

@@ -47,11 +47,11 @@ class MatchedFeatures:
 
     @property
     def pixels(self) -> list[Array]:
-        """Of each keyframe, its features' (N,2)."""
+        """Of each keyframe, where its features are (N,2)."""
         return [features.pixels for features in self.features]
 
     def tracks(self, points: list[Array], wide: bool, widest: float) -> FeatureTracks:
-        """Of matches between two features of at most `widest` pixels across, or (`wide`) of all other matches.
+        """Tracks of matches between two features of at most `widest` pixels across, or (`wide`) of all other matches.
 
         points: of each keyframe, its features' points (N,3) in the world.
         """

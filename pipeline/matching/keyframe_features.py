@@ -43,7 +43,7 @@ class KeyframeFeatures:
 
     @cached_property
     def triangles(self) -> Delaunay | None:
-        """Of `pixels`; a keyframe is asked for its surface dozens of times."""
+        """Triangulation of `pixels`; a keyframe is asked for its surface dozens of times."""
         return delaunay(self.pixels)
 
     def world_points(self, camera_from_world: Array) -> Array:
@@ -52,7 +52,7 @@ class KeyframeFeatures:
 
     @staticmethod
     def none(keyframe: int) -> "KeyframeFeatures":
-        """Of a keyframe that has none."""
+        """The features of a keyframe that has none."""
         flat, empty = np.zeros((0, 2)), np.zeros(0)
         return KeyframeFeatures(
             keyframe, flat, np.zeros((0, 128), np.uint8), np.zeros((0, 3)), empty, np.zeros(0, bool)
@@ -73,7 +73,7 @@ class SparseView:
 def features_of_view(
     number: int, view: SparseView, rays: RayTable, find: FindFeatures, extrapolate: bool = False
 ) -> KeyframeFeatures:
-    """Of keyframe `number`; none where it sees too few points. extrapolate: see `lift_features`."""
+    """Features of keyframe `number`; none where it sees too few points. extrapolate: see `lift_features`."""
     if len(view.points) < MIN_FEATURES:
         return KeyframeFeatures.none(number)
     depth = view.points[:, 2]

@@ -30,7 +30,7 @@ class MeasuredDepth:
     error: NDArray[np.float64]
 
     def contiguous(self) -> "MeasuredDepth":
-        """As the kernels take it."""
+        """The same in contiguous arrays, as the kernels take it."""
         return MeasuredDepth(
             np.ascontiguousarray(self.observation, np.int64),
             np.ascontiguousarray(self.depth, np.float64),

@@ -90,7 +90,7 @@ def parent_bound_command(module: str, *words: str) -> list[str]:
 
 
 def parent_bound_environment() -> dict[str, str]:
-    """Of a child of this process."""
+    """Environment of a child of this process."""
     return os.environ | {"HAUSTRA_PARENT": str(os.getpid())}
 
 

@@ -99,7 +99,7 @@ class Workspace:
         self._before = copy.deepcopy(self.record)
 
     def replace_surface(self) -> None:
-        """Before the first file of a new surface: what was written of an older one is no longer the run's."""
+        """Remove what was written of an older surface; call it before the first file of a new one."""
         self._before = None
         for path in (self.report, self.metrics, self.recording):
             path.unlink(missing_ok=True)

@@ -20,8 +20,8 @@ from pipeline.surface.scale import SCENE, Scale, checked_against
 def given_scales(
     poses: PoseSettings, frames: Frames, submaps: list[CompletedSubmap], workspace: Workspace
 ) -> tuple[Scale | None, ...]:
-    """Of each submap, by its number: by a sensor where there is one, else by the unit of given poses, which make one
-    submap. Empty where nothing is given."""
+    """Scale of each submap, by its number: of a sensor where there is one, else of the unit of given poses, which make
+    one submap. Empty where nothing is given."""
     by_poses: tuple[Scale | None, ...] = ()
     if poses.file is not None:
         by_poses = (scale_of_poses(scene_unit(workspace), poses.mm_per_unit, submaps[0].submap),)
@@ -35,8 +35,8 @@ def given_scales(
 
 
 def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None = None) -> Scale:
-    """Of a submap made from given poses, one scene unit of which is `unit` of theirs; doubted where the wall is then at
-    a distance that few endoscopes see it from, and HaustraError where none does."""
+    """Scale of a submap made from given poses, one scene unit of which is `unit` of theirs; doubted where the wall is
+    then at a distance that few endoscopes see it from, and HaustraError where none does."""
     if mm_per_unit is None:
         return Scale(unit, "scene", "the unit of the given poses; give --poses-mm to have mm")
     factor, doubt = unit * mm_per_unit, ""
@@ -49,12 +49,12 @@ def scale_of_poses(unit: float, mm_per_unit: float | None, submap: Submap | None
 
 
 def scale_of_sensor(found: SensorScale | None) -> Scale | None:
-    """Of a submap whose depth a sensor measured; None where it saw too little."""
+    """Scale of a submap whose depth a sensor measured; None where it saw too little."""
     return None if found is None else Scale(found.mm_per_unit, "mm", str(found), found.doubt, found.clock_doubt)
 
 
 def without_sensor(otherwise: Scale | None) -> Scale:
-    """Of a submap of which a sensor saw too little: what is known otherwise, and that the sensor gave nothing."""
+    """Scale of a submap of which a sensor saw too little: what is known otherwise, and that the sensor gave nothing."""
     scale = SCENE if otherwise is None else otherwise
     return scale.with_doubt(
         "the sensor saw too few of the map's points: neither its depth nor its millimetres are used"

@@ -48,8 +48,8 @@ class WallMotion:
 def wall_motion_stage(
     frames: Frames, completed: list[CompletedSubmap], submaps: list[Submap], workspace: Workspace, progress: Progress
 ) -> list[WallMotion | None]:
-    """Of each submap; None where too little is followed to tell, and where closed loops moved points off what was
-    adjusted to the pictures.
+    """Motion of each submap's wall; None where too little is tracked to tell, and where closed loops moved points off
+    what was adjusted to the pictures.
 
     submaps: as the front end left them; points found anew have lost the sightings that a moving wall puts off.
     """
@@ -90,7 +90,7 @@ def sentences(found: list[WallMotion | None]) -> list[str]:
 
 
 def measure_motion(frames: Frames, submap: Submap) -> WallMotion | None:
-    """Of one submap; None where too little is followed to tell."""
+    """Motion of one submap's wall; None where too little is tracked to tell."""
     seconds, (order, starts) = frames.seconds_of_numbers(submap.frames), submap.by_frame()
     pieces = max(1, round((seconds[-1] - seconds[0]) / PIECE_S))
     edges = np.searchsorted(seconds, np.linspace(seconds[0], seconds[-1], pieces + 1)[1:-1])
@@ -116,7 +116,7 @@ def _thinned(point: NDArray[np.int64]) -> Mask:
 
 
 def residuals(frames: Frames, submap: Submap, seconds: Array, mine: Mask | NDArray[np.int64]) -> Residuals:
-    """Of the observations `mine` (rows or mask) of a submap whose frames are at `seconds` (N,)."""
+    """Residuals of the observations `mine` (rows or mask) of a submap whose frames are at `seconds` (N,)."""
     camera = refined_camera(frames.camera, submap)
     row, point = submap.observations[mine].T
     plane, valid = camera.unproject(submap.pixels[mine])

@@ -59,7 +59,7 @@ class DataSetTruth:
 
 
 def views_apart(count: int) -> int:
-    """Of so many frames, every how many makes the surface."""
+    """Every how many of so many frames makes the surface."""
     return max(1, count // MOST_VIEWS)
 
 

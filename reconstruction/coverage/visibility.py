@@ -99,7 +99,8 @@ def _in_view(
 
 
 def distinct_cameras(world_from_camera: Array, min_baseline: float, min_turn_deg: float) -> Array:
-    """Of cameras (M,4,4) in the order of the video, the first, and each that moved or turned on since the last kept."""
+    """Some of the cameras (M,4,4), in the order of the video: the first, and each that moved or turned on since the
+    last kept."""
     kept = [0]
     for number in range(1, len(world_from_camera)):
         here, last = world_from_camera[number], world_from_camera[kept[-1]]

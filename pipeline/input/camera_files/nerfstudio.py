@@ -30,7 +30,7 @@ def _shared(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def lens_of(fields: dict[str, Any]) -> CalibratedLens:
-    """From fl_x or camera_angle_x and what else there is."""
+    """Lens from fl_x or camera_angle_x and what else there is."""
     size = size_of(fields, "w", "h")
     if "fl_x" in fields:
         fx = float(fields["fl_x"])

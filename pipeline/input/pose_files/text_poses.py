@@ -13,7 +13,7 @@ TUM, KITTI = 8, 12
 
 
 def read_text_poses(path: Path) -> PoseTable | None:
-    """By how many numbers its lines have."""
+    """Poses of a text file, whose format is known by how many numbers its lines have."""
     if not path.is_file() or path.suffix.lower() not in (".tum", ".txt", ".kitti", ""):
         return None
     lines = [

@@ -82,7 +82,7 @@ class LiveState:
         self.latencies: list[float] = []  # s, from a keyframe's frame to its surface
 
     def wait_until_told(self, timeout: float) -> None:
-        """Until the page has asked once more, if somebody looks at it."""
+        """Wait until the page has asked once more, if somebody looks at it."""
         asked, end = self._asked, time.monotonic() + timeout
         while self.is_watched and self._asked == asked and time.monotonic() < end:
             time.sleep(0.02)
@@ -119,7 +119,7 @@ class LiveState:
                 self.sentences.append(sentence)
 
     def add_pose(self, frame: int, world_from_camera: Array, map_number: int) -> None:
-        """Of the latest frame, (4,4)."""
+        """Add world_from_camera (4,4) of the latest frame."""
         with self._lock:
             if map_number != self._map_number:
                 self._path, self._map_number = [], map_number

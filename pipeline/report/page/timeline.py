@@ -43,7 +43,7 @@ class FrameStates:
 
 
 def frame_states(workspace: Workspace, submaps: list[CompletedSubmap]) -> FrameStates:
-    """From `frames.json` and the poses."""
+    """The state of each frame, from `frames.json` and the poses."""
     with report_corruption(workspace.frames):
         rows = json.loads(workspace.frames.read_text())["frames"]
     index = np.array([row[0] for row in rows], dtype=np.int64)

@@ -31,7 +31,7 @@ class DepthScale:
 
 
 def depth_scales(folder: Path) -> tuple[DepthScale, ...]:
-    """Of each submap that has keyframes."""
+    """The scale of each submap that has keyframes."""
     return _scales(folder, (folder / RECORD_NAME).stat().st_mtime_ns)
 
 

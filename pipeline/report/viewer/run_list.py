@@ -53,7 +53,7 @@ def find_runs(folder: Path) -> dict[str, Path]:
 
 
 def rows_of(folder: Path) -> list[RunRow]:
-    """Of every run, and of every film of a batch that came to none."""
+    """A row of every run, and of every film of a batch that came to none."""
     runs = find_runs(folder)
     rows = [row_of(name, path) for name, path in runs.items()]
     if runs.get(folder.resolve().name) == folder:
