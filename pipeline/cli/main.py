@@ -76,7 +76,8 @@ def export(
     programs = {"nerfstudio": nerfstudio, "colmap": colmap, "slicer": slicer, "climb": climb}
     chosen = [name for name, wanted in programs.items() if wanted]
     if len(chosen) + (max_error is not None or texture) > 1:
-        raise HaustraError("give one of --nerfstudio, --colmap, --slicer and --climb, and with it no option of a mesh")
+        *first, last = (f"--{name}" for name in programs)
+        raise HaustraError(f"give one of {', '.join(first)} and {last}, and with it no option of a mesh")
     if climb:
         print(write_submission(run, target))
     else:
