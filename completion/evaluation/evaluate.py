@@ -41,14 +41,12 @@ class Protocol(BaseModel):
     """In the truth's unit: quantization step that is smoothed out of the truth first; 0: none."""
 
     def __str__(self) -> str:
-        return self.told("")
+        return self.described("")
 
-    def told(self, found: str) -> str:
+    def described(self, found: str) -> str:
         """In words; `found` is said of the points, where there were not as many as asked for."""
         untouched = "no scale alignment"
-        if (
-            self.sampler == "sfm"
-        ):  # its points have an unknown factor, noise and outliers; see `sampling_benchmark.like_sfm`
+        if self.sampler == "sfm":  # points of an unknown scale, with noise and outliers: `sampling_benchmark.like_sfm`
             untouched = "their unknown scale given back by its true value"
         scaled = {"none": untouched, "points": "scale from the sparse points"}
         scale = scaled.get(self.alignment, self.alignment + " scale")

@@ -155,7 +155,7 @@ def _frames_told(accumulator: Accumulator, protocol: Protocol) -> str:
     least, most = min(found), max(found)
     span = str(least) if least == most else f"{least} to {most}"
     had = f" ({span} found in a frame)" if span != str(protocol.points) else ""
-    return f"{counted(len(found), 'frame')}{missing}, {protocol.told(had)}"
+    return f"{counted(len(found), 'frame')}{missing}, {protocol.described(had)}"
 
 
 def _with_gaps(model: str, accumulator: Accumulator) -> str:

@@ -16,14 +16,14 @@ def doctor(
     """Say what this machine has of what is needed, test it, and print the text of a bug report."""
     if run is not None:
         must_be_run(run)
-    from pipeline.doctor.report import ADVICE, examine, told_of
+    from pipeline.doctor.report import ADVICE, examine, facts_of_run
 
     faults = 0
     for finding in examine(Path.cwd(), test):
         print(finding, flush=True)
         faults += finding.verdict == "fault"
     if run is not None:
-        print(f"\nthe run:\n{told_of(run)}")
+        print(f"\nthe run:\n{facts_of_run(run)}")
     print(f"\n{ADVICE}")
     if faults:
         raise HaustraError(f"{faults} findings are marked with !: they keep reconstruct from working as it should")

@@ -31,7 +31,7 @@ def examine(folder: Path, with_test: bool = True) -> list[Finding]:
     return found + (self_test() if with_test else [])
 
 
-def told_of(run: Path) -> str:
+def facts_of_run(run: Path) -> str:
     """Settings, finished stages, counts and warnings of a run as YAML, without paths and names of files."""
     record = _read(run / "run.yaml")
     facts: dict[str, Any] = {name: record.get(name) for name in ("versions", "config")}

@@ -112,7 +112,7 @@ def check_poses(
         )
     shift = find_shift(frames, world_from_camera, pairs, rays.focal_px)
     if shift is not None:
-        raise HaustraError(shift.told(path, seconds_apart))
+        raise HaustraError(shift.sentence(path, seconds_apart))
     if given < fits:
         other = "" if sensor_from_camera is None else ", the hand-eye transform another one (--hand-eye)"
         raise HaustraError(

@@ -35,7 +35,7 @@ class TimeShift:
     given_px: float
     others: tuple[int, ...] = ()
 
-    def told(self, path: Path, seconds_apart: float | None) -> str:
+    def sentence(self, path: Path, seconds_apart: float | None) -> str:
         """One sentence; seconds_apart: between two frames, where the poses have times."""
         many, (wrong, right) = abs(self.frames), (max(self.frames, 0), max(-self.frames, 0))
         verb, word = ("take", "from") if self.frames > 0 else ("add", "to")

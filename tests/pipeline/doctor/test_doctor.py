@@ -88,7 +88,7 @@ def test_nothing_that_is_told_names_a_file_or_folder(tmp_path: Path, name: str, 
     }
     (run / "run.yaml").write_text(yaml.safe_dump(record))
     (run / "metrics.json").write_text(json.dumps({"frames": {"posed": 3}, "warnings": [f"see {run}"]}))
-    told = report.told_of(run)
+    told = report.facts_of_run(run)
     for secret in ("ueller", "ÜLLER", "lens.json", Path(name).stem):
         assert secret not in told
     assert yaml.safe_load(told)["config"]["seed"] == 3
@@ -99,7 +99,7 @@ def test_nothing_that_is_told_names_a_file_or_folder(tmp_path: Path, name: str, 
 def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:
     (tmp_path / "run.yaml").write_text(text)
     with pytest.raises(HaustraError, match="damaged"):
-        report.told_of(tmp_path)
+        report.facts_of_run(tmp_path)
 
 
 @pytest.mark.slow
