@@ -1,6 +1,6 @@
 """Depth of points by what the pictures show around them, where their poses stand.
 
-A feature is found to half a pixel, and a corner that is followed slides; small patches about a point in up to nine
+A feature is found to half a pixel, and a corner that KLT tracks slides; small patches about a point in up to nine
 frames say more. The point moves along its ray in a reference frame; its surroundings there are a plane, whose slope is
 that of the points about it (inverse depth is linear in the picture of a plane). What the pictures do not confirm stays
 as it was. A point that they confirm, but whose place is unsure for the contrast about it, may slide along an edge, such
@@ -117,7 +117,7 @@ def _mean_reprojection(submap: Submap, rays: RayTable) -> Array:
 
 
 def _in_frames_of_features(submap: Submap) -> Rows:
-    """Rows of the observations in frames that see features: followed corners are seen in all frames, far more than it
+    """Rows of the observations in frames that see features: KLT corners are seen in all frames, far more than it
     takes. All rows, where no point is a feature."""
     feature = ~submap.is_klt[submap.observations[:, 1]]
     frames = np.zeros(len(submap.frames), bool)

@@ -44,7 +44,7 @@ def triangulate_again(
     advance: ProgressCallback,
     depth_at: DepthAt | None = None,
 ) -> Submap | None:
-    """The submap with the points of its features found anew; poses and points of tracked corners stay. None where the
+    """The submap with the points of its features found anew; poses and points of KLT corners stay. None where the
     poses triangulate too few.
 
     camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched.
@@ -226,7 +226,7 @@ def _keep(local_map: LocalMap, features: NDArray[np.bool_], rays: _Rays) -> None
 
 
 def _with_features_of(submap: Submap, found: Submap) -> Submap:
-    """The submap's frames and tracked corners, and the features that were found in some of these frames."""
+    """The submap's frames and KLT corners, and the features that were found in some of these frames."""
     corners = submap.without_points(~submap.is_klt)
     observations = found.observations + np.array([0, len(corners.points)])
     observations[:, 0] = np.searchsorted(submap.frames, found.frames)[found.observations[:, 0]]

@@ -211,7 +211,7 @@ def _adjusted(
 def _with_lens(
     maps: list[LocalMap], numbers: list[int], camera: Camera, far: bool, find: FindFeatures, progress: Progress
 ) -> dict[int, float | None]:
-    """The same with another lens; with one that is far from the last, adjusted first to the followed corners alone."""
+    """The same with another lens; with one that is far from the last, adjusted first to the KLT corners alone."""
     rays = ray_table(camera)
     for local_map in (maps[number] for number in numbers):
         local_map.recalibrate(rays)
