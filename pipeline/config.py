@@ -179,8 +179,9 @@ class Config(Settings):
 def beyond_surface(differences: list[str], config: Config) -> list[str]:
     """Those of a run's `Config.differences` to `config` for which a new surface is not enough, or was not asked for: of
     settings that stages before the surface read, and of others that `config` leaves at their defaults."""
-    asked = {difference.split(":")[0] for difference in Config().differences(config)}
-    return [one for one in differences if not (_is_of_surface(one.split(":")[0]) and one.split(":")[0] in asked)]
+    not_default = {difference.split(":")[0] for difference in Config().differences(config)}
+    names = [(one, one.split(":")[0]) for one in differences]
+    return [one for one, name in names if not (_is_of_surface(name) and name in not_default)]
 
 
 def _is_of_surface(name: str) -> bool:

@@ -196,8 +196,8 @@ def with_doubt(one: Candidate, camera: Camera, total: int, submaps: int) -> Cand
     family, known = FAMILY.get(one.mapper, ""), coefficients()
     if family not in known or len(one.submap.frames) < MIN_JUDGED:
         return one
-    refined, asked = refined_camera(camera, one.submap), known[family]["weights"]
-    evidence = gather_evidence(one.submap, refined, one.check, total, submaps, asked=asked)
+    refined, predictors = refined_camera(camera, one.submap), known[family]["weights"]
+    evidence = gather_evidence(one.submap, refined, one.check, total, submaps, predictors=predictors)
     return replace(one, doubt=judge(evidence, family))
 
 

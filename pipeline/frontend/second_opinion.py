@@ -102,8 +102,8 @@ def stretches_to_ask(
         choices.append((fit, every, left_out))
         if not left_out:
             break
-    asked = [sum(len(one.doubtful) for one in fit) for fit, _, _ in choices]
-    return choices[int(np.argmax(asked))]
+    doubtful = [sum(len(one.doubtful) for one in fit) for fit, _, _ in choices]
+    return choices[int(np.argmax(doubtful))]
 
 
 def most_frames(total: int, share: float) -> float:

@@ -148,11 +148,17 @@ class MapDoubt:
 
 
 def gather_evidence(
-    submap: Submap, camera: Camera, check: LightingCheck, total: int, submaps: int, *, asked: Iterable[str] = PREDICTORS
+    submap: Submap,
+    camera: Camera,
+    check: LightingCheck,
+    total: int,
+    submaps: int,
+    *,
+    predictors: Iterable[str] = PREDICTORS,
 ) -> MapEvidence:
-    """Evidence on one of `submaps` found in `total` working frames; camera: as refined with it. asked: names of the
-    predictors that will be used. Parts of the map are adjusted alone, which takes long, only where one needs that."""
-    kinds = {name.split(",")[0] for name in asked}
+    """Evidence on one of `submaps` found in `total` working frames; camera: as refined with it. predictors: names of
+    those that will be used. Parts of the map are adjusted alone, which takes long, only where one needs that."""
+    kinds = {name.split(",")[0] for name in predictors}
     depths = submap.depths()
     unit = float(np.median(depths[depths > 0])) if (depths > 0).any() else 1.0
     one = submap.scaled(1 / unit)

@@ -163,7 +163,7 @@ def test_a_kept_lens_says_where_it_is_from(monkeypatch, given, factor, origin):
 
 def test_only_long_submaps_of_mappers_with_coefficients_are_given_a_probability(monkeypatch):
     monkeypatch.setattr(scoring, "refined_camera", lambda *_: None)
-    monkeypatch.setattr(scoring, "gather_evidence", lambda *_, asked: "evidence")
+    monkeypatch.setattr(scoring, "gather_evidence", lambda *_, predictors: "evidence")
     by_family = {"odometry": SimpleNamespace(probability=0.9), "colmap": SimpleNamespace(probability=0.1)}
     monkeypatch.setattr(scoring, "judge", lambda evidence, family: by_family[family])
     short = Candidate(SimpleNamespace(frames=np.arange(scoring.MIN_JUDGED - 1)), GOOD.check, Path(), "odometry")
