@@ -61,13 +61,13 @@ def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | 
 
 
 def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[str], None]) -> Iterator["VideoFrame"]:
-    """Frames of every packet that decodes. Damaged packets are passed over. Of a stream that was sent, frames of which
-    something was lost, and those that are decoded from such, up to the codec's next keyframe, are left out: they are
-    smeared. Of a file of another kind, where single bytes are wrong, they are given. `note` is told how many of each,
-    and where the end of a stream that was sent cannot be read."""
+    """Frames of every packet that decodes. Damaged packets are passed over. What is decoded after a packet that could
+    not be, up to the codec's next keyframe, is left out: it is smeared. Of a stream that was sent, so are frames of
+    which a part was lost, and what follows them; of a file of another kind, where single bytes are wrong, those are
+    given. `note` is told how many of each, and where the end of a stream that was sent cannot be read."""
     import av
 
-    damaged, doubtful, read_to, is_sent = 0, 0, 0, container.format.name in SENT
+    damaged, smeared, doubtful, read_to, is_sent = 0, 0, 0, 0, container.format.name in SENT
     gaps, smear = Gaps(), Smear()
     try:
         for packet in packets_of(container, stream):
@@ -76,26 +76,32 @@ def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[
                     smear.begin(since)
                 if packet is not None and packet.pos is not None:
                     read_to = max(read_to, packet.pos + packet.size)
+                if packet is not None:
+                    smear.await_frame(packet)
                 for frame in () if packet is None else packet.decode():
-                    is_smeared = smear.covers(frame)
-                    doubtful += is_smeared
-                    if not (is_smeared and is_sent):
+                    is_covered = smear.covers(frame)
+                    is_given = not is_covered or not (is_sent or smear.is_of_lost_packet)
+                    smeared += not is_given
+                    doubtful += is_covered and is_given
+                    if is_given:
                         yield frame
                 damaged += packet is None
             except av.error.EOFError:
                 break
             except av.error.FFmpegError:
                 damaged += 1
-                if is_sent and packet is not None and packet.pts is not None:
-                    smear.begin(packet.pts)
+                smear.begin_at_lost_packet()
             if damaged > MAX_DAMAGED:
                 break
     finally:  # also where nobody asks for the rest
         if damaged:
-            note(f"{damaged} damaged pieces of the video were passed over")
+            were = "was" if damaged == 1 else "were"
+            note(f"{counted(damaged, 'damaged piece')} of the video {were} passed over")
+        which = "of damaged pieces of the video or decoded from such"
+        if smeared:
+            note(f"left out: {counted(smeared, 'frame')} {which}")
         if doubtful:
-            which = f"{counted(doubtful, 'frame')} of damaged pieces of the video or decoded from such"
-            note(f"left out: {which}" if is_sent else f"may be wrong in places: {which}")
+            note(f"may be wrong in places: {counted(doubtful, 'frame')} {which}")
     if is_sent and not _is_whole(read_to, container.size) and (unread := _unread_share(Path(container.name))):
         note(f"the video ends early: nothing could be read of the last {100 * unread:.0f} % of its file")
 
@@ -121,25 +127,46 @@ class Gaps:
 
 
 class Smear:
-    """From a loss to the codec's next keyframe: what is decoded from lost frames shows smeared pictures."""
+    """From a loss to the codec's next keyframe: what is decoded from lost frames shows smeared pictures.
+
+    is_of_lost_packet: whether the loss is of a packet that could not be decoded at all.
+    """
 
     def __init__(self) -> None:
+        self.is_of_lost_packet = False
         self._since: float | None = None  # presentation time of the first frame that is lost
         self._count = 0
+        self._awaited: set[int] = set()  # presentation times of packets whose frames have not come
+        self._is_passed = True  # whether the frame that a lost packet would have given is behind those that came
+
+    def await_frame(self, packet: "Packet") -> None:
+        """A packet that is about to be decoded."""
+        if packet.pts is not None and packet.size:
+            self._awaited.add(packet.pts)
 
     def begin(self, since: float) -> None:
         """With a presentation time."""
         self._since, self._count = since if self._since is None else min(self._since, since), 0
 
+    def begin_at_lost_packet(self) -> None:
+        """A decoder with threads does not say which of the latest packets it gave up: the one whose frame does not
+        come. Frames shown before that one, but decoded after it, are smeared too."""
+        self.begin(-math.inf)
+        self.is_of_lost_packet, self._is_passed = True, False
+
     def covers(self, frame: "VideoFrame") -> bool:
         """Whether a frame, which the decoder gives some packets later, is of a loss or built on one."""
         pts = math.inf if frame.pts is None else frame.pts
+        passed = {awaited for awaited in self._awaited if awaited < pts}
+        self._is_passed = self._is_passed or bool(passed) or frame.pts is None
+        self._awaited -= passed | {pts}
         if frame.is_corrupt:
             self._since, self._count = pts, 0
         if self._since is None or pts < self._since:
             return False
-        if self._count >= MOST_SMEARED or (frame.key_frame and not frame.is_corrupt and pts > self._since):
-            self._since = None
+        is_anew = frame.key_frame and not frame.is_corrupt and pts > self._since and self._is_passed
+        if self._count >= MOST_SMEARED or is_anew:
+            self._since, self.is_of_lost_packet = None, False
             return False
         self._count += 1
         return True
