@@ -60,11 +60,16 @@ def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | 
             yield None
 
 
-def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[str], None]) -> Iterator["VideoFrame"]:
-    """Frames of every packet that decodes. Damaged packets are passed over. What is decoded after a packet that could
-    not be, up to the codec's next keyframe, is left out: it is smeared. Of a stream that was sent, so are frames of
-    which a part was lost, and what follows them; of a file of another kind, where single bytes are wrong, those are
-    given. `note` is told how many of each, and where the end of a stream that was sent cannot be read."""
+def decoded(
+    container: "InputContainer", stream: "VideoStream", note: Callable[[str], None]
+) -> Iterator["VideoFrame | None"]:
+    """Frames of every packet that decodes; None for each that is left out, and for each packet that does not decode, so
+    that frames behind a loss keep their numbers.
+
+    What is decoded after a packet that could not be, up to the codec's next keyframe, is left out: it is smeared. Of a
+    stream that was sent, so are frames of which a part was lost, and what follows them; of a file of another kind,
+    where single bytes are wrong, those are given. `note` is told how many of each, and where the end of a stream that
+    was sent cannot be read."""
     import av
 
     damaged, smeared, doubtful, read_to, is_sent = 0, 0, 0, 0, container.format.name in SENT
@@ -83,14 +88,14 @@ def decoded(container: "InputContainer", stream: "VideoStream", note: Callable[[
                     is_given = not is_covered or not (is_sent or smear.is_of_lost_packet)
                     smeared += not is_given
                     doubtful += is_covered and is_given
-                    if is_given:
-                        yield frame
+                    yield frame if is_given else None
                 damaged += packet is None
             except av.error.EOFError:
                 break
             except av.error.FFmpegError:
                 damaged += 1
                 smear.begin_at_lost_packet()
+                yield None
             if damaged > MAX_DAMAGED:
                 break
     finally:  # also where nobody asks for the rest

@@ -130,7 +130,7 @@ class Source:
             self._note(f"{which} are no pictures of 8 or 16 bits, or damaged, and were skipped")
 
     def _read_video(self) -> Iterator[RawFrame]:
-        count, size = 0, (0, 0)
+        count, left_out, size = 0, 0, (0, 0)
         if self._faults is None:
             self._faults = self._find_faults()
         with open_video(self.path) as container:
@@ -143,12 +143,18 @@ class Source:
             aspect = stream.sample_aspect_ratio or Fraction(1)
             to_rgb = RgbConverter()
             for frame in decoded(container, stream, self._note):
+                if frame is None:
+                    left_out += 1
+                    if not clock.has_times:
+                        clock.seconds(None)
+                    continue
                 rgb = self._upright(frame, to_rgb(frame), aspect)
                 size = size if count else (rgb.shape[1], rgb.shape[0])
                 stamp: float | None = frame.time
                 if container.format.name in BY_PACKET:
                     stamp = None if frame.dts is None else float(frame.dts * (stream.time_base or 1 / rate))
-                yield RawFrame(count, clock.seconds(stamp), self._of_size(rgb, size, count, aspect))
+                index = count + left_out
+                yield RawFrame(index, clock.seconds(stamp), self._of_size(rgb, size, index, aspect))
                 count += 1
             for sentence in clock.notes:
                 self._note(sentence)
@@ -167,7 +173,7 @@ class Source:
             faults = look_at(
                 self._of_one_time(frame, to_rgb(frame))
                 for frame in decoded(container, stream, self._note)
-                if min(frame.width, frame.height) >= SMALLEST
+                if frame is not None and min(frame.width, frame.height) >= SMALLEST
             )
             codec: CodecContext | None = stream.codec_context  # PyAV has none where FFmpeg has no decoder
             if codec is not None and codec.name in PALETTES:  # whose dither alternates from row to row

@@ -305,6 +305,7 @@ def test_what_follows_a_packet_that_does_not_decode_is_left_out_of_any_film(
     source = Source(path)
     read = list(source)
     assert 80 - 20 * len({k // 20 for k in lost}) <= len(read) < 80 - len(lost)
+    assert [frame.index for frame in read] == [round(30 * frame.seconds) for frame in read]  # as poses and depth count
     for frame in read:
         assert np.abs(frame.rgb.astype(int) - frames[round(30 * frame.seconds)]).mean() < 6
     assert any("left out" in note for note in source.notes)
