@@ -52,7 +52,8 @@ class Source:
     """A video or folder that can be read from its beginning as often as needed.
 
     Attributes: path; announced (number of frames that the source claims, 0 = unknown); notes (sentences about what
-    was amiss while reading, filled by iteration).
+    was amiss while reading, filled by iteration); step_s (a film's nominal interval between frames, s; 0 before it is
+    read, and of a folder).
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,7 +73,7 @@ class Source:
         refuse_stack(self.images[0] if self.is_folder else path)
         if not self.is_folder and path.stat().st_size == 0:
             raise HaustraError(f"the file {path} is empty")
-        self.announced = len(self.images)
+        self.announced, self.step_s = len(self.images), 0.0
         self._rate = 0.0  # frames/s that a DICOM file says
         self.rows_are_eyes = False  # of a row-interleaved stereo film, which looks like an interlaced one
         self._faults: FilmFaults | None = None
@@ -140,6 +141,7 @@ class Source:
             # Of a bare stream the average is FFmpeg's default; what the stream itself says is in its headers.
             rate = float((stream.average_rate if has_times else stream.guessed_rate) or 30)
             clock = Clock(self._rate or rate, has_times and not self._rate)
+            self.step_s = clock.step
             aspect = stream.sample_aspect_ratio or Fraction(1)
             to_rgb = RgbConverter()
             for frame in decoded(container, stream, self._note):

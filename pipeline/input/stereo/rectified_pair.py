@@ -82,6 +82,11 @@ class RectifiedRig:
                 f"the two eyes show nothing in common ({len(x)} matches): is the layout right? A film of one eye is "
                 "taken without --stereo"
             )
+        if abs(np.median(x)) < LEAST_PX:
+            raise HaustraError(
+                f"the two eyes see things in the same place (within {abs(np.median(x)):.1f} px in the median), which "
+                "shows no depth: is one eye's film given twice, or was the film recorded in 2D?"
+            )
         if np.median(x) < 0:
             raise HaustraError(
                 f"the left eye sees things {-np.median(x):.1f} px farther left than the right one: the eyes are "
@@ -123,6 +128,7 @@ def rectify(rig: StereoRig, size: tuple[int, int]) -> RectifiedRig:
         if abs(rig.size[1] * scale - size[1]) > 1.5:
             raise HaustraError(
                 f"the stereo calibration is for {rig.size[0]}x{rig.size[1]} pixels, but one eye has {size[0]}x{size[1]}"
+                ": is --stereo-layout right? If it is, calibrate at this size"
             )
         for matrix in (first, second):
             matrix[:2, 2] += 0.5

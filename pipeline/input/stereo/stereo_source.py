@@ -16,6 +16,7 @@ from pipeline.input.stereo.rig_file import read_rig
 from pipeline.input.video import RawFrame, Source
 
 CHECKED, APART = 6, 12  # pairs that are tested, and frames between two of them
+SAME_RATE = 1.1  # of two films' rates; the mean rate of one that lost frames is lower
 
 
 class StereoSource(Source):
@@ -39,16 +40,7 @@ class StereoSource(Source):
         return 0.0 if self._rig is None else self._rig.error_per_mm
 
     def __iter__(self) -> Iterator[RawFrame]:
-        others = iter(()) if self._right is None else iter(self._right)
-        for frame in super().__iter__():
-            if self._right is None:
-                left, right = split(frame.rgb, self._layout)
-            else:
-                other = next(others, None)
-                if other is None:
-                    self._note(f"{self._right.path.name} ends earlier: frames from {frame.index} on were left out")
-                    return
-                left, right = frame.rgb, other.rgb
+        for frame, left, right in self._pairs():
             if left.shape != right.shape:
                 raise HaustraError(
                     f"the two eyes have pictures of other sizes: {left.shape[1::-1]}, {right.shape[1::-1]}"
@@ -56,6 +48,54 @@ class StereoSource(Source):
             self._rig = self._rig or rectify(self._calibration, (left.shape[1], left.shape[0]))
             self._pair = self._rig.rectified(left, right)
             yield RawFrame(frame.index, frame.seconds, self._pair[0])
+
+    def _pairs(self) -> Iterator[tuple[RawFrame, Picture, Picture]]:
+        """The left eye's frame as it is in its film, and the pictures of both eyes."""
+        frames = super().__iter__()
+        if self._right is None:
+            for frame in frames:
+                yield frame, *split(frame.rgb, self._layout)
+            return
+        try:
+            for frame, other in self._of_one_time_in(frames, self._right):
+                yield frame, frame.rgb, other.rgb
+        finally:
+            for sentence in self._right.notes:
+                self._note(f"{self._right.path.name}: {sentence}")
+
+    def _of_one_time_in(self, frames: Iterator[RawFrame], right: Source) -> Iterator[tuple[RawFrame, RawFrame]]:
+        """Frames of the left film, each with the right film's nearest in time, at most half an interval away: either
+        film may have lost some. Of folders, and of films whose rates are not of one camera, by number."""
+        others = iter(right)
+        other, after = next(others, None), next(others, None)
+        for frame in frames:
+            by_time = self._has_rate_of(right)
+            slack = self.step_s / 2 if by_time else 0.5
+
+            def late(one: RawFrame, frame: RawFrame = frame, by_time: bool = by_time) -> float:
+                return one.seconds - frame.seconds if by_time else float(one.index - frame.index)
+
+            while after is not None and other is not None and abs(late(after)) <= abs(late(other)):
+                other, after = after, next(others, None)
+            if other is None or (after is None and late(other) < -slack):
+                self._note(f"{right.path.name} ends earlier: frames from {frame.index} on were left out")
+                return
+            if abs(late(other)) <= slack:
+                yield frame, other
+            else:
+                self._note(f"frames of {self.path.name} that {right.path.name} has no picture of are left out")
+
+    def _has_rate_of(self, right: Source) -> bool:
+        """Whether both are films that say the same rate."""
+        steps = sorted((self.step_s, right.step_s))
+        if steps[0] == 0 or steps[1] <= SAME_RATE * steps[0]:
+            return steps[0] > 0
+        left_rate, right_rate = 1 / self.step_s, 1 / right.step_s
+        self._note(
+            f"the films of the two eyes say {left_rate:.4g} and {right_rate:.4g} frames a second: their frames were "
+            "paired by number"
+        )
+        return False
 
     def check(self) -> None:
         """Test some pairs: HaustraError where the eyes are swapped, or the calibration is of another rig."""
