@@ -34,8 +34,10 @@ class LiveRecord:
     figures: dict[str, Any]
 
 
-def begin_record(folder: Path, source: str, recording: Path, config: Config, overwrite: bool) -> RunLock:
-    """Make the folder of a session, locked; HaustraError for one that holds another, unless `overwrite`."""
+def take_folder(folder: Path, overwrite: bool) -> RunLock:
+    """The folder of a session, made and locked; HaustraError for one that holds another, unless `overwrite`.
+
+    What it holds stays until `begin_record`."""
     if folder.exists() and not folder.is_dir():
         raise HaustraError(f"the output {folder} is a file; give a folder")
     if (folder / LIVE_FOLDER).exists() and not (folder / LIVE_RECORD).exists():
@@ -53,13 +55,17 @@ def begin_record(folder: Path, source: str, recording: Path, config: Config, ove
         lock = RunLock(folder)
     except OSError as error:
         raise HaustraError(f"cannot create the output folder {folder}: {error.strerror}") from error
+    remove_scratch(folder)
+    return lock
+
+
+def begin_record(folder: Path, source: str, recording: Path, config: Config) -> None:
+    """The record of a session in a folder that was taken; an earlier session or run in it goes."""
     mend_stopped(folder)
-    forget_record(folder)
     if (folder / RECORD_NAME).exists():
         remove_run(folder)
     forget(folder)
     write_record(folder, LiveRecord(source, recording, config, {}))
-    return lock
 
 
 def write_record(folder: Path, record: LiveRecord) -> None:
@@ -68,9 +74,8 @@ def write_record(folder: Path, record: LiveRecord) -> None:
     write_json(folder / LIVE_RECORD, values | {"config": record.config.model_dump(mode="json"), **record.figures})
 
 
-def forget_record(folder: Path) -> None:
-    """Remove the record of a session that saw nothing, or that is replaced."""
-    (folder / LIVE_RECORD).unlink(missing_ok=True)
+def remove_scratch(folder: Path) -> None:
+    """Remove the keyframes that a session kept for its own use."""
     shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
 
 
@@ -96,5 +101,5 @@ def finish_run(folder: Path, progress: Progress) -> Run:
         raise HaustraError(f"nothing was recorded of {record.source}")
     resume = (folder / RECORD_NAME).exists()
     run = reconstruct(record.recording, folder, record.config, resume=resume, progress=progress)
-    shutil.rmtree(folder / LIVE_FOLDER, ignore_errors=True)
+    remove_scratch(folder)
     return run

@@ -1,5 +1,6 @@
 """The whole of `haustra live`: session, page, and the run of the recording."""
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -9,14 +10,31 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import Progress, ProgressCallback
 from pipeline.config import Config
 from pipeline.finished_run import Run
-from pipeline.live.capture.live_film import open_film
-from pipeline.live.finish import begin_record, finish_run, forget_record, read_record, write_record
+from pipeline.input.video import RawFrame
+from pipeline.live.capture.live_film import LiveFilm, open_film
+from pipeline.live.finish import begin_record, finish_run, read_record, remove_scratch, take_folder, write_record
 from pipeline.live.keyboard import watched_keyboard
 from pipeline.live.page.live_server import LivePage
 from pipeline.live.page.live_state import LiveState
 from pipeline.live.session import LiveSession
 
 LAST_LOOK_S = 2.0  # for the page to be told how it ended
+
+
+class _BegunFilm:
+    """A film whose session takes the place of what its folder holds with the first picture: a source that gives none
+    must cost no earlier run."""
+
+    def __init__(self, film: LiveFilm, begin: Callable[[], None]) -> None:
+        self.name, self.recording, self._film, self._begin = film.name, film.recording, film, begin
+        self.is_begun = False
+
+    def frames(self, stopped: threading.Event) -> Iterator[RawFrame]:
+        for frame in self._film.frames(stopped):
+            if not self.is_begun:
+                self._begin()
+                self.is_begun = True
+            yield frame
 
 
 class _ToldProgress:
@@ -59,11 +77,12 @@ def live(
     opened or showed nothing; a source that is lost later ends the session like any other end.
     finish: False leaves the run to `--resume`.
     """
-    film = open_film(source, folder, loops, grows)
+    shown = open_film(source, folder, loops, grows)
+    film = _BegunFilm(shown, lambda: begin_record(folder, shown.name, shown.recording, config))
     state = LiveState(film.name)
     page = LivePage(state, port)  # before the folder is made: a port that is taken costs nothing
     try:
-        lock = begin_record(folder, film.name, film.recording, config, overwrite)
+        lock = take_folder(folder, overwrite)
     except HaustraError:
         page.server_close()
         raise
@@ -78,13 +97,13 @@ def live(
             raise
         finally:
             try:
-                if state.counts.came == 0:  # the corrected command may have the folder
-                    forget_record(folder)
+                if not film.is_begun:  # the corrected command may have the folder
+                    remove_scratch(folder)
                 else:
                     write_record(folder, replace(read_record(folder), figures=state.figures()))
             finally:
                 lock.release()
-        if state.counts.came == 0:
+        if not film.is_begun:
             raise HaustraError(f"the session ended before {film.name} gave a picture")
         for sentence in (*state.sentences, state.summary, f"the film: {film.recording}"):
             progress.log(sentence)

@@ -15,7 +15,7 @@ from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, VIDEO
-from pipeline.live.finish import begin_record, read_record
+from pipeline.live.finish import begin_record, read_record, take_folder
 from pipeline.live.live_run import live
 from pipeline.live.session import LiveSession
 from pipeline.run import reconstruct
@@ -78,6 +78,26 @@ def test_a_source_that_shows_nothing_leaves_the_folder_to_the_next_command(tmp_p
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".lock"]
 
 
+@pytest.mark.parametrize("left", [("run.yaml", "live.json"), ("live.json", "film.mkv")], ids=["run", "session"])
+def test_a_source_that_shows_nothing_leaves_what_it_was_to_replace(tmp_path, monkeypatch, left):
+    """A mistyped address had removed a finished run, or the record without which no --resume finds its recording."""
+    folder = tmp_path / "run"
+    lock = take_folder(folder, overwrite=False)
+    begin_record(folder, "camera", folder / "film.mkv", load_config(None))
+    lock.release()
+    if "run.yaml" in left:
+        with create_workspace(folder, VIDEO, load_config(None), False) as workspace:
+            workspace.finish("structure")
+        (folder / "mesh.ply").write_text("old")
+    else:
+        (folder / "film.mkv").write_bytes(b"old")
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    assert set(left) <= set(before)
+    with pytest.raises(HaustraError, match="cannot be opened"):
+        live("tcp://127.0.0.1:1", folder, load_config(None), SilentProgress(), open_browser=False, overwrite=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+
+
 def test_another_session_replaces_a_run_and_leaves_the_users_files(tmp_path):
     folder = tmp_path / "run"
     with create_workspace(folder, VIDEO, load_config(None), False) as workspace:
@@ -85,8 +105,10 @@ def test_another_session_replaces_a_run_and_leaves_the_users_files(tmp_path):
     (folder / "mesh.ply").write_text("old")
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(HaustraError, match="--overwrite replaces it"):
-        begin_record(folder, "film", VIDEO, load_config(None), False)
-    begin_record(folder, "film", VIDEO, load_config(None), True).release()
+        take_folder(folder, overwrite=False)
+    lock = take_folder(folder, overwrite=True)
+    begin_record(folder, "film", VIDEO, load_config(None))
+    lock.release()
     assert sorted(path.name for path in folder.iterdir() if path.is_file()) == [".lock", "live.json", "notes.txt"]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.config import load_config
-from pipeline.live.finish import begin_record
+from pipeline.live.finish import begin_record, take_folder
 from pipeline.run_folder.creating import create_workspace
 from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.workspace import open_workspace
@@ -155,8 +155,10 @@ def test_a_live_session_takes_the_place_of_both(old_run, tmp_path):
     create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True).lock.release()
     told = "camera", tmp_path / "film.mkv", load_config(None)
     with pytest.raises(HaustraError, match="already holds a session or run"):
-        begin_record(old_run, *told, overwrite=False)
-    begin_record(old_run, *told, overwrite=True).release()
+        take_folder(old_run, overwrite=False)
+    lock = take_folder(old_run, overwrite=True)
+    begin_record(old_run, *told)
+    lock.release()
     assert {path.name for path in old_run.iterdir()} == {"live.json", "thesis.tex", ".lock"}
 
 
