@@ -45,9 +45,9 @@ def take_folder(folder: Path, overwrite: bool) -> RunLock:
     taken = (RECORD_NAME, LIVE_RECORD, LIVE_FILM)
     if any((folder / name).exists() for name in taken) or is_kept(folder):
         if not overwrite:
-            raise HaustraError(
-                f"{folder} already holds a session or run; --resume finishes it, --overwrite replaces it"
-            )
+            is_session = (folder / LIVE_RECORD).exists()  # others cannot be finished from here
+            ways = "--resume finishes it" if is_session else "give another folder (-o)"
+            raise HaustraError(f"{folder} already holds a session or run; {ways}, --overwrite replaces it")
     elif folder.exists() and any(path.name not in UNFINISHED_START for path in folder.iterdir()):
         raise HaustraError(f"the folder {folder} is not empty and holds no run; give another output folder")
     try:

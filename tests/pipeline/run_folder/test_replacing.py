@@ -154,7 +154,7 @@ def test_a_kept_run_goes_when_the_new_one_could_not_remove_it(old_run, tmp_path,
 def test_a_live_session_takes_the_place_of_both(old_run, tmp_path):
     create_workspace(old_run, tmp_path / "b.mp4", load_config(None), overwrite=True).lock.release()
     told = "camera", tmp_path / "film.mkv", load_config(None)
-    with pytest.raises(HaustraError, match="already holds a session or run"):
+    with pytest.raises(HaustraError, match=r"already holds a session or run; give another folder \(-o\), --overwrite"):
         take_folder(old_run, overwrite=False)
     lock = take_folder(old_run, overwrite=True)
     begin_record(old_run, *told)
