@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.finished_run import open_run
+from pipeline.surface.scale import unit_label
 from reconstruction.mesh.mesh_io import check_textured, write_mesh, write_textured
 from reconstruction.mesh.texture_atlas import simplified, textured
 
@@ -18,7 +19,7 @@ def export_mesh(run: Path, target: Path, max_error: float | None = None, texture
     finished = open_run(run)
     if texture:
         check_textured(target)
-    mesh, unit = finished.surfaces[0].mesh, finished.unit()
+    mesh, unit = finished.surfaces[0].mesh, unit_label(finished.unit())
     light, error = (mesh, 0.0) if max_error is None else simplified(mesh, max_error)
     if texture:
         write_textured(textured(light, mesh), target)

@@ -168,6 +168,12 @@ def test_fewer_triangles_are_counted_and_so_is_none_fewer(made, tmp_path, monkey
     assert f" of {count} triangles, at most " in capsys.readouterr().out
 
 
+def test_an_error_without_millimetres_is_in_scene_units(made, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Run, "unit", lambda run: "scene")
+    assert export(monkeypatch, made, tmp_path / "light.ply", "--max-error", "1e9") == 0
+    assert capsys.readouterr().out.endswith(" scene units off\n")
+
+
 def test_a_flat_mesh_loses_triangles_without_any_error():
     assert _rounded_up(0.0) == "0"
     assert _rounded_up(0.1231) == "0.13"
