@@ -26,6 +26,7 @@ from pipeline.frontend.odometry.chunks import (
 )
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.klt import TrackerImage
+from pipeline.frontend.odometry.scale_breaks import cut_at_breaks
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.input.frames import Frames
@@ -66,8 +67,9 @@ class OdometryFrontEnd:
 @dataclass(frozen=True)
 class Tracked:
     """submaps: most frames first. frames_per_second: wall time of tracking and local mapping, images read from disk.
-    maps: how many were begun and kept; joins: how many of them were merged into another, bridged: of these, by a
-    sensor's depth alone. stitching: of a video that was tracked in chunks. warnings: sentences for a person."""
+    maps: how many there were before merging; joins: how many of them were merged into another, bridged: of these, by a
+    sensor's depth alone. stitching: of a video that was tracked in chunks. warnings: sentences for a person. cuts: how
+    often a map was cut at a scale break."""
 
     submaps: list[Submap]
     frames_per_second: float
@@ -76,6 +78,7 @@ class Tracked:
     stitching: Stitching | None = None
     bridged: int = 0
     warnings: tuple[str, ...] = ()
+    cuts: int = 0
 
     @property
     def stats(self) -> dict[str, float]:
@@ -84,7 +87,7 @@ class Tracked:
             {} if self.stitching is None else {"chunks": self.stitching.chunks, "closed_seams": self.stitching.closed}
         )
         rate = {"frames_per_second": self.frames_per_second}
-        return {**rate, "maps": self.maps, "joins": self.joins, "bridged": self.bridged, **chunks}
+        return {**rate, "maps": self.maps, "joins": self.joins, "bridged": self.bridged, "cuts": self.cuts, **chunks}
 
     @property
     def sentence(self) -> str:
@@ -103,6 +106,7 @@ def track_frames(
         started = time.perf_counter()
         maps, stitching = _tracked(frames, features, settings, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
+        maps, begun = cut_at_breaks(maps, progress), len(maps)
         give_back_freed_memory()  # the adjustment asks for other arrays
         sensor, doubt = open_sensor(workspace, frames.camera.width), ""
         if sensor is not None and sensor.settings.adjust:
@@ -123,7 +127,7 @@ def track_frames(
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
         submaps, warnings = submaps_of(merged, camera.params, sigma), (doubt,) if doubt else ()
-        return Tracked(submaps, rate, len(maps), joins + bridged, stitching, bridged, warnings)
+        return Tracked(submaps, rate, len(maps), joins + bridged, stitching, bridged, warnings, len(maps) - begun)
 
 
 def _tracked(
