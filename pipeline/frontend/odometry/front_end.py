@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from pipeline.frontend.odometry.chunks import (
 )
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.odometry.klt import TrackerImage
-from pipeline.frontend.odometry.scale_breaks import cut_at_breaks
+from pipeline.frontend.odometry.scale_breaks import find_break
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.tracking import Odometry
 from pipeline.input.frames import Frames
@@ -42,6 +42,7 @@ from pipeline.run_folder.malloc import give_back_freed_memory
 from pipeline.run_folder.workspace import Workspace
 
 NAME = "odometry"
+KEPT = 3  # keyframes before a scale break whose new tracks keep their points in the later part
 
 
 class OdometryFrontEnd:
@@ -128,6 +129,40 @@ def track_frames(
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
         submaps, warnings = submaps_of(merged, camera.params, sigma), (doubt,) if doubt else ()
         return Tracked(submaps, rate, len(maps), joins + bridged, stitching, bridged, warnings, len(maps) - begun)
+
+
+def cut_at_breaks(maps: list[LocalMap], progress: Progress) -> list[LocalMap]:
+    """The maps, each cut where its scale breaks, in the order of their frames; a sentence says where. Each part then
+    has one scale, and merging may find the similarity between two that show the same wall."""
+    result: list[LocalMap] = []
+    waiting = maps[::-1]
+    while waiting:
+        local_map = waiting.pop()
+        number = find_break([local_map.sparse_view(keyframe) for keyframe in local_map.keyframes])
+        if number is None:
+            result.append(local_map)
+            continue
+        progress.log(
+            f"frame {local_map.keyframes[number].frame}: points side by side in the picture lie at two depths, as "
+            "where the scale of the map changes; it is cut into two submaps there"
+        )
+        waiting += [_part(local_map, number, len(local_map.keyframes)), _part(local_map, 0, number)]
+    return result
+
+
+def _part(local_map: LocalMap, first: int, end: int) -> LocalMap:
+    """The map of keyframes `first` to before `end` and the frames after each; without points that keyframes more than
+    `KEPT` before `first` saw, which have the scale before the break."""
+    part = local_map.copied()
+    before = [keyframe.ids for keyframe in part.keyframes[: max(0, first - KEPT)]]
+    part.tracks.has_point[np.concatenate([np.zeros(0, np.int64), *before])] = False
+    part.keyframes = part.keyframes[first:end]
+    part.tracked_frames = [
+        replace(tracked, keyframe=tracked.keyframe - first)
+        for tracked in part.tracked_frames
+        if first <= tracked.keyframe < end
+    ]
+    return part
 
 
 def _tracked(
