@@ -3,6 +3,7 @@
 import re
 import sys
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from fractions import Fraction
@@ -28,6 +29,7 @@ DEFAULT_RATE = 30.0  # frames/s, of a source that says none
 RAW_RATE = 12_000_000  # bit/s of what is encoded here, since the camera gives pictures without compression
 GROWING_FORMATS = "; a film can be read while it grows in MPEG-TS, Matroska or fragmented MP4, not in plain MP4"
 MOST_DAMAGED = 300  # packets in a row
+MOST_WAITING = 1000  # packets before the first picture, the latest ones: 40 s at 25 a second
 
 
 def device_of(name: str) -> str | None:
@@ -135,7 +137,8 @@ class Stream:
 
 
 class _Recorder:
-    """Writes packets as they came, from the first one on; pictures without compression are encoded first.
+    """Writes packets as they came, from the first one on; pictures without compression are encoded first. Nothing is
+    written before a packet gave a picture: a source that gives none must not replace an earlier recording.
 
     Stamps go on where the source's run backwards or are missing, as in the times of its frames.
     """
@@ -148,6 +151,7 @@ class _Recorder:
         rate = film.average_rate or film.guessed_rate or round(DEFAULT_RATE)
         self._step = max(1, round(1 / (rate * film.time_base)))
         self._last, self._shift = -self._step, 0
+        self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)  # packets before the first picture
 
     def write(self, packet: Any, frames: list[Any]) -> None:
         """HaustraError where the disk takes no more; what was written stays readable."""
@@ -157,8 +161,11 @@ class _Recorder:
             if self._raw:
                 for frame in frames:
                     self._opened().mux(self._stream.encode(frame))
-            elif packet.size:
-                self._mux(packet)
+                return
+            if packet.size:
+                self._waiting.append(packet)
+            while self._waiting and (frames or self._file is not None):
+                self._mux(self._waiting.popleft())
         except (OSError, av.error.FFmpegError) as error:
             raise HaustraError(
                 f"the recording {self.path} cannot be written any more ({_reason(error)}); what it holds is kept"
@@ -176,7 +183,7 @@ class _Recorder:
         file.mux(packet)
 
     def _opened(self) -> "OutputContainer":
-        """The file, made with the first packet: a source that gives none must not replace an earlier recording."""
+        """The file, made when it is first written to."""
         if self._file is None:
             import av
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from contextlib import suppress
 
 import av
 import numpy as np
@@ -167,6 +168,21 @@ def test_frames_without_stamps_are_recorded_too(film, tmp_path):
     for one, other in zip(decoded(recording), decoded(film), strict=True):
         np.testing.assert_array_equal(one, other)
     assert len(list(PlayedFilm(recording).source)) == COUNT
+
+
+def test_a_stream_without_a_picture_leaves_an_earlier_recording(film, tmp_path):
+    """Packets come, but none that can be decoded: what they need was never sent."""
+    path, recording = tmp_path / "film.ts", tmp_path / "film.mkv"
+    with av.open(str(film)) as source, av.open(str(path), "w", "mpegts") as out:
+        stream = out.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.size and not packet.is_keyframe:
+                packet.stream = stream
+                out.mux(packet)
+    recording.write_bytes(b"earlier")
+    with suppress(HaustraError):
+        assert list(Stream(str(path), recording).frames(threading.Event())) == []
+    assert recording.read_bytes() == b"earlier"
 
 
 def test_a_writer_that_dies_loses_little(tmp_path):
