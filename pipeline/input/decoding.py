@@ -63,8 +63,8 @@ def packets_of(container: "InputContainer", streams: Any) -> Iterator["Packet | 
 def decoded(
     container: "InputContainer", stream: "VideoStream", note: Callable[[str], None]
 ) -> Iterator["VideoFrame | None"]:
-    """Frames of every packet that decodes; None for each that is left out, and for each packet that does not decode, so
-    that frames behind a loss keep their numbers.
+    """Frames of every packet that decodes; None for each that is left out, and for each that does not come after a
+    packet that does not decode, so that frames behind a loss keep their numbers.
 
     What is decoded after a packet that could not be, up to the codec's next keyframe, is left out: it is smeared. Of a
     stream that was sent, so are frames of which a part was lost, and what follows them; of a file of another kind,
@@ -85,6 +85,8 @@ def decoded(
                     smear.await_frame(packet)
                 for frame in () if packet is None else packet.decode():
                     is_covered = smear.covers(frame)
+                    smeared += smear.missing
+                    yield from [None] * smear.missing
                     is_given = not is_covered or not (is_sent or smear.is_of_lost_packet)
                     smeared += not is_given
                     doubtful += is_covered and is_given
@@ -95,7 +97,8 @@ def decoded(
             except av.error.FFmpegError:
                 damaged += 1
                 smear.begin_at_lost_packet()
-                yield None
+                if packet is None or packet.pts is None:  # else `Smear` counts it as missing
+                    yield None
             if damaged > MAX_DAMAGED:
                 break
     finally:  # also where nobody asks for the rest
@@ -134,19 +137,22 @@ class Gaps:
 class Smear:
     """From a loss to the codec's next keyframe: what is decoded from lost frames shows smeared pictures.
 
-    is_of_lost_packet: whether the loss is of a packet that could not be decoded at all.
+    is_of_lost_packet: whether the loss is of a packet that could not be decoded at all. missing: of the latest frame,
+    how many that should have come before it such a loss took, where it ends the loss; else 0. A decoder passes over
+    what follows a lost keyframe without a word, so that they are not as many as packets with an error.
     """
 
     def __init__(self) -> None:
-        self.is_of_lost_packet = False
+        self.is_of_lost_packet, self.missing = False, 0
         self._since: float | None = None  # presentation time of the first frame that is lost
         self._count = 0
-        self._awaited: set[int] = set()  # presentation times of packets whose frames have not come
+        self._awaited: set[int] = set()  # presentation times of packets whose frames have not come,
+        self._passed: set[int] = set()  # and of those that, since a packet was lost, are behind frames that came
         self._is_passed = True  # whether the frame that a lost packet would have given is behind those that came
 
     def await_frame(self, packet: "Packet") -> None:
         """A packet that is about to be decoded."""
-        if packet.pts is not None and packet.size:
+        if packet.pts is not None and packet.size and not packet.is_discard:  # of which no frame is wanted
             self._awaited.add(packet.pts)
 
     def begin(self, since: float) -> None:
@@ -163,8 +169,11 @@ class Smear:
         """Whether a frame, which the decoder gives some packets later, is of a loss or built on one."""
         pts = math.inf if frame.pts is None else frame.pts
         passed = {awaited for awaited in self._awaited if awaited < pts}
+        is_counted = self.is_of_lost_packet and frame.pts is not None
         self._is_passed = self._is_passed or bool(passed) or frame.pts is None
         self._awaited -= passed | {pts}
+        self._passed = (self._passed | passed if is_counted else self._passed) - {pts}  # AVI's come in any order
+        self.missing = 0
         if frame.is_corrupt:
             self._since, self._count = pts, 0
         if self._since is None or pts < self._since:
@@ -172,6 +181,7 @@ class Smear:
         is_anew = frame.key_frame and not frame.is_corrupt and pts > self._since and self._is_passed
         if self._count >= MOST_SMEARED or is_anew:
             self._since, self.is_of_lost_packet = None, False
+            self.missing, self._passed = len(self._passed), set()
             return False
         self._count += 1
         return True

@@ -41,7 +41,7 @@ class Clock:
             return self.last
         self.last_stamp = stamp
         if self._shift is None:
-            self._shift = -stamp
+            self._shift = self.last + self.step - stamp
         backwards = stamp + self._shift < self.last - RESTART * self.step
         if backwards or stamp + self._shift > self.last + LEAP_S:
             self._shift = self.last + self.step - stamp

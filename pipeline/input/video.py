@@ -147,7 +147,7 @@ class Source:
             for frame in decoded(container, stream, self._note):
                 if frame is None:
                     left_out += 1
-                    if not clock.has_times:
+                    if not clock.has_times or count == 0:  # the first stamp does not tell of them
                         clock.seconds(None)
                     continue
                 rgb = self._upright(frame, to_rgb(frame), aspect)

@@ -14,6 +14,17 @@ from pipeline.input.video import Source
 from tests.helpers.videos import textured_frames, write_video
 
 
+def with_packets_of_noise(path: Path, lost: list[int]) -> None:
+    """Packets of these numbers, in decoding order, overwritten."""
+    data, rng = bytearray(path.read_bytes()), np.random.default_rng(0)
+    with av.open(str(path)) as film:
+        packets = [bytes(packet) for packet in film.demux(video=0) if packet.size]
+    for packet in (packets[k] for k in lost):
+        place = data.index(packet)
+        data[place : place + len(packet)] = rng.integers(256, size=len(packet), dtype=np.uint8).tobytes()
+    path.write_bytes(bytes(data))
+
+
 @pytest.mark.parametrize("suffix", ["ts", "mkv", "avi"])
 @pytest.mark.parametrize("seed", range(4))
 def test_two_streams_that_are_damaged_end_in_frames_or_a_sentence(tmp_path: Path, suffix: str, seed: int) -> None:
@@ -86,25 +97,37 @@ def test_a_transport_stream_whose_end_is_noise_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "avi"])
 @pytest.mark.parametrize("reordered", ["0", "2"])
-@pytest.mark.parametrize("lost", [[27], [27, 28, 29], [24, 66]])
+@pytest.mark.parametrize("lost", [[27], [27, 28, 29], [24, 66], [39, 40]])
 def test_what_follows_a_packet_that_does_not_decode_is_left_out_of_any_film(
     tmp_path: Path, suffix: str, reordered: str, lost: list[int]
 ) -> None:
     """Such frames were off by 17 grey levels, and tracked as if nothing had been. Those that are shown before the lost
-    one, but decoded from it, are smeared as much."""
+    one, but decoded from it, are smeared as much. After a lost keyframe FFmpeg passes over others without an error."""
     frames = textured_frames(80)
     path = write_video(tmp_path / f"film.{suffix}", frames, g="20", bf=reordered, sc_threshold="0")
-    data, rng = bytearray(path.read_bytes()), np.random.default_rng(0)
-    with av.open(str(path)) as film:
-        packets = [bytes(packet) for packet in film.demux(video=0) if packet.size]
-    for packet in (packets[k] for k in lost):
-        place = data.index(packet)
-        data[place : place + len(packet)] = rng.integers(256, size=len(packet), dtype=np.uint8).tobytes()
-    path.write_bytes(bytes(data))
+    with_packets_of_noise(path, lost)
     source = Source(path)
     read = list(source)
     assert 80 - 20 * len({k // 20 for k in lost}) <= len(read) < 80 - len(lost)
     assert [frame.index for frame in read] == [round(30 * frame.seconds) for frame in read]  # as poses and depth count
     for frame in read:
         assert np.abs(frame.rgb.astype(int) - frames[round(30 * frame.seconds)]).mean() < 6
+    assert any("left out" in note for note in source.notes)
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "mkv"])
+@pytest.mark.parametrize("reordered", ["0", "2"])
+@pytest.mark.parametrize("lost", [[0], [0, 1], [1]])
+def test_a_film_whose_first_packets_do_not_decode_keeps_numbers_and_times(
+    tmp_path: Path, suffix: str, reordered: str, lost: list[int]
+) -> None:
+    """Its first frame was number 1 at 0 s, though it is the twenty-first."""
+    frames = textured_frames(60)
+    path = write_video(tmp_path / f"film.{suffix}", frames, g="20", bf=reordered, sc_threshold="0")
+    with_packets_of_noise(path, lost)
+    source = Source(path)
+    read = list(source)
+    assert [frame.index for frame in read] == [round(30 * frame.seconds) for frame in read]
+    for frame in read:
+        assert np.abs(frame.rgb.astype(int) - frames[frame.index]).mean() < 6
     assert any("left out" in note for note in source.notes)

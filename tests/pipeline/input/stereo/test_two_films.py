@@ -76,6 +76,19 @@ def test_after_frames_that_one_film_lost_both_are_of_one_time(tmp_path: Path, ho
 
 
 @pytest.mark.parametrize("holed", ["left", "right"])
+def test_a_film_whose_first_picture_is_damaged_is_of_the_time_of_the_other(tmp_path: Path, holed: str) -> None:
+    films = {
+        eye: write_video(tmp_path / f"{eye}.mp4", frames, g="10", bf="0", sc_threshold="0")
+        for eye, frames in EYES.items()
+    }
+    with av.open(str(films[holed])) as opened_film:
+        first = bytes(next(opened_film.demux(video=0)))
+    films[holed].write_bytes(films[holed].read_bytes().replace(first, b"\xa7" * len(first)))
+    found = disparities(opened(tmp_path, films["left"], films["right"]))
+    np.testing.assert_allclose(found, [DISPARITY] * (COUNT - 10), atol=0.5)
+
+
+@pytest.mark.parametrize("holed", ["left", "right"])
 def test_after_a_picture_that_cannot_be_read_both_are_of_one_number(tmp_path: Path, holed: str) -> None:
     for eye, frames in EYES.items():
         (tmp_path / eye).mkdir()
