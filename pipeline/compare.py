@@ -180,8 +180,11 @@ def _coverage(
 
 
 def is_colmap_model(path: Path) -> bool:
-    """Whether a path is that of a COLMAP model: its images file, or a folder with one and without trajectory.txt."""
-    return path.exists() and not (path / "trajectory.txt").exists() and images_file(path) is not None
+    """Whether a path is that of a COLMAP model: its images file, or a folder with one that is no RGB-D folder, with
+    trajectory.txt, and no data set's, whose own truth counts."""
+    if not path.exists() or (path / "trajectory.txt").exists() or images_file(path) is None:
+        return False
+    return path.is_file() or read_data_set_truth(path) is None
 
 
 def true_path(truth: Path, run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -219,6 +219,15 @@ def test_a_folder_with_its_own_path_is_no_colmap_model(tmp_path: Path) -> None:
     assert len(true_path(tmp_path, None)[0]) == FRAMES
 
 
+def test_a_data_sets_folder_with_a_model_beside_its_truth_is_no_colmap_model(tmp_path: Path) -> None:
+    """As where COLMAP was run in a folder of C3VD, whose pose.txt is the truth."""
+    write_images(tmp_path / "images.txt", np.arange(FRAMES), np.tile(np.eye(4), (FRAMES, 1, 1)))
+    stored = np.swapaxes(true_poses(), 1, 2).reshape(FRAMES, 16)
+    (tmp_path / "pose.txt").write_text("\n".join(",".join(map(repr, row)) for row in stored.tolist()))
+    run = SimpleNamespace(frames=SimpleNamespace(seconds_of_numbers=lambda numbers: numbers / FPS))
+    np.testing.assert_allclose(true_path(tmp_path, run)[1], true_poses())
+
+
 def test_a_tum_file_is_no_colmap_model(tmp_path: Path) -> None:
     write_tum(tmp_path / "truth.txt", np.arange(FRAMES, dtype=float), true_poses())
     assert len(true_path(tmp_path / "truth.txt", None)[0]) == FRAMES
