@@ -42,7 +42,7 @@ from pipeline.run_folder.malloc import give_back_freed_memory
 from pipeline.run_folder.workspace import Workspace
 
 NAME = "odometry"
-KEPT = 3  # keyframes before a scale break whose new tracks keep their points in the later part
+KEPT = 3  # keyframes before a cut whose new tracks have their points in the later part alone
 
 
 class OdometryFrontEnd:
@@ -133,7 +133,10 @@ def track_frames(
 
 def cut_at_breaks(maps: list[LocalMap], progress: Progress) -> list[LocalMap]:
     """The maps, each cut where its scale breaks, in the order of their frames; a sentence says where. Each part then
-    has one scale, and merging may find the similarity between two that show the same wall."""
+    has one scale, and merging may find the similarity between two that show the same wall.
+
+    Each point goes to one part. The cut is where points of both scales are most mixed: some that began between the
+    break and `KEPT` keyframes before the cut stay in the earlier part, though they have the later scale."""
     result: list[LocalMap] = []
     waiting = maps[::-1]
     while waiting:
@@ -146,16 +149,25 @@ def cut_at_breaks(maps: list[LocalMap], progress: Progress) -> list[LocalMap]:
             f"frame {local_map.keyframes[number].frame}: points side by side in the picture lie at two depths, as "
             "where the scale of the map changes; it is cut into two submaps there"
         )
-        waiting += [_part(local_map, number, len(local_map.keyframes)), _part(local_map, 0, number)]
+        earlier = _began_before(local_map, number - KEPT)
+        parts = _part(local_map, 0, number, earlier), _part(local_map, number, len(local_map.keyframes), ~earlier)
+        waiting += parts[::-1]
     return result
 
 
-def _part(local_map: LocalMap, first: int, end: int) -> LocalMap:
-    """The map of keyframes `first` to before `end` and the frames after each; without points that keyframes more than
-    `KEPT` before `first` saw, which have the scale before the break."""
+def _began_before(local_map: LocalMap, number: int) -> NDArray[np.bool_]:
+    """(T,) whether each track was seen by a keyframe before `number`."""
+    began = np.zeros(len(local_map.tracks), dtype=bool)
+    for keyframe in local_map.keyframes[:number]:
+        began[keyframe.ids] = True
+    return began
+
+
+def _part(local_map: LocalMap, first: int, end: int, among: NDArray[np.bool_]) -> LocalMap:
+    """The map of keyframes `first` to before `end` and the frames after each, with the points of tracks `among` (T,)
+    alone."""
     part = local_map.copied()
-    before = [keyframe.ids for keyframe in part.keyframes[: max(0, first - KEPT)]]
-    part.tracks.has_point[np.concatenate([np.zeros(0, np.int64), *before])] = False
+    part.tracks.has_point &= among
     part.keyframes = part.keyframes[first:end]
     part.tracked_frames = [
         replace(tracked, keyframe=tracked.keyframe - first)

@@ -63,13 +63,19 @@ def test_a_map_is_cut_where_its_scale_breaks(factor: float) -> None:
     assert any(f"frame {2 * begun}:" in line for line in progress.lines)
 
 
-def test_the_later_part_has_one_scale() -> None:
-    later = cut_at_breaks([sliding_map({20: 0.3})], Recorded())[1]
-    assert np.nanmax(shares_at_two_depths([later.sparse_view(k) for k in later.keyframes])) < 0.1
-    keyframe = later.keyframes[-1]
-    points, _ = later.visible_points(keyframe)
-    depth = in_camera(keyframe.camera_from_world, points)[:, 2]
-    assert depth == pytest.approx(0.6, rel=0.15)
+def test_each_part_has_one_scale() -> None:
+    """Up to the last keyframe before the cut and from the first one behind it, which both see points of both scales."""
+    for part, distance in zip(cut_at_breaks([sliding_map({20: 0.3})], Recorded()), (2.0, 0.6), strict=True):
+        views = [part.sparse_view(keyframe) for keyframe in part.keyframes]
+        assert np.nanmax(shares_at_two_depths(views)) < 0.1
+        assert all(view.points[:, 2] == pytest.approx(distance, rel=0.15) for view in views)
+
+
+def test_each_point_goes_to_one_part() -> None:
+    whole = sliding_map({20: 0.3}, outliers=0.03)
+    seen = [set(np.flatnonzero(part.incidence().sum(axis=0))) for part in cut_at_breaks([whole], Recorded())]
+    assert not seen[0] & seen[1]
+    assert seen[0] | seen[1] == set(np.flatnonzero(whole.incidence().sum(axis=0)))
 
 
 def test_two_breaks_make_three_parts() -> None:
