@@ -10,6 +10,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInf
 WITHOUT_STEREO = (
     "what is said of a second eye (--stereo-layout, --stereo-right) needs the calibration of both (--stereo)"
 )
+TWO_LAYOUTS = (
+    "the right eye has a film of its own (--stereo-right), and --stereo-layout says where both eyes lie in one "
+    "picture: leave one of them out"
+)
 LUMEN_MM = (1, 200)  # median diameter, from a bronchus to a stomach
 
 
@@ -99,4 +103,6 @@ class StereoSettings(Settings):
     def _has_a_calibration(self) -> "StereoSettings":
         if self.calibration is None and (self.right is not None or self.layout != "side-by-side"):
             raise ValueError(WITHOUT_STEREO)
+        if self.right is not None and self.layout != "side-by-side":
+            raise ValueError(TWO_LAYOUTS)
         return self

@@ -94,7 +94,7 @@ def reconstruct(
     must_be_named_or_exist("--model", model)
     from haustra.core.progress import SilentProgress, TerminalProgress
     from pipeline.config import load_config
-    from pipeline.given_settings import WITHOUT_STEREO
+    from pipeline.given_settings import TWO_LAYOUTS, WITHOUT_STEREO
     from pipeline.run_folder.malloc import return_freed_memory
     from pipeline.run_folder.workspace import Workspace
 
@@ -120,6 +120,8 @@ def reconstruct(
     )
     if stereo_layout is not None and settings.stereo.calibration is None:  # the default, too, which the settings take
         raise HaustraError(WITHOUT_STEREO)
+    if stereo_layout is not None and settings.stereo.right is not None:
+        raise HaustraError(TWO_LAYOUTS)
     again: dict[str, Any] = {"resume": resume, "overwrite": overwrite, "profile": profile}
     again["progress"] = SilentProgress() if quiet else TerminalProgress()
     if demo:

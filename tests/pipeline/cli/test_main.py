@@ -56,6 +56,8 @@ def test_a_part_of_the_video_is_asked_for_by_options(monkeypatch, tmp_path, runs
     ("words", "told"),
     [
         ([VIDEO, "--stereo-layout", "side-by-side"], "needs the calibration of both (--stereo)"),
+        ([VIDEO, "--stereo", VIDEO, "--stereo-right", VIDEO, "--stereo-layout", "over-under"], "leave one of them out"),
+        ([VIDEO, "--stereo", VIDEO, "--stereo-right", VIDEO, "--stereo-layout", "side-by-side"], "leave one of them"),
         ([""], "a path is empty on the command line"),
         ([VIDEO, "-o", ""], "what follows -o is empty on the command line"),
         ([VIDEO, "--output="], "--output= is empty on the command line"),
