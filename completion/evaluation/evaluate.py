@@ -93,8 +93,8 @@ class LeftOut:
 
     def __str__(self) -> str:
         counts = (len(self.without_truth), "true depth"), (len(self.without_points), "points")
-        told = ", ".join(f"{count} without {what}" for count, what in counts if count)
-        return told and f"{told} left out"
+        frames = ", ".join(f"{count} without {what}" for count, what in counts if count)
+        return frames and f"{frames} left out"
 
 
 def evaluate_frames(

@@ -1,7 +1,7 @@
 """Small videos, and pictures of points, made on the spot."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import av
@@ -20,6 +20,17 @@ def write_video(path: Path, frames: Sequence[NDArray[np.uint8]], fps: int = 30, 
         for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         container.mux(stream.encode())
+    return path
+
+
+def without_packets(path: Path, lost: Iterable[int]) -> Path:
+    """The same transport stream, which lost some of its pictures' packets on its way."""
+    data = path.read_bytes()
+    with av.open(str(path)) as film:
+        places = [packet.pos for packet in film.demux(video=0) if packet.pos is not None]
+    gone = [range(places[k], places[k + 1]) for k in lost]
+    kept = [data[k : k + 188] for k in range(0, len(data), 188) if not any(k in one for one in gone)]
+    path.write_bytes(b"".join(kept))
     return path
 
 

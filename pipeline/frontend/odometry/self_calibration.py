@@ -9,7 +9,7 @@ guess that knows more than an angle across the picture stays where the map that 
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +85,7 @@ def refine_intrinsics(
     return search.camera, search.sigma, [search.widths[number] for number in range(len(maps))]
 
 
+@dataclass
 class _LensSearch:
     """Steps of `refine_intrinsics`, and what they have come to: the lens, and the maps that are adjusted with it.
 
@@ -92,23 +93,21 @@ class _LensSearch:
     by_guess: that map as adjusted with the guess, and its width, while the guess may have to come back.
     """
 
-    def __init__(
-        self,
-        maps: list[LocalMap],
-        guess: Camera,
-        seed: int,
-        find: FindFeatures,
-        workspace: Workspace,
-        progress: Progress,
-        changed: bool,
-    ) -> None:
-        self.maps, self.guess, self.seed, self.find = maps, guess, seed, find
-        self.workspace, self.progress, self.changed = workspace, progress, changed
-        self.camera = guess
-        self.sigma: tuple[float, ...] = ()
-        self.widths: dict[int, float | None] = {}
-        self.source = 0
-        self.by_guess: tuple[LocalMap, float | None] | None = None
+    maps: list[LocalMap]
+    guess: Camera
+    seed: int
+    find: FindFeatures
+    workspace: Workspace
+    progress: Progress
+    changed: bool
+    camera: Camera = field(init=False)
+    sigma: tuple[float, ...] = ()
+    widths: dict[int, float | None] = field(default_factory=dict)
+    source: int = 0
+    by_guess: tuple[LocalMap, float | None] | None = None
+
+    def __post_init__(self) -> None:
+        self.camera = self.guess
 
     def refine(self, numbers: list[int]) -> None:
         """The lens of the first of these maps that determines one, refined with that map until it converges."""

@@ -1,7 +1,7 @@
 """A film of a stereo endoscope as a source: its frames are the rectified left eye's, each with metric depth."""
 
 from collections.abc import Iterator
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -67,20 +67,20 @@ class StereoSource(Source):
         """Frames of the left film, each with the right film's nearest in time, at most half an interval away: either
         film may have lost some. Of folders, and of films whose rates are not of one camera, by number."""
         others = iter(right)
-        other, after = next(others, None), next(others, None)
-        for frame in frames:
-            by_time = self._has_rate_of(right)
-            slack = self.step_s / 2 if by_time else 0.5
+        other, after, first = next(others, None), next(others, None), next(frames, None)
+        by_time = first is not None and self._has_rate_of(right)  # known once both films were begun
+        slack = self.step_s / 2 if by_time else 0.5
 
-            def late(one: RawFrame, frame: RawFrame = frame, by_time: bool = by_time) -> float:
-                return one.seconds - frame.seconds if by_time else float(one.index - frame.index)
+        def late(one: RawFrame, frame: RawFrame) -> float:
+            return one.seconds - frame.seconds if by_time else float(one.index - frame.index)
 
-            while after is not None and other is not None and abs(late(after)) <= abs(late(other)):
+        for frame in () if first is None else chain((first,), frames):
+            while after is not None and other is not None and abs(late(after, frame)) <= abs(late(other, frame)):
                 other, after = after, next(others, None)
-            if other is None or (after is None and late(other) < -slack):
+            if other is None or (after is None and late(other, frame) < -slack):
                 self._note(f"{right.path.name} ends earlier: frames from {frame.index} on were left out")
                 return
-            if abs(late(other)) <= slack:
+            if abs(late(other, frame)) <= slack:
                 yield frame, other
             else:
                 self._note(f"frames of {self.path.name} that {right.path.name} has no picture of are left out")

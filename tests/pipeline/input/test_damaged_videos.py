@@ -11,7 +11,7 @@ import pytest
 
 from haustra.core.errors import HaustraError
 from pipeline.input.video import Source
-from tests.helpers.videos import textured_frames, write_video
+from tests.helpers.videos import textured_frames, without_packets, write_video
 
 
 def with_packets_of_noise(path: Path, lost: list[int]) -> None:
@@ -70,13 +70,7 @@ def test_what_follows_lost_packets_is_left_out(tmp_path: Path, lost: list[int]) 
     """Of a frame that is gone as a whole FFmpeg says nothing: the counters of the stream's packets do."""
     frames = textured_frames(80)
     path = write_video(tmp_path / "film.ts", frames, g="20", bf="0", sc_threshold="0")
-    data = path.read_bytes()
-    with av.open(str(path)) as film:
-        places = [packet.pos for packet in film.demux(video=0) if packet.pos is not None]
-    gone = [range(places[k], places[k + 1]) for k in lost]
-    kept = [data[k : k + 188] for k in range(0, len(data), 188) if not any(k in one for one in gone)]
-    path.write_bytes(b"".join(kept))
-    source = Source(path)
+    source = Source(without_packets(path, lost))
     read = list(source)
     assert 80 - 20 * len(lost) <= len(read) < 80
     for frame in read:

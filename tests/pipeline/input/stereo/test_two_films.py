@@ -14,7 +14,7 @@ import pytest
 from haustra.core.errors import HaustraError
 from pipeline.config import StereoSettings
 from pipeline.input.stereo.stereo_source import StereoSource
-from tests.helpers.videos import textured_frames, write_video
+from tests.helpers.videos import textured_frames, without_packets, write_video
 
 FOCAL, BASELINE, DISPARITY = 80.0, 4.0, 8
 COUNT = 60
@@ -35,17 +35,6 @@ def rig(folder: Path) -> str:
 
 def film(folder: Path, eye: str, fps: int = 30) -> Path:
     return write_video(folder / f"{eye}.ts", EYES[eye], fps, g="10", bf="0", sc_threshold="0")
-
-
-def without_packets(path: Path, lost: range) -> Path:
-    """A transport stream that lost some pictures on its way."""
-    data = path.read_bytes()
-    with av.open(str(path)) as opened:
-        places = [packet.pos for packet in opened.demux(video=0) if packet.pos is not None]
-    gone = [range(places[k], places[k + 1]) for k in lost]
-    kept = [data[k : k + 188] for k in range(0, len(data), 188) if not any(k in one for one in gone)]
-    path.write_bytes(b"".join(kept))
-    return path
 
 
 def disparities(source: StereoSource) -> list[float]:
